@@ -59,12 +59,12 @@ def poses(*command: str | Path) -> list[list[float]]:
 
 
 def largest_difference(one: list[list[float]], other: list[list[float]]) -> float:
-    """Return the largest difference of two numbers at the same place."""
+    """Return the largest difference of corresponding numbers."""
     return max(abs(a - b) for row, others in zip(one, other, strict=True) for a, b in zip(row, others, strict=True))
 
 
 def main() -> int:
-    """Try both sets, or that which is named."""
+    """Try both sets, or the named ones."""
     known, failed = poses(sys.executable, CHECK, "--poses"), False
     for name, lines in requirements().items():
         if name not in (sys.argv[1:] or requirements()):
@@ -77,7 +77,7 @@ def main() -> int:
             failed = True
             continue
         failed |= difference > TOLERANCE
-        print(f"make bounds: the {name} versions differ by {difference:g} from here, {TOLERANCE:g} is allowed")
+        print(f"make bounds: the {name} versions differ by {difference:g} from this workspace; allowed: {TOLERANCE:g}")
     return int(failed)
 
 

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 WELCOME = "Welcome to capaNCDT\r\nDevice: DT6220\r\nS/N: 12345\r\n"
 SAMPLE_TIMES_US = (256, 480, 960, 1920, 3840, 9600, 19_200, 38_400, 96_000, 200_000, 400_000)
 """Of the manual only 960 and the greatest are known."""
+HEADER_BYTES = 32
 FULL_SCALE = (1 << 24) - 1
 
 

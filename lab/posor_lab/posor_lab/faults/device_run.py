@@ -47,7 +47,7 @@ def _set(name: str, value: object) -> Callable[[CapaNcdtServer], None]:
 
 
 def _go_away(server: CapaNcdtServer) -> None:
-    """Close the connection and accept no other one that works."""
+    """Close the connection; later connections fail the check of the version."""
     server.answers["VER"] = "OTHER"
     server.drop_client()
 

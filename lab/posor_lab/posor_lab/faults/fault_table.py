@@ -100,7 +100,7 @@ class FaultRow:
 
     @property
     def title(self) -> str:
-        """ArmName and name, unique in the table."""
+        """Name of the arm and of the fault; unique in the table."""
         return f"{self.arm}: {self.name}"
 
     @property

@@ -86,7 +86,7 @@ class MessageRun(InjectionRun):
     SOUND_S, FAULT_S, ACKNOWLEDGE_S, REST_S = 0.4, 0.4, 0.1, 0.4
 
     def _programs(self) -> list[ProgramCommand]:
-        """Return the nodes but driver_node, and but posor_node if the program plays that."""
+        """Return all nodes but driver_node, and but posor_node if this program replaces it."""
         (self._joint,) = self.joints
         self._topic = str(self.rows[0].inject["topic"])
         unused = "" if self._topic == RAW_TOPIC else "posor_node"

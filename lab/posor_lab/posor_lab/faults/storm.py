@@ -192,7 +192,7 @@ class StormCount:
     scans: int = 0
     injected: int = 0
     wrong_ok: int = 0  # beyond 5 standard deviations of the truth, and published as valid
-    uncovered: int = 0  # of these, without sound and LIKE_THE_TRUE_READING scans that the protection level covers
+    uncovered: int = 0  # wrong poses minus sound and LIKE_THE_TRUE_READING scans that the protection level covers
     sound: int = 0  # scans without a fault, outside of a latched period
     sound_ok: int = 0
     latched: int = 0  # scans without a fault in a latched period
@@ -258,7 +258,7 @@ def count_storm(
 
 
 def sensor_shifts(calibration: Calibration, shifts: FloatArray) -> FloatArray:
-    """Return the undetected shifts of the pose (m, 6) with those of both readings of a diode together, in amount."""
+    """Return the undetected absolute shifts of the pose (m, 6), with the sums over both readings of a diode."""
     begin, together = 0, [np.abs(shifts)]
     for sensor in calibration.sensors:
         if isinstance(sensor, DiodesCalibration):

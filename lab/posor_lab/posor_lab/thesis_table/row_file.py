@@ -95,7 +95,7 @@ class RowFile:
         return rows
 
     def enter(self, section: str, entry: Any, name: str) -> None:
-        """Take an entry of a section, by the text of a key, as the place of the errors that follow."""
+        """Set the entry of a section, by the text of a key, that later errors name."""
         self._where = f"{self._path}, {section}, {entry.get(name, '') if isinstance(entry, Mapping) else entry}"
 
     def check_unused(self) -> None:

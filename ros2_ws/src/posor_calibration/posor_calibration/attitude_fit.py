@@ -1,8 +1,8 @@
 """Fit of parameters to a reference's attitude of the moving target: alpha, beta, theta.
 
 The estimator itself is the model: for each set of parameters all scans are estimated again, and their angles compared
-with the reference. Each of the two has a zero of its own, so only changes of the angles are compared. All other numbers
-of the calibration stay fixed, with their uncertainty.
+with the reference. Estimator and reference each have an arbitrary zero, so only changes of the angles are compared. All
+other numbers of the calibration stay fixed, with their uncertainty.
 """
 
 from __future__ import annotations

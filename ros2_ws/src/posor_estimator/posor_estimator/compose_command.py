@@ -48,10 +48,10 @@ def _compose(arguments: Sequence[str]) -> None:
             return
         if len(own) != 1:
             raise ParameterError(f"{len(own)} arguments", where="compose", expected="one, a composition file")
-        composition, places = load_composition(Path(own[0]))
+        composition, locations = load_composition(Path(own[0]))
         with NodeGroup(composition.realtime) as nodes:
             for number, entry in enumerate(composition.nodes):
-                location = partial(error_location, places, number, entry)
+                location = partial(error_location, locations, number, entry)
                 try:
                     nodes.add(entry.create_node(), location)
                 except PosorError as error:

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 ALL_FAULTS = sum(int(flag) for flag in Fault)
 NOT_COUNTED = "waiting for the home mark or another reference"
-"""Said of a joint without a fault whose large rotation is not counted."""
+"""Text for a joint without a fault whose theta is not counted."""
 _STATE_TEXTS = {int(state): f"is {state.name.lower()}" for state in State}
 SOUND = EndpointVerdict(EndpointState.STATE_OK)
 

@@ -295,7 +295,7 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
         stream = self._stream
         if stream is None or (identity := stream.identity(data)) is None:
             return None
-        if last := stream.last_identity():
+        if last := stream.last_stamp_and_number():
             kind, text = self._order.describe(identity, last)
             if kind:
                 self._inputs.note(kind, text)

@@ -102,14 +102,14 @@ def test_only_the_next_scan_of_an_accepted_age_is_expected() -> None:
     stream, unchecked = (RawScanStream(each, raw[0], "total") for each in (posor, other))
     stream.accept_ages(-5.0, 10.0)
     wanted = [unchecked.estimate_message(data) for data in raw]
-    assert stream.last_identity() is None
+    assert stream.last_stamp_and_number() is None
     assert stream.estimate_message(raw[0], stamps_ns[0]) is None  # no scan came before
     assert stream.estimate_message(raw[0]) == wanted[0]
     for n, age_ns in ((0, 0), (2, 0), (1, -6), (1, 11)):  # repeated, one missing, ahead of time, too old
         before = posor.model.workspace[0]["tracker"].tobytes()
         assert stream.estimate_message(raw[n], stamps_ns[n] + age_ns) is None
         assert posor.model.workspace[0]["tracker"].tobytes() == before
-        assert stream.last_identity() == (stamps_ns[0], 7)
+        assert stream.last_stamp_and_number() == (stamps_ns[0], 7)
     for n, age_ns in ((1, -5), (2, 10)):
         assert stream.estimate_message(raw[n], stamps_ns[n] + age_ns) == wanted[n]
     assert stream.estimate_message(template.at(stamps_ns[3], 8), stamps_ns[3]) is None  # backward

@@ -89,7 +89,7 @@ class InputMonitor:
     """Watches all inputs of an active node and reports them in the status line ``input``.
 
     Attributes:
-        several: Sentence on several publishers of a topic, as ``refusal``; may remain for too long. Else empty.
+        several: Error text while a topic has several publishers, updated with a delay; ``refusal`` is up to date.
         silent: Sentence on silent inputs; empty: all arrive.
         silent_names: Their names.
         stamp_limits: Ages of stamps that the node accepts.
@@ -155,8 +155,8 @@ class InputMonitor:
     def note(self, kind: str, text: str) -> None:
         """Report an anomaly, such as a missing scan, as a warning, until there was none of its kind for a second.
 
-        The first of a kind is reported at once, the last one of each second with the status lines of that second: a
-        host that misses ticks would else have each node publish at the highest rate.
+        The first of a kind is reported at once, the last one of each second with the status lines of that second:
+        otherwise each node would publish diagnostics at the highest rate on an overloaded host.
         """
         self._notes_of_this_second[kind] = text
         if kind not in self._notes:

@@ -44,7 +44,7 @@ LISTENERS_STATUS = "listeners"
 """Name of the status line that counts the subscriptions of each topic.
 
 A volatile publisher sends only to matched subscriptions, and no ROS call tells another program whether they have
-matched. A program that starts a graph can wait for this line and so lose nothing of a replay."""
+matched. A program that starts a graph can wait for this line before a replay; then no message is lost."""
 
 
 class PosorNode(LifecycleNode, Generic[ParametersT]):
@@ -218,8 +218,8 @@ class PosorNode(LifecycleNode, Generic[ParametersT]):
     def run_checks(self) -> None:
         """Check the inputs and, at times, the graph.
 
-        A `NodeGroup` calls it for one of its nodes after another and cancels their timers: to wake the executor costs
-        more than the checks. The timer serves a node in another executor.
+        A `NodeGroup` calls ``run_checks`` of all its nodes in one pass and cancels their timers, because waking the
+        executor costs more than the checks. The timer remains for a node outside of a `NodeGroup`.
         """
         self._check_number += 1
         if self._check_number % GRAPH_CHECK_EVERY == 0:

@@ -121,7 +121,7 @@ def read_index(data: mmap | bytes) -> list[McapRecord] | Damage:
 def read_records(data: mmap | bytes) -> Iterator[list[Record] | Damage]:
     """Yield the records of messages, schemas and channels of every whole chunk, and what is damaged, in order.
 
-    After a damaged record the search goes on at the next place where a whole chunk begins.
+    After a damaged record, reading resumes at the next intact chunk.
     """
     index = _index_begin(data)
     position, end = _after_header(data), len(data)

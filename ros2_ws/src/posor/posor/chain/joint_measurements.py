@@ -1,4 +1,4 @@
-"""Measurements of the joints as the chain takes them: one by name, many in arrays, or as rows of message bytes."""
+"""Joint measurements: ``MeasuredJoint`` for one joint, ``JointMeasurements`` for n scans, ``JointRows`` as bytes."""
 
 from __future__ import annotations
 

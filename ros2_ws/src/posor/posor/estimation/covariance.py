@@ -97,7 +97,7 @@ def _parameter_of(model: Model, reading: int, k: int) -> int:
 
 @in_place
 def find_contributions(model: Model) -> None:  # noqa: C901  loops over plain numbers
-    """Find which derivatives count for the active rows, what each adds to, and which readings become correlated."""
+    """List the derivatives with uncertainty, what each contributes to, and the correlated readings."""
     workspace = model.workspace[0]
     m, length = workspace.reading_count, PARAMETERS + model.linearisation_parameters.shape[1]
     for f in range(model.factor_uses.shape[0]):

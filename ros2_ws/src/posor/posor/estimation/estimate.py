@@ -1,4 +1,4 @@
-"""What scans say of the pose: transform, covariance, chi-square, state."""
+"""Estimate of a scan: pose, covariance, chi-square, state."""
 
 from __future__ import annotations
 

@@ -51,8 +51,8 @@ if TYPE_CHECKING:
     from posor.estimation.workspace import Model
 
 DONE, START, RETRY = 0, 1, 2
-"""What is left to do for a scan: nothing; a start, because no pose is known; a retry from a closed form, because the
-solution from the previous pose failed."""
+"""Results of ``estimate_scan``. DONE: estimated. START: no pose is known, so a start is missing. RETRY: the solution
+from the previous pose failed, so a start in closed form is missing."""
 
 OK, DEGRADED, LOST, UNCOUNTED = (int(state) for state in (State.OK, State.DEGRADED, State.LOST, State.UNCOUNTED))
 BAD_READING_FAULT, NOT_CONVERGED_FAULT = int(Fault.BAD_READING), int(Fault.NOT_CONVERGED)
@@ -98,7 +98,7 @@ def begin_scan_estimate(model: Model, scan: Any, estimate: Any, linearised: bool
     if not tracker.epoch_known:
         tracker.epoch_known, tracker.epoch_ns = 1, scan.stamp_ns
     stamp = (scan.stamp_ns - tracker.epoch_ns) * 1e-9
-    frozen = NOT_FROZEN if workspace.again else count_repetitions(model, scan)
+    frozen = NOT_FROZEN if workspace.is_retry else count_repetitions(model, scan)
     if linearised:
         estimate.faults = 0
         if not environment_is_valid(settings, scan):
@@ -109,7 +109,7 @@ def begin_scan_estimate(model: Model, scan: Any, estimate: Any, linearised: bool
         lacking = unmeasured(settings, scan)
         if lacking != workspace.unmeasured:
             workspace.unmeasured, workspace.rows_active = lacking, 0
-        if workspace.again or follow_time(tracker, stamp, scan.number):
+        if workspace.is_retry or follow_time(tracker, stamp, scan.number):
             if not _needs_acknowledgement(tracker):
                 return True
         else:

@@ -61,7 +61,7 @@ def unmeasured(settings: Any, scan: Any) -> int:
 
 @in_place
 def add_unmeasured(workspace: Any) -> None:
-    """Add the effect of what ``workspace.unmeasured`` says to ``systematic_readings``."""
+    """Add the covariance from an unmeasured supply or temperature to ``systematic_readings``."""
     m, by = workspace.reading_count, workspace.sensitivities
     for quantity in range(2):
         if workspace.unmeasured & 1 << quantity:
@@ -147,8 +147,8 @@ def _linearise_spots(model: Model, sensor: Any, scan: Any) -> int:
 def linearise_scan(model: Model, scan: Any, estimate: Any) -> bool:
     """Linearise one scan; return whether all its readings are valid.
 
-    Values, variances, selected rows and the derivatives by the linearisation's parameters are written. The first sensor
-    with invalid readings ends it: ``estimate`` gets the sensor's number, its code, and the fault.
+    Values, variances, selected rows and the derivatives by the linearisation's parameters are written. Linearisation
+    stops at the first sensor with invalid readings: ``estimate`` gets the sensor's number, its code, and the fault.
     """
     estimate.sensor = -1
     estimate.code = VALID

@@ -347,11 +347,11 @@ class Posor:
         if left == START and self.counts_bumps:
             self.tracker["counted"] = 0  # a closed form does not know the count
         self._start(scans, estimates, n)
-        self.model.workspace["again"] = 1
+        self.model.workspace["is_retry"] = 1
         try:
             self._estimate_scans(scans, estimates, n, n + 1)
         finally:
-            self.model.workspace["again"] = 0
+            self.model.workspace["is_retry"] = 0
 
     def _start(self, scans: NDArray[np.void], estimates: NDArray[np.void], n: int) -> None:
         """Make the best closed-form start for scan n the start of the solver."""

@@ -2,9 +2,9 @@
 
 A fault latches the joint. REGAINABLE_FAULTS hold the tracker at the last accepted pose. They are released where one of
 the next scans regains the extrapolated motion within the gate of one scan interval, by a jump back from the poses
-rejected meanwhile. Waiting does not widen this gate: later, only a reference of theta releases a latch that is about
-theta, or an operator any latch. Where a home mark or an encoder disagrees, the tracker goes on, and the reference
-releases the latch.
+rejected meanwhile. Waiting does not widen this gate: later, a reference releases a latch that concerns theta
+only, and an operator releases any latch. Where a home mark or an encoder disagrees, the tracker keeps predicting, and
+the reference releases the latch.
 
 The chi-square of the redundant readings takes their whole uncertainty into account. The residuals e of the fit lie, as
 far as no pose explains them, in the residual space (parity space) Z of the readings, ``J' Z = 0``, which has as many
@@ -65,21 +65,21 @@ def count_theta(workspace: Any, theta: float, at_home: int) -> bool:
     settings, tracker, checks = workspace.settings, workspace.tracker, workspace.checks
     if at_home == STATED_HOME or (at_home and not checks.counted):
         checks.marks_off = periods_off(settings, theta)
-        goes_on = tracker.marks > 0 and checks.marks_off == tracker.marks_off
-        checks.marks = tracker.marks + 1 if goes_on else 1
+        agrees_with_last = tracker.marks > 0 and checks.marks_off == tracker.marks_off
+        checks.marks = tracker.marks + 1 if agrees_with_last else 1
         checks.recounted = 1 if checks.marks >= MARKS or at_home == STATED_HOME else 0
     elif tracker.reference_sigma > 0.0 and not checks.counted:
         checks.marks_off = float(round(wrapped(theta - tracker.reference_theta) / settings.period))
         checks.recounted = 1
     if checks.recounted and checks.marks_off != 0.0 and settings.bump_angle == 0.0:
-        checks.faults |= COUNT  # the numbers of the light sources say something else
+        checks.faults |= COUNT  # the numbers of the light sources contradict the count
         checks.recounted = 0
     return bool(checks.recounted and checks.marks_off != 0.0)
 
 
 @in_place
 def check_residuals(workspace: Any) -> None:
-    """Latch the joint where readings contradict one another for long; release it where they have agreed for long."""
+    """Latch the joint after RESIDUAL_RUN failed residual tests in a row; release it after as many passed tests."""
     tracker, checks = workspace.tracker, workspace.checks
     if checks.contradictory:
         checks.faults |= RESIDUAL
@@ -224,7 +224,7 @@ def motion_gate(workspace: Any, previous: Any, elapsed: float, covariance: Float
 
 @in_place
 def latch(tracker: Any, faults: int, about_theta: int, elapsed: float) -> None:
-    """Keep the joint out; ``elapsed`` [s] since the last accepted pose, ``about_theta``: a reference may release it."""
+    """Latch the joint, ``elapsed`` [s] after the last accepted pose; ``about_theta``: a reference may release it."""
     if faults & REGAINABLE_FAULTS and tracker.latch & REGAINABLE_FAULTS == 0:
         tracker.latch_interval = tracker.interval
         if elapsed > 0.0 and (tracker.interval <= 0.0 or elapsed < tracker.interval):
@@ -238,7 +238,7 @@ def latch(tracker: Any, faults: int, about_theta: int, elapsed: float) -> None:
 
 @inlined
 def count_is_stale(settings: Any, tracker: Any, elapsed: float) -> bool:
-    """Return whether theta can be half a period off, for want of a recent motion: UNCOUNTED, no fault."""
+    """Return whether theta may be half a period off because the last pose is too old: UNCOUNTED, not a fault."""
     followed_for = REGAIN_GAP * tracker.interval if tracker.interval > 0.0 else FIRST_GAP_S
     return bool(elapsed > followed_for and settings.max_theta_rate * elapsed > 0.5 * settings.period)
 
@@ -287,11 +287,11 @@ def chi_square(workspace: Any) -> float:
         covariance[t, t] = 1.0
         for r in range(m):
             components[t] += space[t, r] * workspace.residuals[r]
-            pushed = 0.0
+            covariance_times_direction = 0.0
             for q in range(workspace.first_correlated[r], workspace.end_correlated[r]):
-                pushed += systematic[r, q] * space[t, q]
+                covariance_times_direction += systematic[r, q] * space[t, q]
             for s in range(t + 1):
-                covariance[t, s] += space[s, r] * pushed
+                covariance[t, s] += space[s, r] * covariance_times_direction
     if not cholesky_factorise(covariance, redundant):
         return math.nan
     solve_lower_triangular(covariance, redundant, components)

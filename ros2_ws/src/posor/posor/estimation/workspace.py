@@ -36,7 +36,7 @@ SETTINGS = np.dtype(  # settings of the tracker and of the tests
         ("home_theta", "f8"),  # theta at the home mark [rad]
         ("environment", "f8", (2, 2)),  # lowest and highest supply voltage [V] and temperature [K]
         ("spreads", "f8", (2,)),  # standard uncertainty of both where they are not measured
-        ("all_evidence", "f8"),  # that readings are frozen, of one repetition of all
+        ("all_evidence", "f8"),  # that one repetition of all readings is a frozen device, see estimation.frozen
         ("tilt_lags", "i8"),  # 1: the tilts are turned by the theta of the previous scan (program of 1985)
     ],
     align=True,
@@ -101,7 +101,7 @@ WORKSPACE = np.dtype(  # memory of fixed capacity for one POSOR
         ("estimate", ESTIMATE),  # its estimate
         ("reading_count", "i8"),
         ("redundant_count", "i8"),
-        ("again", "i8"),  # 1: the scan is estimated once more, from a start
+        ("is_retry", "i8"),  # 1: the scan is estimated once more, from a start
         ("unmeasured", "i8"),  # see estimation.linearise
         ("sensitivities", "f8", (READINGS, 2)),  # of each reading to supply and temperature [m/V], [m/K]
         ("evidence", "f8", (READINGS,)),  # of one repetition of each reading, see estimation.frozen

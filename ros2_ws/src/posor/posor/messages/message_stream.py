@@ -49,8 +49,8 @@ STATUS = np.dtype(  # status of a stream of scans
 )
 
 OTHER_LAYOUT, UNEXPECTED = 4, 5
-"""Results besides those of ``estimate_scan``: the message has another layout, or its number is not the next one or its
-stamp has another age than those of expected scans. It changes nothing."""
+"""Further results. OTHER_LAYOUT: the layout differs. UNEXPECTED: the number is not the next one, or the age is out of
+the limits. In both cases the state is unchanged."""
 UNCHECKED = -1  # in place of the present time: numbers and ages are not checked
 USABLE, UNUSABLE = 0, 1
 BAD_READING = int(Fault.BAD_READING)
@@ -161,7 +161,7 @@ def end_message(model: Model, stream: MessageStream, n: int) -> None:
 
 @in_place
 def estimate_messages(model: Model, stream: MessageStream, begin: int, end: int, now_ns: int) -> tuple[int, int]:
-    """Estimate messages ``begin`` to ``end`` while nothing is left to do for one.
+    """Estimate messages ``begin`` to ``end``; stop at the first that needs a start, a retry or another layout.
 
     ``now_ns``: the present time, to check numbers and ages, or UNCHECKED. Return where the loop stopped, ``end`` or the
     message in question, and what is left to do for that message.
@@ -268,13 +268,13 @@ class RawScanStream:
         self._last = example
 
     def identity(self, data: bytes) -> tuple[int, int] | None:
-        """Return stamp [ns], which is not checked, and number of a raw scan; None: its frame or length is another."""
+        """Return stamp [ns], unchecked, and number of a raw scan; None if its frame or length differs."""
         if len(data) < self._size or not data.startswith(self._frame_bytes, STAMP.stop):
             return None
         seconds, nanoseconds, number = self._unpack_identity(data, STAMP.start)
         return seconds * NS + nanoseconds, number
 
-    def last_identity(self) -> tuple[int, int] | None:
+    def last_stamp_and_number(self) -> tuple[int, int] | None:
         """Return stamp and number of the last scan, as ``identity``; None: there was none."""
         return None if self.status["state"] < 0 else self.identity(self._last)
 

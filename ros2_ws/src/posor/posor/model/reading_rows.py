@@ -1,8 +1,8 @@
 """Reading rows: the geometry of one scalar reading of any kind, and one way to evaluate them all.
 
 A row is a record of dtype ROW. Its ``parameters`` are the numbers that may carry uncertainty; the named geometry fields
-of each kind of reading are views of the same memory. What does not depend on the pose is prepared once
-(``prepare_row``). The x and y rows of one light spot, where they stand side by side, are evaluated together.
+of each kind of reading are views of the same memory. ``prepare_row`` computes once what does not depend
+on the pose. Adjacent x and y rows of the same light spot are evaluated once, as a pair.
 
 Poses are records of dtype POSE: ``T_R_T`` with ``p_R = rotation @ p_T + translation`` [m]. Pose derivatives are with
 respect to the local tangent of pinocchio: ``T_R_T * exp6((v, w))``, v [m] and w [rad] in the axes of T.
@@ -112,7 +112,7 @@ def prepare_row(row: Any) -> None:
 
 @inlined
 def begin_scan(row: Any) -> None:
-    """Forget where a ring probe met the surface in the previous scan: results depend on the scan alone."""
+    """Discard the intersection of the previous scan, so that the result does not depend on earlier scans."""
     if row.kind == RING:
         row.gap = np.nan
 

@@ -21,8 +21,8 @@ NO_SOURCE = 255
 CONTACTS = 4  # contact currents A, B, C, D of a diode
 
 PROBES_ESTIMATED, DIODES_ESTIMATED, SATURATED, SIMULATED, HOME_BUMP = 1, 2, 16, 64, 128
-"""Flags of ``posor_msgs/RawScan.status``: readings filled in, a channel at the end of its range, a simulated scan, the
-home mark seen."""
+"""Flags of ``posor_msgs/RawScan.status``: readings substituted by the driver, a saturated channel, a simulated scan,
+the home mark seen."""
 STATED_HOME = 2  # ``at_home`` where an operator states that the joint is within half a period of the home mark
 
 MAX_GAP_PROBES, MAX_RING_PROBES, MAX_DIODES = 8, 8, 4  # bounds of the sequences of ``posor_msgs/RawScan``

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 Kernel = TypeVar("Kernel", bound="Callable[..., Any]")
 
 PACKAGE = Path(__file__).resolve().parent.parent
-KERNEL_FILES = (*("numerics/*.py", "model/*.py", "estimation/*.py", "chain/*.py"), "messages/*.py")
+KERNEL_FILES = ("numerics/*.py", "model/*.py", "estimation/*.py", "chain/*.py", "messages/*.py")
 """Files of the package that hold kernels and the constants that they are compiled with."""
 
 CACHE_LOCATORS = (

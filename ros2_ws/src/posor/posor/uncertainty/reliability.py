@@ -1,6 +1,6 @@
 """Reliability of a POSOR after Baarda: which error of a single reading is detected, and the effect of smaller ones.
 
-The estimator tests the redundant readings by one chi-square (``estimation.residual_test``). An error b of a single
+The estimator tests the redundant readings by one chi-square (``estimation.scan_checks``). An error b of a single
 reading makes it non-central, lambda = c b^2 with c of ``ReadingSensitivity.chi_square``. lambda_0 is the lambda at
 which the non-central chi-square with r degrees of freedom, the number of redundant readings, is below the limit of the
 test with the probability ``missed_detection``. Hence
