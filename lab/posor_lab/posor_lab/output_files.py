@@ -16,9 +16,7 @@ from posor.errors import ParameterError
 def check_writable(path: Path) -> Path:
     """Create the folder of an output file; return the path.
 
-    Raises:
-        ParameterError: The folder or the file cannot be written, or the path is that of a folder.
-
+    Raises ParameterError: the folder or the file cannot be written, or the path is that of a folder.
     """
     if path.is_dir():
         raise ParameterError("cannot be written: is a folder", where=f"--output {path}", expected="a file")
@@ -37,12 +35,7 @@ def write_json(path: Path, content: Any) -> None:
 
 
 def write_files(folder: Path, contents: Mapping[str, str | bytes]) -> None:
-    """Write texts and binary files into a folder, by name.
-
-    Raises:
-        ParameterError: One cannot be written.
-
-    """
+    """Write texts and binary files into a folder, by name. Raises ParameterError: one cannot be written."""
     try:
         for name, content in contents.items():
             (folder / name).write_bytes(content.encode("utf-8") if isinstance(content, str) else content)

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Mapping
 
 URAD, MICROINCH = 1e-6, 1e-6 * inch
-UNITS: dict[str, float] = (
+UNITS: dict[str, float] = (  # amount of each unit; inHg: NIST SP 811, appendix B.8
     dict.fromkeys(("1", "m", "rad", "rad/s", "s", "Hz", "kg", "kg/m^3", "K", "N", "Pa", "V", "W", "A/W", "Ohm"), 1.0)
     | {"in": inch, "uin": MICROINCH, "mm": 1e-3, "um": 1e-6, "ft": foot, "in^2": inch**2, "in^4": inch**4}
     | {"urad": URAD, "deg": degree, "arcsec": arcsec, "rev/s": 2.0 * math.pi}
@@ -24,15 +24,12 @@ UNITS: dict[str, float] = (
     | {"psi": psi, "ksi": 1e3 * psi, "1e6 psi": 1e6 * psi, "mW": 1e-3, "pF": 1e-12, "nV/Hz^0.5": 1e-9, "ppm": 1e-6}
     | {"in/V": inch, "uin/in": 1e-6, "in/Hz^0.5": inch}
 )
-"""Amount of each unit; inHg: NIST SP 811, appendix B.8."""
 
 
 def amount(unit: str) -> float:
     """Return the amount of a unit in SI units; a number stands for itself.
 
-    Raises:
-        DataFileError: The unit is unknown.
-
+    Raises DataFileError: the unit is unknown.
     """
     try:
         return UNITS[unit] if unit in UNITS else float(unit)
@@ -46,12 +43,7 @@ def data_path(name: str) -> Path:
 
 
 def read_table(path: Path, columns: Iterable[str]) -> list[dict[str, str]]:
-    """Return the rows of a table.
-
-    Raises:
-        DataFileError: The file cannot be read, or one of ``columns`` is missing.
-
-    """
+    """Return the rows of a table. Raises DataFileError: the file cannot be read, or one of ``columns`` is missing."""
     try:
         lines = path.read_text(encoding="utf-8").splitlines()
     except (OSError, UnicodeDecodeError) as error:
@@ -67,9 +59,7 @@ def read_table(path: Path, columns: Iterable[str]) -> list[dict[str, str]]:
 def parse_number(row: Mapping[str, str], column: str, row_name: str, expected: str = "a number") -> float:
     """Return a cell as a number.
 
-    Raises:
-        DataFileError: The cell is not a number; ``row_name`` (file and row) and column say where.
-
+    Raises DataFileError: the cell is not a number; ``row_name`` (file and row) and column say where.
     """
     try:
         return float(row[column])
@@ -81,9 +71,7 @@ def parse_number(row: Mapping[str, str], column: str, row_name: str, expected: s
 def read_numbers(path: Path, key: str, column: str, names: Collection[str] = ()) -> dict[str, float]:
     """Return a column of a table as numbers, by the text of another column; ``names``: only these rows.
 
-    Raises:
-        DataFileError: The table cannot be read, lacks a column, or has an invalid number.
-
+    Raises DataFileError: the table cannot be read, lacks a column, or has an invalid number.
     """
     rows = read_table(path, [key, column])
     chosen = [row for row in rows if not names or row[key] in names]

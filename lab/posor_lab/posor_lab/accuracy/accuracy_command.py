@@ -70,10 +70,7 @@ class DesignConfirmation:
 def confirm_design(folder: Path, draws: int, seed: int) -> DesignConfirmation:
     """Simulate the POSOR in a folder of ``posor design posor``.
 
-    Raises:
-        CalibrationError: A file of the folder is missing or invalid.
-        ChainError: Its URDF is invalid.
-
+    Raises CalibrationError: a file of the folder is missing or invalid. Raises ChainError: its URDF is invalid.
     """
     requirement, arm = load_requirement(folder / REQUIREMENT), load_arm_file(folder / ARM_FILE)
     gap = float(arm.chain().nominal_joint(JOINT, 0.0).translation[2])

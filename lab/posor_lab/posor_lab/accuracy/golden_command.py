@@ -35,14 +35,13 @@ StackName = Literal["triad_diodes", "triad_bumpy_ring"]
 
 _SPAN = 10.0  # half-width of the range of voltages [V] and ratios [1]: wider than any reading
 _CURRENT = 1e-4  # total current of each axis of a diode [A]
-_IDENTITY = {
+_IDENTITY = {  # map of a diode whose spots [m] are its ratios
     "kind": "polynomial",
     "center": quantity_entry([0.0, 0.0], "1"),
     "domain": quantity_entry([[-_SPAN, _SPAN], [-_SPAN, _SPAN]], "1"),
     "x": quantity_entry([[0.0, 0.0], [1.0, 0.0]], "m"),
     "y": quantity_entry([[0.0, 1.0], [0.0, 0.0]], "m"),
 }
-"""Map of a diode whose spots [m] are its ratios."""
 
 
 @dataclass(frozen=True)
@@ -187,9 +186,7 @@ def _case_errors(case: _Case) -> tuple[float, float, float]:
 def largest_errors(path: Path) -> dict[str, dict[str, float]]:
     """Return the largest errors over all cases of a file, by stack.
 
-    Raises:
-        DataFileError: The file cannot be read, or a case gives no pose.
-
+    Raises DataFileError: the file cannot be read, or a case gives no pose.
     """
     report = {}
     for stack in get_args(StackName):

@@ -36,8 +36,7 @@ if TYPE_CHECKING:
     from posor.chain.kinematic_chain import Chain
     from posor.numerics.array_types import FloatArray
 
-CALIBRATION_ERROR = 50.0
-"""Error of the calibration of the measuring system, section 9.3.3 [uin]."""
+CALIBRATION_ERROR = 50.0  # error of the calibration of the measuring system, section 9.3.3 [uin]
 DRAWS = 10_000
 SEED = 1985
 FIGURES = ("alpha_x_urad", "alpha_y_urad", "alpha_z_urad", "dx_uin", "dy_uin", "dz_uin", "displacement_uin")
@@ -81,9 +80,7 @@ def thesis_arm_path() -> Path:
 def read_joints(path: Path) -> dict[str, float]:
     """Return the outside diameters [m] of the joints' POSORs by their names in the URDF, from base to wrist.
 
-    Raises:
-        DataFileError: The file cannot be read, lacks a column, or has an invalid number.
-
+    Raises DataFileError: the file cannot be read, lacks a column, or has an invalid number.
     """
     return {name.replace(" ", "_"): od * inch for name, od in read_numbers(path, "joint", "posor_od_in").items()}
 
@@ -91,9 +88,7 @@ def read_joints(path: Path) -> dict[str, float]:
 def read_endpoint(path: Path) -> dict[str, dict[str, float]]:
     """Return the printed ``FIGURES`` of the endpoint by the sensors alone, by configuration.
 
-    Raises:
-        DataFileError: The file cannot be read, lacks a column or a configuration, or has an invalid number.
-
+    Raises DataFileError: the file cannot be read, lacks a column or a configuration, or has an invalid number.
     """
     rows, printed = read_table(path, ["section", "configuration", *PRINTED]), {}
     for name, printed_name in CONFIGURATIONS.items():
@@ -118,9 +113,7 @@ def arm_budget(arm: ArmFile, draws: int = DRAWS) -> dict[str, dict[str, Any]]:
     same figures by ``monte_carlo``, and ``contributions``. The configuration itself has the figures of ``thesis``, or
     else of ``sensor_models``; ``printed`` are the figures printed in the thesis.
 
-    Raises:
-        PosorError: A file of the arm is invalid, or its POSORs cannot be read at zero angles.
-
+    Raises PosorError: a file of the arm is invalid, or its POSORs cannot be read at zero angles.
     """
     chain = arm.chain()
     straight = load_chain(arm.urdf, arm.endpoint_frame)
@@ -169,9 +162,7 @@ def five_axis_budgets() -> Mapping[str, Mapping[str, Any]]:
 
     A single draw, because no row needs the Monte Carlo runs.
 
-    Raises:
-        PosorError: A file of the arm cannot be read.
-
+    Raises PosorError: a file of the arm cannot be read.
     """
     return arm_budget(load_arm_file(thesis_arm_path()), draws=1)
 
@@ -185,9 +176,7 @@ def joint_contributions(configuration: Literal["extended", "bent"]) -> dict[str,
 def printed_endpoint(section: str, name: str) -> Mapping[str, str]:
     """Return the printed digits of a section for a configuration, by column.
 
-    Raises:
-        DataFileError: The table cannot be read.
-
+    Raises DataFileError: the table cannot be read.
     """
     table = read_table(data_path(ENDPOINT_FILE), ["section", "configuration", "dX_uin", "total_uin", "alpha_X_urad"])
     return next(row for row in table if (row["section"], row["configuration"]) == (section, name))
@@ -196,9 +185,7 @@ def printed_endpoint(section: str, name: str) -> Mapping[str, str]:
 def joint_accuracies() -> list[dict[str, Any]]:
     """Return the printed joints, each with ``large`` and ``small``: its accuracies by the formulas of 9.3.1 [rad].
 
-    Raises:
-        DataFileError: The table cannot be read.
-
+    Raises DataFileError: the table cannot be read.
     """
     table = read_table(data_path(JOINTS_FILE), ["joint", "posor_od_in", "distance_to_grip_in"])
     result = []
@@ -211,9 +198,7 @@ def joint_accuracies() -> list[dict[str, Any]]:
 def extended_as_printed() -> FloatArray:
     """Return dX, dY, dZ [uin] of the extended arm with two terms along other axes, as the print seems to have them.
 
-    Raises:
-        DataFileError: The table cannot be read, or has an invalid number.
-
+    Raises DataFileError: the table cannot be read, or has an invalid number.
     """
     joints = joint_accuracies()
     sides: list[float] = []

@@ -109,24 +109,17 @@ def _study_arm(options: Namespace, argv: Sequence[str]) -> Findings:
 def _checked_simulation(arm: ArmFile, options: Namespace) -> ArmSimulation:
     """Return the simulation of an arm with the options' driver parameters; the drivers refuse invalid parameters."""
     if arm.driver.source != "simulated":
-        raise ParameterError(
-            f"source '{arm.driver.source}'", where=str(arm.path), expected="'simulated', whose truth is known"
-        )
+        expected = "'simulated', whose truth is known"
+        raise ParameterError(f"source '{arm.driver.source}'", where=str(arm.path), expected=expected)
     if options.coverage_only and arm.beams is None:
-        raise ParameterError(
-            "has no beams file, without which no arms are drawn",
-            where=str(arm.path),
-            expected="an arm with beams, or no --coverage-only",
-        )
+        what = "has no beams file, without which no arms are drawn"
+        raise ParameterError(what, where=str(arm.path), expected="an arm with beams, or no --coverage-only")
     parameters = {name.removeprefix("simulated."): value for name, value in options.parameters}
     known = {name: bool(value) for name, value in parameters.items() if name in Imperfections.model_fields}
     simulation = ArmSimulation(arm, Imperfections(**known))
     if options.controller is not None and simulation.scenario.stage is None:
-        raise ParameterError(
-            "the scenario has no stage, which a controller could move",
-            where=str(arm.scenario),
-            expected="no --controller",
-        )
+        what = "the scenario has no stage, which a controller could move"
+        raise ParameterError(what, where=str(arm.scenario), expected="no --controller")
     if options.controller is not None and not options.controller.is_file():
         raise ParameterError(f"there is no file {options.controller}", where="arm", expected="a Python program")
     return simulation

@@ -82,9 +82,7 @@ def arm_coverage(
     The seeds of the arms follow the seed of the scenario, which is that of the live run; the poses are evenly spread
     over the scenario. ``on_drawn`` is called with the number of newly drawn arms; its exception ends the run.
 
-    Raises:
-        PosorError: The arm has no scenario or no beams file, or a file is invalid.
-
+    Raises PosorError: the arm has no scenario or no beams file, or a file is invalid.
     """
     predicted = ArmSampler(arm, poses).predicted_shift()[:, :3]
     seed = 0 if arm.scenario is None else load_scenario(arm.scenario).seed + 1
@@ -120,14 +118,11 @@ class ArmSampler:
     def __init__(self, arm: ArmFile, poses: int) -> None:
         """Read the files and select a number of poses, evenly spread over the scenario.
 
-        Raises:
-            PosorError: The arm has no scenario or no beams file, or a file is invalid.
-
+        Raises PosorError: the arm has no scenario or no beams file, or a file is invalid.
         """
         if arm.scenario is None or arm.beams is None:
-            raise ParameterError(
-                "has no scenario or no beams file", where=str(arm.path), expected="a simulated arm with beams"
-            )
+            what = "has no scenario or no beams file"
+            raise ParameterError(what, where=str(arm.path), expected="a simulated arm with beams")
         self._scenario = load_scenario(arm.scenario)
         self._source = str(arm.scenario)
         self.chain = arm.chain()

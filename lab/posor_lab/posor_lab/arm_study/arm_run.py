@@ -158,9 +158,7 @@ class ArmRun:
     def start_nodes(self) -> None:
         """Start all nodes, wait for their connections, and advance to the beginning of the scenario.
 
-        Raises:
-            ProcessError: A node failed, or something does not come.
-
+        Raises ProcessError: a node failed, or something does not come.
         """
         programs = arm_programs(
             self._arm,
@@ -180,9 +178,7 @@ class ArmRun:
     def run_cycle(self, state: str, count: int) -> ArmRecord:
         """Run the ``count`` ticks of a cycle and return their record; ``state`` is shown in the live table.
 
-        Raises:
-            ProcessError: A node failed, or messages stopped.
-
+        Raises ProcessError: a node failed, or messages stopped.
         """
         self._table.show_state(state)
         ticks = range(self._tick, self._tick + count)
@@ -203,9 +199,7 @@ class ArmRun:
     def _advance(self, timeout_s: float = TICK_TIMEOUT_S) -> None:
         """Advance the clock to just before the next tick, and wait for the results of this tick.
 
-        Raises:
-            ProcessError: For INCOMPLETE_LIMIT_S no tick was complete.
-
+        Raises ProcessError: for INCOMPLETE_LIMIT_S no tick was complete.
         """
         stamp, now = tick_stamp_ns(self._tick, self._rate), tick_stamp_ns(self._tick + 1, self._rate) - 1
         dropped = self._dropouts.dropped_joints(self._tick)
@@ -234,9 +228,7 @@ class ArmRun:
     def start_controller(self, controller: Path) -> None:
         """Start a controller, a Python file, while the clock stands still, then let it settle.
 
-        Raises:
-            ProcessError: The controller failed, or sends no command.
-
+        Raises ProcessError: the controller failed, or sends no command.
         """
         self._table.show_state("starting the controller")
         self._controller = self._supervisor.start(
@@ -273,12 +265,7 @@ class ArmRun:
         return int(self._receiver.status_value(status, key) or 0)
 
     def end_nodes(self) -> None:
-        """End the controller, then the nodes.
-
-        Raises:
-            ProcessError: One ended with an error.
-
-        """
+        """End the controller, then the nodes. Raises ProcessError: one ended with an error."""
         if self._controller is not None:
             self._supervisor.end([self._controller])
         self._supervisor.end(self._nodes)

@@ -56,12 +56,7 @@ OPTIONS = (
 
 
 def parse_options(arguments: Sequence[str]) -> Namespace:
-    """Return the options.
-
-    Raises:
-        ParameterError: An option is unknown or its value is invalid.
-
-    """
+    """Return the options. Raises ParameterError: an option is unknown or its value is invalid."""
     options = parse(PROGRAM, "Measure the speed of the stack.", OPTIONS, arguments, "make bench BENCH=--help")
     options.seconds = options.seconds or (6.0 if options.quick else 60.0)
     options.only = tuple(options.only.split(",")) if options.only else ()

@@ -71,18 +71,13 @@ def _estimate(posor: Posor, estimate: Callable[[Any], object], parts: Sequence[A
 SECTIONS = ("graph", "faults", "waiting", "layouts", "growth", "highest", "separate", "profile", "kernel", "offline")
 """Names of the sections; each is a method of ``BenchmarkSections``."""
 MAX_SPIN_US = 1000
-PRIORITY = 50
-"""SCHED_FIFO priority that is requested; where the system refuses it, the figures are those without."""
-FAULT_INTERVAL = 100
-"""With faults, every hundredth scan of the first joint lacks a reading."""
+PRIORITY = 50  # SCHED_FIFO priority that is requested; where the system refuses it, the figures are those without
+FAULT_INTERVAL = 100  # with faults, every hundredth scan of the first joint lacks a reading
 RATE_LADDER = (500, 1000, 1500, 2000, 2500, 3000, 3500, 4000, 5000, 6000, 8000, 10_000)
 """Rates [Hz] for the search of the highest rate."""
-SEPARATE_LADDER = (125, 250, 500, 1000)
-"""Rates [Hz] for the search with one process for each node."""
-SEPARATE_LOST = 1e-3
-"""Share of lost ticks that is allowed there."""
-TRIES = 2
-"""A rate fails only if it fails this many times: the host may have paused once."""
+SEPARATE_LADDER = (125, 250, 500, 1000)  # rates [Hz] for the search with one process for each node
+SEPARATE_LOST = 1e-3  # share of lost ticks that is allowed there
+TRIES = 2  # a rate fails only if it fails this many times: the host may have paused once
 
 
 @dataclass(frozen=True)

@@ -20,10 +20,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
 WHOLE_NUMBERS_FROM = 1000.0
-IDLE_LOAD = 0.5
-"""Load average up to which the host counts as idle."""
-GRAPH = "graph_"
-"""Prefix of the key of the main graph."""
+IDLE_LOAD = 0.5  # load average up to which the host counts as idle
+GRAPH = "graph_"  # prefix of the key of the main graph
 PERCENTILES = {"p50_us": "p50, us", "p99_us": "p99, us", "p999_us": "p99.9, us", "max_us": "max, us"}
 CAUSES = {
     "ticks_missed": "ticks missed",
@@ -169,7 +167,7 @@ def _offline_table(results: Mapping[str, Any]) -> FigureTable:
     return FigureTable("Offline processing", ("loop", "scans/s per core", "`reprocess` is faster by"), rows)
 
 
-TABLES: Mapping[str, Callable[[Any], FigureTable]] = {
+TABLES: Mapping[str, Callable[[Any], FigureTable]] = {  # tables of single sections of the results, by their keys
     "empty_loop": _empty_loop_table,
     "layouts": lambda runs: _latency_table(
         "Nodes that share a process", {LAYOUTS[layout]: run for layout, run in runs.items()}
@@ -180,4 +178,3 @@ TABLES: Mapping[str, Callable[[Any], FigureTable]] = {
     ),
     "profile": _profile_table,
 }
-"""Tables of single sections of the results, by their keys."""

@@ -52,10 +52,8 @@ if TYPE_CHECKING:
     from posor.chain.arm_file import ArmFile
     from posor.numerics.array_types import FloatArray, IntArray
 
-MAX_MESSAGES = 120_000
-"""Messages of the read-only loop and of the bulk loop."""
-WARM_UP_TICKS, TICKS = 100, 2000
-"""Ticks of the loop message by message: before the time is taken, and in all."""
+MAX_MESSAGES = 120_000  # messages of the read-only loop and of the bulk loop
+WARM_UP_TICKS, TICKS = 100, 2000  # ticks of the loop message by message: before the time is taken, and in all
 SAME_POSE = 1e-12
 """Largest difference of the bulk loop's poses from those of `reprocess` [m, and without unit for quaternions]."""
 ENDPOINT_TYPES = {
@@ -133,9 +131,7 @@ def run_reading_loop(bag: Path) -> float:
 def run_bulk_loop(arm: ArmFile, bag: Path) -> tuple[float, IntArray, FloatArray]:
     """Read messages of a bag into arrays, then estimate all poses and endpoints at once.
 
-    Returns:
-        Scans per second; stamps [ns], (n,); endpoints as x, y, z [m] and quaternion x, y, z, w, (n, 7).
-
+    Returns scans per second; stamps [ns], (n,); endpoints as x, y, z [m] and quaternion x, y, z, w, (n, 7).
     """
     posors = {f"/{arm.name}/{joint}/{RAW_TOPIC}": Posor(arm.calibration(joint)) for joint in arm.calibrations}
     messages: dict[str, list[Any]] = {topic: [] for topic in posors}
@@ -176,9 +172,7 @@ def _scans_from_messages(messages: Sequence[Any]) -> Scans:
 def check_same_endpoints(arm: ArmFile, stamps_ns: IntArray, poses: FloatArray, reprocessed: Path) -> None:
     """Compare endpoints with the beginning of a reprocessed bag.
 
-    Raises:
-        BagError: A pose is missing or differs by more than ``SAME_POSE``.
-
+    Raises BagError: a pose is missing or differs by more than ``SAME_POSE``.
     """
     where = f"/{arm.name}/{ENDPOINT_TOPIC}"
     with opened_bag(reprocessed) as reader:
@@ -197,9 +191,7 @@ def check_same_endpoints(arm: ArmFile, stamps_ns: IntArray, poses: FloatArray, r
 def check_same_messages(looped: Path, reprocessed: Path) -> None:
     """Compare the bag of the loop message by message with the beginning of a reprocessed bag, bit by bit.
 
-    Raises:
-        BagError: A message differs.
-
+    Raises BagError: a message differs.
     """
     expected = _messages_by_topic(looped)
     end_ns = max(time_ns for messages in expected.values() for time_ns, _ in messages)
@@ -207,11 +199,8 @@ def check_same_messages(looped: Path, reprocessed: Path) -> None:
     for topic in sorted(expected | found):
         for number, pair in enumerate(zip_longest(expected.get(topic, ()), found.get(topic, ()))):
             if pair[0] != pair[1]:
-                raise BagError(
-                    f"message {number} of {topic} differs from that of the loop message by message",
-                    where=str(reprocessed),
-                    expected="the same bits",
-                )
+                what = f"message {number} of {topic} differs from that of the loop message by message"
+                raise BagError(what, where=str(reprocessed), expected="the same bits")
 
 
 def _messages_by_topic(bag: Path, end_ns: int | None = None) -> dict[str, list[tuple[int, bytes]]]:

@@ -22,8 +22,7 @@ from posor_lab.benchmark.tick_statistics import percentiles_us, stolen_s
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-READY = "waiting for ticks"
-"""Printed before the first tick."""
+READY = "waiting for ticks"  # printed before the first tick
 
 
 def measure_lateness(rate: int, clock: WallClock, stopped: Callable[[], bool]) -> dict[str, Any]:

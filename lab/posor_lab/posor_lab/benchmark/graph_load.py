@@ -23,8 +23,7 @@ if TYPE_CHECKING:
     from posor.chain.arm_file import ArmFile
     from posor_bringup.supervisor import Parameter
 
-NodeKind = Literal["graph", "pass_through"]
-"""The stack's own nodes, or nodes that compute nothing in their place."""
+NodeKind = Literal["graph", "pass_through"]  # the stack's own nodes, or nodes that compute nothing in their place
 LAYOUTS: Mapping[Layout, str] = {
     "composed": "all nodes in one process",
     "drivers_apart": "two processes: drivers; all other nodes",

@@ -28,8 +28,7 @@ if TYPE_CHECKING:
 
 START_TIMEOUT_S = 60.0
 WARM_UP_S = 1.0
-SETTLING_S = 1.2
-"""Time after the window for messages under way and for the diagnostics that cover its end."""
+SETTLING_S = 1.2  # time after the window for messages under way and for the diagnostics that cover its end
 TOTALS: Mapping[str, tuple[str, Callable[[Sequence[int]], int]]] = {
     "ticks_missed": ("ticks_missed", max),
     "incomplete": ("scans_incomplete", sum),
@@ -69,12 +68,7 @@ class GraphMeasurement:
         self._folder, self._interrupted, self._runs = folder, interrupted, 0
 
     def measure_graph(self, load: GraphLoad, seconds: float) -> MeasuredRun:
-        """Start a graph, measure it for some seconds, end it.
-
-        Raises:
-            PosorError: A process failed, or no pose came.
-
-        """
+        """Start a graph, measure it for some seconds, end it. Raises PosorError: a process failed, or no pose came."""
         rows, diagnostics = self._new_folder(load.name) / "received.npy", DiagnosticsReceiver("bench")
         arguments = f"/{load.arm.name}/{ENDPOINT_TOPIC}", str(rows)
         receiver = ProgramCommand("receiver", "", str(latency_receiver.__file__), arguments)

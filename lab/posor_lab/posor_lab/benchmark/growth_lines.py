@@ -17,8 +17,7 @@ if TYPE_CHECKING:
 
 By = Literal["joints", "rate"]
 LABELS: dict[By, str] = {"joints": "joints", "rate": "rate [Hz]"}
-OVERLOADED = 0.01
-"""Share of lost ticks from which a point is left out of the lines: the machine is overloaded."""
+OVERLOADED = 0.01  # share of lost ticks from which a point is left out of the lines: the machine is overloaded
 MIN_POINTS = 2
 
 

@@ -24,8 +24,7 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import try_shutdown
 
-READY, FIRST_POSE = "listening", "receiving"
-"""Printed after subscribing, and at the first pose."""
+READY, FIRST_POSE = "listening", "receiving"  # printed after subscribing, and at the first pose
 DEPTH = 1000
 WAIT_NS = 100_000_000
 

@@ -35,12 +35,10 @@ if TYPE_CHECKING:
     from posor.chain.arm_file import ArmFile
 
 SECONDS = 600
-RATE = 1000
-"""Rate of the long bag [Hz]."""
+RATE = 1000  # rate of the long bag [Hz]
 ROUNDS = 3
 START = 1_767_225_600
-FREE_FACTOR = 8
-"""Free disk space needed for the bags, in sizes of the long bag."""
+FREE_FACTOR = 8  # free disk space needed for the bags, in sizes of the long bag
 
 
 def offline_figures(
@@ -52,16 +50,11 @@ def offline_figures(
     Of several rounds the fastest counts: load of the host, and memory that the host has to find for the page cache,
     only add time.
 
-    Returns:
-        ``offline_scans_per_s``: `reprocess` into a bag, of all rounds in ``offline_runs_scans_per_s``, per second of
-        wall time in ``offline_wall_scans_per_s``; ``offline_summary_scans_per_s``: without output;
-        ``offline_memory_mb``: its peak memory; and the loops of ``comparison_loops``:
-        ``reading_messages_per_s``, ``bulk_loop_scans_per_s``, ``message_loop_scans_per_s``.
-
-    Raises:
-        OSError: There is not enough free disk space.
-        BagError: A loop has other results than `reprocess`.
-
+    Returns ``offline_scans_per_s``: `reprocess` into a bag, of all rounds in ``offline_runs_scans_per_s``, per second
+    of wall time in ``offline_wall_scans_per_s``; ``offline_summary_scans_per_s``: without output;
+    ``offline_memory_mb``: its peak memory; and the loops of ``comparison_loops``: ``reading_messages_per_s``,
+    ``bulk_loop_scans_per_s``, ``message_loop_scans_per_s``. Raises OSError: there is not enough free disk space. Raises
+    BagError: a loop has other results than `reprocess`.
     """
     folder.mkdir(parents=True, exist_ok=True)
     long, looped, reprocessed = folder / "long", folder / "looped", folder / "reprocessed"
@@ -96,9 +89,7 @@ def offline_figures(
 def repeat_bag(arm: ArmFile, bag: Path, long: Path, seconds: int, rate: int = RATE) -> None:
     """Write a bag that repeats the scans of another bag with increasing stamps and scan numbers.
 
-    Raises:
-        OSError: There is not enough free disk space.
-
+    Raises OSError: there is not enough free disk space.
     """
     topics = {joint: f"/{arm.name}/{joint}/{RAW_TOPIC}" for joint in arm.calibrations}
     with opened_bag(bag) as reader:

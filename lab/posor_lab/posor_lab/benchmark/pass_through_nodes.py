@@ -24,8 +24,7 @@ from sensor_msgs.msg import JointState
 if TYPE_CHECKING:
     from pathlib import Path
 
-MAX_OPEN_STAMPS = 1000
-"""Most stamps that wait for further joints; beyond, the oldest is dropped."""
+MAX_OPEN_STAMPS = 1000  # most stamps that wait for further joints; beyond, the oldest is dropped
 
 
 class _PreparedMessage:

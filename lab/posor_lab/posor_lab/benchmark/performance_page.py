@@ -27,9 +27,7 @@ NAMES = ("host", "aims", "graph", "empty_loop", "waiting", "layouts", "profile",
 def fill_page(page: str, runs: Sequence[Mapping[str, Any]]) -> str:
     """Return a page with the tables of some runs; tables that were not measured stay as they are.
 
-    Raises:
-        ParameterError: The name of a placeholder is unknown.
-
+    Raises ParameterError: the name of a placeholder is unknown.
     """
     results = median_run(runs)
     texts = {name: table.to_markdown() for name, table in result_tables(results).items()}

@@ -26,8 +26,7 @@ from posor_ros.node_program import non_ros_arguments
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-CALIBRATION_ROUNDS, CALLS = 50, 500
-"""The cost of a stopwatch is taken from the fastest round."""
+CALIBRATION_ROUNDS, CALLS = 50, 500  # the cost of a stopwatch is taken from the fastest round
 
 
 @dataclass
@@ -106,7 +105,7 @@ class Stopwatches:
         return {name: (stage.calls, own_us(stage)) for name, stage in self._stages.items()}
 
 
-STAGES = {
+STAGES = {  # method and name of each stage; publishing is one more stage for each message type
     "posor_drivers.tick_scheduler:TickTask.run_tick": "driver: schedule the ticks, other",
     "posor.messages.raw_scan:ScanTemplate.at": "driver: stamp into the scan",
     "posor_estimator.posor_node:PosorEstimatorNode._on_raw_scan": "posor_node: other",
@@ -117,7 +116,6 @@ STAGES = {
     "posor.chain.endpoint_estimator:EndpointEstimator.estimate_rows": ("chain_node: read the transforms, endpoint"),
     "posor.messages.endpoint_messages:MessageWriter.write": "chain_node: numbers into bytes",
 }
-"""Method and name of each stage; publishing is one more stage for each message type."""
 SCAN, POSE = "RawScan", "PoseStamped"
 MILESTONES = ("stamp_to_first_scan_us", "first_to_last_scan_us", "last_scan_to_pose_us")
 WARM_UP_TICKS = 100

@@ -41,8 +41,7 @@ def stolen_s() -> float:
     return stolen / os.sysconf("SC_CLK_TCK")
 
 
-STAMP, PUBLISHED, RECEIVED, NUMBER = range(4)
-"""Columns of the rows that ``latency_receiver`` writes."""
+STAMP, PUBLISHED, RECEIVED, NUMBER = range(4)  # columns of the rows that ``latency_receiver`` writes
 PERCENTILES = {"p50_us": 50.0, "p99_us": 99.0, "p999_us": 99.9, "max_us": 100.0}
 COUNTERS = ("ticks_missed", "incomplete", "refused")
 """Ticks missed by a driver, the largest of all drivers; scans without a joint; scans refused by the chain."""
@@ -100,10 +99,8 @@ def evaluate_window(
 ) -> MeasuredRun:
     """Return the measurements of a window from rows (n, 4) of ``latency_receiver``; rows outside are ignored.
 
-    Raises:
-        NothingReceivedError: There is no pose.
-        PosorError: A pose has the stamp of no tick, or two poses have the same stamp.
-
+    Raises NothingReceivedError: there is no pose. Raises PosorError: a pose has the stamp of no tick, or two poses have
+    the same stamp.
     """
     ticks = window.stamps_ns
     inside = rows[(rows[:, STAMP] >= window.begin_ns) & (rows[:, STAMP] < window.end_ns)]

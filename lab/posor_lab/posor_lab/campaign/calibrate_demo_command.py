@@ -110,9 +110,7 @@ def _note_signals() -> Iterator[Callable[[], None]]:
     An exception raised by the handler itself could be lost in a library, or printed by one. A second signal raises it
     nevertheless: nobody has to wait for a long part. The workers end with the program.
 
-    Raises:
-        InterruptedRunError: There was a signal.
-
+    Raises InterruptedRunError: there was a signal.
     """
     noted: list[int] = []
 

@@ -40,11 +40,10 @@ MANY = 500  # from this number on, residuals are drawn as small points
 NEGLIGIBLE = 0.03
 """Residuals over standard uncertainty below this belong to freedoms without a reference and are not drawn."""
 FAINT = 0.02  # readings with less than this share of the loudest reading's noise are not drawn
-WITH_UNIT = {
+WITH_UNIT = {  # procedures whose own charts show residuals in their unit, and the titles
     "gap_linearisation": "Gap probes: residuals of the linearisation",
     "diode_map": "Diodes: residuals of the maps",
 }
-"""Procedures whose own charts show residuals in their unit, and the titles."""
 
 
 def campaign_page(reports: Sequence[CampaignReport], provenance: Mapping[str, str]) -> str:

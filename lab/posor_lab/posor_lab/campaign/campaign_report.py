@@ -60,12 +60,7 @@ class CampaignReport:
 
     @staticmethod
     def evaluate(truth: GroundTruth, steps: list[CompletedStep], coverage: SeriesCoverage | None) -> CampaignReport:
-        """Evaluate a completed campaign.
-
-        Raises:
-            PosorError: The calibrated POSOR cannot be evaluated.
-
-        """
+        """Evaluate a completed campaign. Raises PosorError: the calibrated POSOR cannot be evaluated."""
         calibration = steps[-1].calibration
         posor = Posor(calibration)
         pose = middle_pose(posor)

@@ -41,9 +41,7 @@ class CompletedStep:
 def run_in_memory(truth: GroundTruth) -> Iterator[CompletedStep]:
     """Run the steps of a campaign one after the other, without files.
 
-    Raises:
-        PosorError: A procedure refuses its recording.
-
+    Raises PosorError: a procedure refuses its recording.
     """
     calibration = truth.as_built
     for step in campaign_steps(truth.name):
@@ -82,9 +80,7 @@ def calibrate_from_bags(
 
     Writes ``as_built.yaml``, and for each step a calibration file, its verdict, and its tables as page and JSON.
 
-    Raises:
-        PosorError: A procedure refuses its bag.
-
+    Raises PosorError: a procedure refuses its bag.
     """
     known = folder / "as_built.yaml"
     content = truth.as_built.model_dump(mode="json", exclude_defaults=True)

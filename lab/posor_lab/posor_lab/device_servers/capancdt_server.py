@@ -59,12 +59,9 @@ class CapaNcdtServer(DeviceServer):
     ) -> None:
         """Open both ports.
 
-        Args:
-            distances: Distances [m] at a ROS time [ns], in ascending order of the channels; NaN: no 24-bit value.
-            ranges: Measuring range of each channel that has a module [m].
-            drift: Share by which the server's clock is slow.
-            delay_s: Mean of the exponential delay of each packet [s]; packets stay in order.
-
+        ``distances``: distances [m] at a ROS time [ns], in ascending order of the channels; NaN: no 24-bit value.
+        ``ranges``: measuring range of each channel that has a module [m]. ``drift``: share by which the server's clock
+        is slow. ``delay_s``: mean of the exponential delay of each packet [s]; packets stay in order.
         """
         super().__init__()
         self.answers: dict[str, str | None] = {}

@@ -23,8 +23,7 @@ SCAN_RATE, ADDRESSES, SAMPLES, SCAN_LIST, ENABLE = 4002, 4004, 4006, 4100, 4990
 RANGES = range(40_000, 40_500)
 POINTER, FLASH, FLASH_CONSTANTS = 61_810, 61_812, 0x3C4000
 GAIN = {10.0: 1.0, 1.0: 10.0, 0.1: 100.0, 0.01: 1000.0}
-SLOPE, CENTRE = 3.16e-4, 33_510.0
-"""Of the range of 10 V; other devices have others."""
+SLOPE, CENTRE = 3.16e-4, 33_510.0  # of the range of 10 V; other devices have others
 
 
 class _Registers(DataBank):
@@ -61,21 +60,14 @@ class _Registers(DataBank):
 
 
 class LabJackServer(DeviceServer):
-    """Serves the inputs of a LabJack at a port of this host.
-
-    Attributes:
-        port: The port.
-        registers: Its registers: ``product``, and what was ``written``.
-        stalled: No question is answered while it is set.
-
-    """
+    """Serves the inputs of a LabJack at a port of this host."""
 
     def __init__(self, voltages: Callable[[int], Sequence[float]]) -> None:
         """Choose a port; ``voltages`` are those of input 0, 1, ... by the ROS time [ns]."""
         super().__init__()
-        self.port = free_port()
-        self.registers = _Registers(voltages, self.stopping)
-        self.stalled = self.registers.stalled
+        self.port = free_port()  # the port
+        self.registers = _Registers(voltages, self.stopping)  # its registers: ``product``, and what was ``written``
+        self.stalled = self.registers.stalled  # no question is answered while it is set
         self._server: Any = None
 
     def start(self) -> None:

@@ -21,28 +21,19 @@ POLL_S = 0.01
 
 
 class ScpiServer(DeviceServer):
-    """Answers the commands of a Keysight DAQ970A that measure DC voltages.
-
-    Attributes:
-        port: TCP port of this host.
-        model: In the answer to ``*IDN?``.
-        scanned: Channel numbers of the scan list, ascending.
-        error: Put into the error queue with the next scan: code and message; None: no error.
-        answer: Instead of the readings of a scan; None: the readings.
-        stalled: No scan is answered while it is set.
-
-    """
+    """Answers the commands of a Keysight DAQ970A that measure DC voltages."""
 
     def __init__(self, voltages: Callable[[int], Sequence[float]]) -> None:
         """Choose a port; ``voltages`` are those of channel 101, 102, ... by the ROS time [ns]."""
         super().__init__()
         self.add_task(lambda: asyncio.run(self._run()))
-        self.port = free_port()
-        self.model = "DAQ970A"
-        self.scanned: list[int] = []
+        self.port = free_port()  # TCP port of this host
+        self.model = "DAQ970A"  # in the answer to ``*IDN?``
+        self.scanned: list[int] = []  # channel numbers of the scan list, ascending
+        # put into the error queue with the next scan: code and message; None: no error
         self.error: tuple[int, str] | None = None
-        self.answer: str | None = None
-        self.stalled = Event()
+        self.answer: str | None = None  # instead of the readings of a scan; None: the readings
+        self.stalled = Event()  # no scan is answered while it is set
         self._voltages = voltages
         self._server: Any = None
         self._loop: Any = None

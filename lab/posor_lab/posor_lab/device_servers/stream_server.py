@@ -15,8 +15,7 @@ from posor_lab.device_servers.device_server import HOST, DeviceServer
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-LEAD = "<HI"
-"""Format of magic number and counter; the values follow as doubles."""
+LEAD = "<HI"  # format of magic number and counter; the values follow as doubles
 MAGIC = 0xAA55
 
 

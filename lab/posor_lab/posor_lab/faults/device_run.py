@@ -36,10 +36,8 @@ if TYPE_CHECKING:
 RATE, LATENCY_S = 100, 0.1
 SLOWNESS = 20.0
 """The arm moves slowly: a busy host delays frames, and the motion in this time is not a fault of the device."""
-BACK_WITHIN_S = 2.0
-"""Longest time from the end of a fault to the first pose."""
-FRAMES_LOST = 1200
-"""Consecutive frames, 0.3 s."""
+BACK_WITHIN_S = 2.0  # longest time from the end of a fault to the first pose
+FRAMES_LOST = 1200  # consecutive frames, 0.3 s
 
 
 def _set(name: str, value: object) -> Callable[[CapaNcdtServer], None]:

@@ -24,10 +24,8 @@ RATES: Mapping[ArmName, int] = {"six_axis": 50, "five_axis": 50, "test_rig": 100
 """Scans per second that two processors can follow with all drivers and nodes."""
 AMPLITUDES: Mapping[ArmName, float] = {"six_axis": 0.03, "five_axis": 0.06, "test_rig": 0.03}
 """Of the motion about home [rad]: bumpy rings move by more than a bump and pass their home marks once a second."""
-CYCLE_S = 20
-"""Usual duration of the scenario's cycle."""
-WAYPOINT_S = 1.0
-"""Usual time between two waypoints of the motion."""
+CYCLE_S = 20  # usual duration of the scenario's cycle
+WAYPOINT_S = 1.0  # usual time between two waypoints of the motion
 IMPERFECTIONS = Imperfections(dropouts=False, zero_drift=False)
 """Zero drift is not part of the stated covariance, and dropouts are faults themselves."""
 IMPERFECTION_PARAMETERS = {f"simulated.{name}": getattr(IMPERFECTIONS, name) for name in ("dropouts", "zero_drift")}
@@ -80,8 +78,7 @@ FaultKind = Literal["off", "stuck", "garbage", "wrong", "slow", "clock", "networ
 ArmName = Literal["six_axis", "five_axis", "test_rig"]
 """Installed arms: light rings and four gap probes; bumpy rings and three; fixed diodes and three."""
 ARMS: tuple[ArmName, ...] = get_args(ArmName)
-COVERED_SHARE = 0.99
-"""Least share of cases in which the protection level covers a fault that is not observable."""
+COVERED_SHARE = 0.99  # least share of cases in which the protection level covers a fault that is not observable
 
 
 @dataclass(frozen=True)

@@ -51,8 +51,7 @@ if TYPE_CHECKING:
     from posor_lab.faults.storm import StormCount
     from posor_lab.reports.trial_program import Trial
 
-EXPECTED_SCANS = 100_000
-"""Simulated scans of each joint from which the rate of false alarms is expected."""
+EXPECTED_SCANS = 100_000  # simulated scans of each joint from which the rate of false alarms is expected
 BAND = 0.95
 
 
@@ -85,9 +84,7 @@ def run_without_faults(
     The same sensors in other simulated scans give the expected rate: the errors of one calibration shift it from
     the probability that the test states over all calibrations.
 
-    Raises:
-        ProcessError: A node failed, or the arm has no poses.
-
+    Raises ProcessError: a node failed, or the arm has no poses.
     """
     simulation = ArmSimulation(write_fault_arm(arm, folder / "arm", CYCLE_S, seed), IMPERFECTIONS)
     topics = [f"{joint}/{TRANSFORM_TOPIC}" for joint in simulation.joints]
@@ -112,8 +109,7 @@ def run_without_faults(
     return AlarmFigures(arm, tuple(sorted(errors)), len(flags), alarms, (int(low), int(high)))
 
 
-SOUND_SHARE = 0.998
-"""Least share of sound scans outside of a latched period that are OK."""
+SOUND_SHARE = 0.998  # least share of sound scans outside of a latched period that are OK
 SOUND_ARMS: tuple[ArmName, ...] = ("five_axis", "six_axis")
 QUICK_INJECTED, QUICK_CASES = 15_000, 50
 OPTIONS = (
@@ -124,19 +120,17 @@ OPTIONS = (
     Option("--node-storm", 100_000, "faulty scans of the storm through nodes", least=0),
     Option("--soak", 30.0, "duration of each run without faults [s]; 600 for the full test", least=0),
 )
-LIVE_RUNS: Mapping[str, type[InjectionRun]] = {
+LIVE_RUNS: Mapping[str, type[InjectionRun]] = {  # live runs by section of the table
     "readings": ReadingRun,
     "messages": MessageRun,
     "processes": ProcessRun,
     "devices": DeviceRun,
 }
-"""Live runs by section of the table."""
-TITLES = {
+TITLES = {  # titles of the runs by section of the table; rows of the same title share a run
     **{name: run.TITLE for name, run in LIVE_RUNS.items()},
     "hidden": "hidden faults",
     "slips": "slips of sources",
 }
-"""Titles of the runs by section of the table; rows of the same title share a run."""
 
 
 def shorten(options: Namespace) -> None:
@@ -149,11 +143,8 @@ def shorten(options: Namespace) -> None:
 def run_rows(trial: Trial) -> list[RowResult]:
     """Run the selected rows and return their results.
 
-    Raises:
-        ParameterError: No row is selected.
-        ProcessError: A node failed.
-        InterruptedRunError: The user interrupted the run.
-
+    Raises ParameterError: no row is selected. Raises ProcessError: a node failed. Raises InterruptedRunError: the user
+    interrupted the run.
     """
     options, groups = trial.options, defaultdict[str, list["FaultRow"]](list)
     for row in FAULT_TABLE:
@@ -184,10 +175,7 @@ def _run_group(rows: Sequence[FaultRow], title: str, trial: Trial) -> list[RowRe
 def run_soaks(trial: Trial) -> list[AlarmFigures]:
     """Return the figures of the runs without faults.
 
-    Raises:
-        ProcessError: A node failed.
-        InterruptedRunError: The user interrupted the run.
-
+    Raises ProcessError: a node failed. Raises InterruptedRunError: the user interrupted the run.
     """
     soaks = []
     for arm in SOUND_ARMS if trial.options.soak else ():
@@ -201,10 +189,7 @@ def run_soaks(trial: Trial) -> list[AlarmFigures]:
 def run_storms(trial: Trial) -> dict[str, StormCount]:
     """Return the figures of the storm of each stack, through the estimator and through nodes.
 
-    Raises:
-        ProcessError: A node failed.
-        InterruptedRunError: The user interrupted the run.
-
+    Raises ProcessError: a node failed. Raises InterruptedRunError: the user interrupted the run.
     """
     calibrations, storms, options = storm_calibrations(), {}, trial.options
     for name, calibration in calibrations.items():

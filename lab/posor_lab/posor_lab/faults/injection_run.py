@@ -37,18 +37,14 @@ if TYPE_CHECKING:
     from posor_lab.faults.fault_table import FaultRow
     from posor_lab.reports.graph_receiver import GraphWatch
 
-SLOT_S = 2
-"""Time from one fault of the scenario to the next."""
+SLOT_S = 2  # time from one fault of the scenario to the next
 NEEDS_FIRST_SCAN = ("frozen", "frozen_diodes", "stuck")
 """Kinds that repeat the reading at the beginning of the fault, which must have been published."""
 
 
-SETTLED_POSES = 20
-"""Endpoint poses without interruption before a fault."""
-SETTLING_TIMEOUT_S = 90.0
-"""Longest time until the arm has poses."""
-LATCHED_S = 0.7
-"""Time between two acknowledgements of latched faults while the arm has no poses."""
+SETTLED_POSES = 20  # endpoint poses without interruption before a fault
+SETTLING_TIMEOUT_S = 90.0  # longest time until the arm has poses
+LATCHED_S = 0.7  # time between two acknowledgements of latched faults while the arm has no poses
 
 
 class Span(NamedTuple):
@@ -85,10 +81,8 @@ class InjectionRun:
     def run(self) -> list[RowResult]:
         """Run the nodes, inject all faults; return the results.
 
-        Raises:
-            ProcessError: A node failed, or the arm has no poses.
-            InterruptedRunError: The user interrupted the run.
-
+        Raises ProcessError: a node failed, or the arm has no poses. Raises InterruptedRunError: the user interrupted
+        the run.
         """
         self.receiver = ArrivalReceiver(self.arm.name, self.joints)
         with running_graph(self._programs(), self.receiver, self.folder, "faults", self.interrupted) as self.watch:

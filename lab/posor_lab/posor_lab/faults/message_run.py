@@ -35,17 +35,14 @@ if TYPE_CHECKING:
     from posor_lab.faults.fault_table import FaultRow
 
 RATE = RATES["test_rig"]
-POLL_S = 0.002
-"""Time between two looks for due ticks."""
-OFFERED_QOS = QoSProfile(
+POLL_S = 0.002  # time between two looks for due ticks
+OFFERED_QOS = QoSProfile(  # strictest QoS that live drivers and posor_nodes offer, so that every subscription matches
     depth=10,
     deadline=Duration(seconds=0.2),
     liveliness=LivelinessPolicy.AUTOMATIC,
     liveliness_lease_duration=Duration(seconds=1.0),
 )
-"""Strictest QoS that live drivers and posor_nodes offer, so that every subscription matches."""
-SIGMA = 1e-6
-"""Standard deviation of the played transforms [m], [rad]."""
+SIGMA = 1e-6  # standard deviation of the played transforms [m], [rad]
 OPERATIONS: Mapping[str, Callable[[Any, Any], Any]] = {
     "set": lambda _old, value: value,
     "add": lambda old, value: [each + value for each in old] if np.ndim(old) else old + value,

@@ -44,9 +44,7 @@ def run_node_storm(
 ) -> StormCount:
     """Return the figures of a storm of one stack through posor_node; see ``run_storm``.
 
-    Raises:
-        ProcessError: The node failed, or transforms do not come.
-
+    Raises ProcessError: the node failed, or transforms do not come.
     """
     program = posor_program(calibration, folder)
 

@@ -39,13 +39,10 @@ if TYPE_CHECKING:
 CASES, MOST_BEAM_CASES = 300, 50
 JOINT = "elbow"
 AXES = ("x", "y", "z", "about X", "about Y", "about Z")
-GAP = np.array([0.0, 0.0, 0.735e-3])
-"""Origin of a target plate at home [m]."""
-EXPANSION = 23e-6
-"""Thermal expansion of aluminium [1/K]."""
+GAP = np.array([0.0, 0.0, 0.735e-3])  # origin of a target plate at home [m]
+EXPANSION = 23e-6  # thermal expansion of aluminium [1/K]
 SLIP_SCANS, SLIP_RATE = 12, 500
-LATER = 6
-"""Scan at which the later slips begin."""
+LATER = 6  # scan at which the later slips begin
 
 
 def run_hidden(row: FaultRow, seed: int, cases: int = CASES) -> RowResult:

@@ -21,10 +21,8 @@ if TYPE_CHECKING:
 
     from posor_lab.reports.arrival_receiver import Arrival, ArrivalReceiver
 
-SIGMAS = 5.0
-"""Standard deviations beyond which a pose is wrong."""
-SMALL_TURN = 0.1
-"""Turn [rad] beyond which a pose is wrong whatever its covariance."""
+SIGMAS = 5.0  # standard deviations beyond which a pose is wrong
+SMALL_TURN = 0.1  # turn [rad] beyond which a pose is wrong whatever its covariance
 
 STALE_S = 1.2
 """Age beyond which a pose published as valid is wrong, whatever its numbers [s]: ``freshness.max_age`` and a margin."""

@@ -40,8 +40,7 @@ ABSENCE_S = 0.3
 
 During a silence of the input the state is published every 0.08 s, but only from its detection on (0.2 s to 0.28 s).
 """
-ABSENCE = "absence"
-"""In ``FaultRow.named_by``: the fault is named by the absence of the endpoint's state."""
+ABSENCE = "absence"  # in ``FaultRow.named_by``: the fault is named by the absence of the endpoint's state
 
 
 class ProcessRun(InjectionRun):

@@ -44,23 +44,16 @@ if TYPE_CHECKING:
     from posor.numerics.array_types import BoolArray, FloatArray, IntArray
 
 RATE = 500
-BLOCK = 20_000
-"""Scans of one block, for which the true parameters of the sensors are drawn once."""
+BLOCK = 20_000  # scans of one block, for which the true parameters of the sensors are drawn once
 FAULTY_SHARE = 0.3
-LONGEST = 200
-"""Scans of the longest fault; the logarithm of the length is uniformly distributed."""
-OPERATOR_SCANS = 20
-"""Sound scans after a fault until an operator acknowledges it."""
-ENCODER_SIGMA = 1e-3
-"""Standard uncertainty of the encoder that confirms theta after an acknowledgement [rad]."""
-START_SCANS = 1000
-"""Scans without faults at the beginning of a block, in which rings pass their home mark."""
-SWING_S, PHASES = 2.5, 40
-"""Period of theta, and poses of half of it at which the detectable biases are computed."""
+LONGEST = 200  # scans of the longest fault; the logarithm of the length is uniformly distributed
+OPERATOR_SCANS = 20  # sound scans after a fault until an operator acknowledges it
+ENCODER_SIGMA = 1e-3  # standard uncertainty of the encoder that confirms theta after an acknowledgement [rad]
+START_SCANS = 1000  # scans without faults at the beginning of a block, in which rings pass their home mark
+SWING_S, PHASES = 2.5, 40  # period of theta, and poses of half of it at which the detectable biases are computed
 LIKE_THE_TRUE_READING = ("stuck", "zero", "garbage")
 """Last words of the faults whose reading may differ from the true one by less than is detectable."""
-HOME_WIDTH = 0.25
-"""Half width of the home mark, in periods of theta."""
+HOME_WIDTH = 0.25  # half width of the home mark, in periods of theta
 
 
 def storm_calibrations() -> dict[str, Calibration]:

@@ -20,8 +20,7 @@ if TYPE_CHECKING:
     import numpy as np
     from posor.calibration.calibration_file import Calibration
 
-OBSERVABLE = 2.0
-"""Least error of a wrong reading, in minimal detectable biases."""
+OBSERVABLE = 2.0  # least error of a wrong reading, in minimal detectable biases
 RANGES = {"gap_voltages": (-7.0, 7.0), "ring_voltages": (-7.0, 7.0), DIODE_FIELD: (0.0, 1.5e-4)}
 """Ranges of the converters [V], [A]."""
 FLAGS = {"SATURATED": SATURATED, "PROBES_ESTIMATED": PROBES_ESTIMATED, "DIODES_ESTIMATED": DIODES_ESTIMATED}

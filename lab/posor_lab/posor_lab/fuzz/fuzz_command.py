@@ -37,8 +37,7 @@ if TYPE_CHECKING:
     from posor_lab.fuzz.node_fuzz import NodeFuzz
     from posor_lab.reports.trial_program import Trial
 
-LONGEST_S = 5.0
-"""Time that a reader may take."""
+LONGEST_S = 5.0  # time that a reader may take
 
 
 @dataclass
@@ -70,9 +69,7 @@ def readers() -> dict[str, tuple[Path, Callable[[Path], object]]]:
 def fuzz_files(name: str, mutations: int, seed: int, folder: Path) -> FileCount:
     """Damage a file of a format, a key of ``readers``, several times and read it; the damaged file is in ``folder``.
 
-    Raises:
-        FileFailureError: The reader failed; names the format and keeps the file.
-
+    Raises FileFailureError: the reader failed; names the format and keeps the file.
     """
     (source, read), count = readers()[name], FileCount()
     content, path = source.read_bytes(), folder / f"damaged{source.suffix}"
@@ -99,8 +96,7 @@ def fuzz_files(name: str, mutations: int, seed: int, folder: Path) -> FileCount:
     return count
 
 
-STEP = 1000
-"""Mutations between two looks at Ctrl-C."""
+STEP = 1000  # mutations between two looks at Ctrl-C
 MOST_GROWTH_MB = 1.0
 OPTIONS = (
     Option("--arm", "six_axis", "a simulated arm"),

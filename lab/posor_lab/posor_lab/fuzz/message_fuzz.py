@@ -43,11 +43,10 @@ if TYPE_CHECKING:
     from posor.chain.arm_file import ArmFile
     from posor.numerics.array_types import FloatArray
 
-WORDS = tuple(
+WORDS = tuple(  # numbers of 8 bytes that programs handle badly
     struct.pack("<d", value)
     for value in (float("nan"), float("inf"), -float("inf"), 0.0, -0.0, 1e300, -1e300, 5e-324, 1.0, -1.0)
 )
-"""Numbers of 8 bytes that programs handle badly."""
 MOST_BITS = 8
 
 
@@ -113,8 +112,7 @@ def mutate(data: bytes, chance: random.Random) -> bytes:
     return bytes(changed)
 
 
-SCANS = 200
-"""Scans of each joint that are damaged, again and again."""
+SCANS = 200  # scans of each joint that are damaged, again and again
 READINGS = ("gap_voltages", "ring_voltages", "diode_currents", "lit_sources")
 ENVIRONMENT = "supply or temperature"
 COUPLED = (ENVIRONMENT, "diode_currents")

@@ -40,10 +40,8 @@ if TYPE_CHECKING:
     from posor_lab.reports.graph_receiver import GraphWatch, Topic
 
 PERIOD_NS = NS // 200
-LONGEST_S = 5.0
-"""Time in which a sound message is answered."""
-SAMPLE_EVERY = 500
-"""Messages from one sample of the node's memory to the next."""
+LONGEST_S = 5.0  # time in which a sound message is answered
+SAMPLE_EVERY = 500  # messages from one sample of the node's memory to the next
 WARM_UP_SAMPLES, LEAST_SAMPLES = 2, 4
 LOSSLESS: dict[str, Parameter] = {"lossless": True, **RECORDING}
 
@@ -74,11 +72,8 @@ class NodeFuzz(ABC):
     def run(self, mutations: int, folder: Path, on_done: Callable[[int], None]) -> None:
         """Damage messages; the log of the node is in ``folder``, and ``on_done`` is called with 1 after each message.
 
-        Raises:
-            NodeFuzzError: A sound message was not answered, or its pose is wrong, or no pose comes after an
-                acknowledgement.
-            ProcessError: The node ended.
-
+        Raises NodeFuzzError: a sound message was not answered, or its pose is wrong, or no pose comes after an
+        acknowledgement. Raises ProcessError: the node ended.
         """
         name = f"{self._program.namespace}/{self._program.executable}"
         self.player = NodePlayer(name, self._inputs, self._answer)
@@ -100,9 +95,7 @@ class NodeFuzz(ABC):
     def send_sound(self, messages: Sequence[bytes]) -> list[bytes]:
         """Publish undamaged messages; return the answers up to the one with their stamp.
 
-        Raises:
-            NodeFuzzError: The answer does not come.
-
+        Raises NodeFuzzError: the answer does not come.
         """
         self.send(messages)
         stamp_ns, begin_s = stamp_ns_of(messages[0][STAMP]), time.monotonic()

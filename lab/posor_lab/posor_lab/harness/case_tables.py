@@ -17,11 +17,8 @@ ErrorT = TypeVar("ErrorT", bound=PosorError)
 def cases(test_file: str, table: str) -> dict[str, Any]:
     """Return the rows of a table as the arguments of ``pytest.mark.parametrize``.
 
-    Args:
-        test_file: ``__file__`` of the test.
-        table: Name of the YAML file beside the test: a list of mappings from argument to value, all with the same keys.
-            The key ``id``, if any, names the case.
-
+    ``test_file``: ``__file__`` of the test. ``table``: name of the YAML file beside the test: a list of mappings from
+    argument to value, all with the same keys. The key ``id``, if any, names the case.
     """
     rows = yaml.load(Path(test_file).with_name(table).read_text(encoding="utf-8"), Loader=yaml.CSafeLoader)
     ids = [row.pop("id", None) for row in rows]
@@ -30,12 +27,7 @@ def cases(test_file: str, table: str) -> dict[str, Any]:
 
 
 def edited(text: str, old: str, new: str) -> str:
-    """Return a text with the first occurrence of a part replaced.
-
-    Raises:
-        AssertionError: The part does not occur.
-
-    """
+    """Return a text with the first occurrence of a part replaced. Raises AssertionError: the part does not occur."""
     if old not in text:
         raise AssertionError(f"no '{old}' in the text")
     return text.replace(old, new, 1)
@@ -44,9 +36,7 @@ def edited(text: str, old: str, new: str) -> str:
 def refusal(kind: type[ErrorT], call: Callable[..., object], *arguments: Any, **options: Any) -> ErrorT:
     """Call a function that must refuse its arguments, and return its error.
 
-    Raises:
-        AssertionError: There is no such error, or its text is not one sentence on one line.
-
+    Raises AssertionError: there is no such error, or its text is not one sentence on one line.
     """
     try:
         call(*arguments, **options)

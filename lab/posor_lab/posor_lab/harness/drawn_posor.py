@@ -21,8 +21,7 @@ if TYPE_CHECKING:
     from posor.numerics.array_types import FloatArray, IntArray
     from posor_calibration.least_squares import Fit
 
-ALONG, ABOUT = 2e-7, 2e-6
-"""Standard uncertainty of the simulated reference [m, rad]."""
+ALONG, ABOUT = 2e-7, 2e-6  # standard uncertainty of the simulated reference [m, rad]
 
 
 def pose_track(poses: list[pin.SE3], stamps: IntArray, sigmas: tuple[float, float] = (ALONG, ABOUT)) -> Track:

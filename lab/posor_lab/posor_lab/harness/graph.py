@@ -25,10 +25,8 @@ if TYPE_CHECKING:
 
     from posor.model.scan import Scan
 
-LOSSLESS = KEEP_ALL_QOS
-"""Receives every message of a reliable publisher."""
-RETRY_S = 10.0
-"""Time without a response after which a service is called again."""
+LOSSLESS = KEEP_ALL_QOS  # receives every message of a reliable publisher
+RETRY_S = 10.0  # time without a response after which a service is called again
 BEST_EFFORT = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 

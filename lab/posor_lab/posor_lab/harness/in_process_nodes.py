@@ -71,9 +71,7 @@ def run_refused_node(
 
     ``capfd`` is pytest's fixture, which captures the ROS log as well.
 
-    Raises:
-        AssertionError: The node wrote to standard output.
-
+    Raises AssertionError: the node wrote to standard output.
     """
     capfd.readouterr()
     code = run_node(node_class, [node_class.NAME, *ros_arguments(parameters, namespace)])

@@ -21,10 +21,8 @@ if TYPE_CHECKING:
 
 HAND_FED: Mapping[str, Any] = {**RECORDING, "freshness.max_silence": math.inf}
 """Parameters of nodes whose input a test publishes now and then, with stamps of its own."""
-END_S = 10.0
-"""Time for a program to end after SIGTERM when its test has failed [s]."""
-TIMEOUT_S = 60.0
-"""Longest wait for an event that should happen at once; not a pace."""
+END_S = 10.0  # time for a program to end after SIGTERM when its test has failed [s]
+TIMEOUT_S = 60.0  # longest wait for an event that should happen at once; not a pace
 
 
 def installed(package: str, executable: str) -> list[str]:
@@ -112,9 +110,7 @@ class Program:
     def wait_for_line(self, text: str) -> str:
         """Return the first line of either stream that contains ``text``, once there is one.
 
-        Raises:
-            AssertionError: The program ended without this line, or the wait timed out.
-
+        Raises AssertionError: the program ended without this line, or the wait timed out.
         """
         deadline = time.monotonic() + TIMEOUT_S
         with self._condition:
@@ -146,12 +142,7 @@ def error_lines(lines: Sequence[str]) -> list[str]:
 
 
 def wait_until(condition: Callable[[], bool], what: str, meanwhile: Callable[[], None]) -> None:
-    """Call ``meanwhile`` until ``condition`` holds.
-
-    Raises:
-        AssertionError: The wait for ``what`` timed out.
-
-    """
+    """Call ``meanwhile`` until ``condition`` holds. Raises AssertionError: the wait for ``what`` timed out."""
     deadline = time.monotonic() + TIMEOUT_S
     while not condition():
         if time.monotonic() > deadline:

@@ -6,27 +6,20 @@ import csv
 from html.parser import HTMLParser
 from urllib.parse import unquote
 
-MOST_BYTES = 5_000_000
-"""Largest allowed size of a page."""
+MOST_BYTES = 5_000_000  # largest allowed size of a page
 CSV_LINK = "data:text/csv;charset=utf-8,"
 VOID_ELEMENTS = ("meta", "img", "br")
 
 
 class ReportPage(HTMLParser):
-    """A page whose tags nest, which loads nothing from elsewhere and is not too large, or else has problems.
-
-    Attributes:
-        problems: What is wrong with the page.
-        texts: Texts outside of scripts and styles.
-        data: Rows of the CSV data of each plot, by the name of the downloaded file.
-
-    """
+    """A page whose tags nest, which loads nothing from elsewhere and is not too large, or else has problems."""
 
     def __init__(self, page: str) -> None:
         """Read a page."""
         super().__init__()
-        self.problems: list[str] = []
-        self.texts: list[str] = []
+        self.problems: list[str] = []  # what is wrong with the page
+        self.texts: list[str] = []  # texts outside of scripts and styles
+        # rows of the CSV data of each plot, by the name of the downloaded file
         self.data: dict[str, list[dict[str, str]]] = {}
         self._open: list[str] = []
         self.feed(page)

@@ -15,8 +15,7 @@ if TYPE_CHECKING:
     import pinocchio as pin
     from posor.numerics.array_types import FloatArray
 
-RING_FIXED = 8
-"""Parameters of a ring probe before its harmonics: tip, axis, mean radius, number of harmonics."""
+RING_FIXED = 8  # parameters of a ring probe before its harmonics: tip, axis, mean radius, number of harmonics
 
 
 def make_rows(kinds: Sequence[int], parameters: Sequence[npt.ArrayLike]) -> npt.NDArray[np.void]:

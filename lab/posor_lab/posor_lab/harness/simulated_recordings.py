@@ -20,8 +20,7 @@ if TYPE_CHECKING:
     from posor.calibration.calibration_file import Calibration
     from posor.numerics.array_types import FloatArray
 
-PERIOD_NS = 20_000_000
-"""From scan to scan."""
+PERIOD_NS = 20_000_000  # from scan to scan
 
 
 @cache

@@ -77,13 +77,10 @@ def _late_s(reader: DeviceReader) -> list[float]:
 
 
 Entries = dict[str, dict[str, Any]]
-RANGE_M = 5e-4
-"""Measuring range of the capacitive sensors; in it the gap voltages of the test rig lie."""
-SCALE_V_PER_M, OFFSET_V = 4e4, -10.0
-"""Voltage of the simulated probe by distance."""
+RANGE_M = 5e-4  # measuring range of the capacitive sensors; in it the gap voltages of the test rig lie
+SCALE_V_PER_M, OFFSET_V = 4e4, -10.0  # voltage of the simulated probe by distance
 STREAM_RATE = 1000.0
-FEEDBACK_OHM = 1e5
-"""Feedback of the amplifiers that turn diode currents into voltages."""
+FEEDBACK_OHM = 1e5  # feedback of the amplifiers that turn diode currents into voltages
 VOLTAGE_SERVERS: Mapping[str, type[LabJackServer | ScpiServer]] = {
     "labjack": LabJackServer,
     "labjack_stream": LabJackStreamServer,
@@ -169,9 +166,7 @@ def serve_streams(rates: tuple[float, ...], readings: SimulatedReadings, stack: 
 def serve_with_probes(readings: SimulatedReadings, stack: ExitStack) -> tuple[CapaNcdtServer, Devices]:
     """Serve the gap probes as distances of a capaNCDT at its greatest rate, everything else as a stream.
 
-    Returns:
-        The server of the probes, for faults, and all devices.
-
+    Returns the server of the probes, for faults, and all devices.
     """
     delay, (joint,) = _delay(), readings.channels
     gaps = {n: each.name for n, each in enumerate(readings.channels[joint]) if each.kind == "gap_voltages"}

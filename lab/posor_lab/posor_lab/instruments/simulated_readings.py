@@ -17,8 +17,7 @@ if TYPE_CHECKING:
     from posor.chain.arm_file import ArmFile
     from posor.numerics.array_types import FloatArray, IntArray
 
-SIMULATED_RATE = 1000
-"""Rate of the tables [Hz]; between their rows readings and truth are interpolated."""
+SIMULATED_RATE = 1000  # rate of the tables [Hz]; between their rows readings and truth are interpolated
 SEED = 1985
 
 

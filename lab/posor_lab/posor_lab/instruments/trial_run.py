@@ -65,10 +65,8 @@ class TrialFigures:
 def run_trial(trial: DeviceTrial, folder: Path, interrupted: Callable[[], bool]) -> TrialFigures:
     """Run a trial with files and logs in an existing folder, until ``interrupted`` returns True.
 
-    Raises:
-        InterruptedRunError: ``interrupted`` has returned True.
-        ProcessError: A node failed, or something that must happen did not happen in time.
-
+    Raises InterruptedRunError: ``interrupted`` has returned True. Raises ProcessError: a node failed, or something that
+    must happen did not happen in time.
     """
     readings = SimulatedReadings(load_checked_arm(trial.arm), trial.slowness)
     with ExitStack() as stack:

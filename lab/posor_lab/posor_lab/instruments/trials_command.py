@@ -28,12 +28,7 @@ REGION_TOLERANCE, LEAST_RATE, NAMED_WITHIN_S, BACK_WITHIN_S = 0.02, 0.95, 0.5, 2
 
 
 def choose_trials(options: Namespace) -> None:
-    """Set ``options.chosen``.
-
-    Raises:
-        ParameterError: No trial is chosen.
-
-    """
+    """Set ``options.chosen``. Raises ParameterError: no trial is chosen."""
     options.chosen = [trial for trial in TRIALS if options.trials in trial.name]
     if not options.chosen:
         expected = f"part of one of {'; '.join(trial.name for trial in TRIALS)}"

@@ -25,12 +25,11 @@ if TYPE_CHECKING:
 FigureKind = Literal["sd", "max"]
 
 STEPS: Mapping[Bag, int] = {"ymo": 15, "yzmo": 14, "zmo": 20}  # number of steps of each test, appendix 8B
-WITHOUT_POSE: Mapping[Bag, Mapping[int, str]] = {
+WITHOUT_POSE: Mapping[Bag, Mapping[int, str]] = {  # steps that must be refused, and the reason
     "ymo": {},
     "yzmo": {14: "no digit of its diode readings is legible, and the estimates lie outside the calibrated map"},
     "zmo": {},
 }
-"""Steps that must be refused, and the reason."""
 KIND_NAMES: Mapping[FigureKind, str] = {"sd": "standard deviation", "max": "largest"}
 PRINTED_LIMITS: Mapping[Angle, float] = {"alpha": 1.0, "beta": 1.0, "theta": 6.0}
 """Largest difference from a printed POSOR column [urad]: rounding, and for theta the error of the derived diode map."""
@@ -59,9 +58,7 @@ class Expectation:
 def expectations(bag: Bag, calibration: CalibrationName) -> tuple[Expectation, ...]:
     """Return the expected figures of a motion test with a calibration.
 
-    Raises:
-        DataFileError: The table of the figures cannot be read, or has an invalid number.
-
+    Raises DataFileError: the table of the figures cannot be read, or has an invalid number.
     """
     path, limits = data_path(EXPECTATIONS_FILE), ("stated_urad", "low_urad", "high_urad")
     found = []
@@ -79,9 +76,7 @@ def compare_with_thesis(
 ) -> Findings:
     """Return the findings of a replay; ``printed``: the printed result table of the test, if there is one.
 
-    Raises:
-        DataFileError: The table of the expected figures is invalid.
-
+    Raises DataFileError: the table of the expected figures is invalid.
     """
     findings = [_received_steps(test, bag), _refused_steps(test, bag)]
     # Rows of printed columns are steps; a wrong number of steps is a finding already.

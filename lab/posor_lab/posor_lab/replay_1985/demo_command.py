@@ -64,12 +64,7 @@ OPTIONS = (
 
 
 def parse_options(arguments: Sequence[str]) -> Namespace:
-    """Return the options.
-
-    Raises:
-        ParameterError: An option is unknown or its value invalid.
-
-    """
+    """Return the options. Raises ParameterError: an option is unknown or its value invalid."""
     return parse("demo", "Replay a motion test of 1985 and compare it with the thesis.", OPTIONS, arguments)
 
 

@@ -123,12 +123,7 @@ class SensorNoise:
 
 @cache
 def noise_of_1985() -> SensorNoise:
-    """Return the noise that the budgets of chapter 7 state.
-
-    Raises:
-        DataFileError: A budget cannot be read.
-
-    """
+    """Return the noise that the budgets of chapter 7 state. Raises DataFileError: a budget cannot be read."""
     probes = read_table(data_path(PROBE_FILE), ["kind", "value"])
     diodes = read_table(data_path(DIODE_FILE), ["group", "value"])
     gaps = [float(row["value"]) for row in probes if row["kind"] == "random" and row["value"]]
@@ -139,9 +134,7 @@ def noise_of_1985() -> SensorNoise:
 def simulated_readings(test: EndOfBeamTest, program: EndOfBeamProgram) -> tuple[FloatArray, FloatArray]:
     """Return exact gaps (n, 3) and light spots (n, 4) of a test, gaps less those of step 1.
 
-    Raises:
-        DataFileError: A table of the thesis cannot be read.
-
+    Raises DataFileError: a table of the thesis cannot be read.
     """
     alpha, z, y = read_end_of_beam(test).motion.T
     travel, sizes = sensor_travel(test), program.sizes
@@ -175,9 +168,7 @@ def simulated_errors(
 
     ``noise`` of the readings: None, that of the budgets; ``program``: None, that of the listings.
 
-    Raises:
-        DataFileError: A table of the thesis cannot be read.
-
+    Raises DataFileError: a table of the thesis cannot be read.
     """
     noise, program, random = noise or noise_of_1985(), program or EndOfBeamProgram(), np.random.default_rng(SEED)
     gaps, spots = simulated_readings(test, program)

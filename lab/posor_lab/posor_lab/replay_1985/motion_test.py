@@ -137,9 +137,7 @@ def _relative_to_first(rows: Sequence[FloatArray]) -> FloatArray:
 def offline_motion_test(bag: Bag, calibration: CalibrationName) -> MotionTest:
     """Return a motion test as a replay of its bag gives it, without nodes.
 
-    Raises:
-        PosorError: A file of the rig is missing or invalid.
-
+    Raises PosorError: a file of the rig is missing or invalid.
     """
     recording = load_recording(bag_path(bag), references=[Reference(TRUTH_TOPIC)])
     estimates = Posor(load_calibration(calibration_path(calibration)).for_session(bag)).estimate_all(recording.scans)

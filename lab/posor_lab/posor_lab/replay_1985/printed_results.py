@@ -81,9 +81,7 @@ class PredictedError:
 def read_printed(path: Path) -> PrintedColumns:
     """Return the columns of a printed result table.
 
-    Raises:
-        DataFileError: The file cannot be read, lacks a column, has an invalid number, or its steps are out of order.
-
+    Raises DataFileError: the file cannot be read, lacks a column, has an invalid number, or its steps are out of order.
     """
     posor, truth = ([f"{angle}_{kind}_urad" for angle in ANGLES] for kind in ("posor", "meas"))
     rows = read_table(path, ["step", *posor, *truth])
@@ -96,9 +94,7 @@ def read_printed(path: Path) -> PrintedColumns:
 def read_end_of_beam(test: EndOfBeamTest) -> EndOfBeamResults:
     """Return the printed results of TWIS or GEN.
 
-    Raises:
-        DataFileError: The table cannot be read, or has an invalid number.
-
+    Raises DataFileError: the table cannot be read, or has an invalid number.
     """
     path, scales = data_path(f"{test.lower()}_output.csv"), np.array([URAD, 1.0, 1.0])
     measured, posor = ([f"alpha_{kind}_urad", f"z_{kind}_in", f"y_{kind}_in"] for kind in ("meas", "posor"))
@@ -116,9 +112,7 @@ def read_predicted_errors(path: Path, test: str) -> dict[Angle, PredictedError]:
     A test without a row of its own has only the random part of the row for all tests: the increasing part depends on
     the travel of the probes.
 
-    Raises:
-        DataFileError: The file cannot be read, or a prediction has unknown terms.
-
+    Raises DataFileError: the file cannot be read, or a prediction has unknown terms.
     """
     predictions: dict[Angle, PredictedError] = {}
     rows = read_table(path, ["test", "dof", "unit", "predicted"])

@@ -44,9 +44,7 @@ _HEADINGS = {"computed": "found shifts", "stated": "thesis says", "limit": "limi
 def search_zero_shifts(test: Bag, calibration: Calibration, recording: Recording) -> tuple[Findings, list[str]]:
     """Search the zero shifts of one test.
 
-    Returns:
-        Remaining errors, compared with those of the shifts in the calibration; and lines with the shifts.
-
+    Returns remaining errors, compared with those of the shifts in the calibration; and lines with the shifts.
     """
     options = ZeroDriftOptions(lever=TRUTH_LEVER, session=test, first_sigma=0.0)
     outcome = find_zero_drift(recording, calibration, options)

@@ -23,8 +23,7 @@ if TYPE_CHECKING:
 
     from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 
-QOS = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
-"""Matches reliable and best-effort publishers."""
+QOS = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)  # matches reliable and best-effort publishers
 
 
 @dataclass(frozen=True)

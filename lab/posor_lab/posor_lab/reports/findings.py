@@ -38,13 +38,12 @@ class Verdict(Enum):
 
 FIGURE_HEADINGS: Mapping[str, str] = {"computed": "figure", "limit": "limit"}
 """Headings for findings that are compared with their limits only."""
-COMPARISON_HEADINGS: Mapping[str, str] = {
+COMPARISON_HEADINGS: Mapping[str, str] = {  # headings for findings that are compared with expected values
     "computed": "found",
     "stated": "expected",
     "limit": "must be",
     "source": "source",
 }
-"""Headings for findings that are compared with expected values."""
 _CSS_CLASSES = {Verdict.HOLDS: "holds", Verdict.FAILS: "fails", Verdict.NOT_JUDGED: ""}
 _STYLES = {Verdict.HOLDS: "green", Verdict.FAILS: "bold red", Verdict.NOT_JUDGED: "dim"}
 

@@ -30,16 +30,13 @@ if TYPE_CHECKING:
 
     from posor_bringup.supervisor import ProgramCommand, RunningProgram
 
-Topic = tuple[type[Any], str]
-"""Type and name of a topic."""
+Topic = tuple[type[Any], str]  # type and name of a topic
 
 
 MessageT = TypeVar("MessageT")
 
-SILENCE_LIMIT_S = 60.0
-"""A run is given up when no message has arrived for this time."""
-WAITING_S = 1.0
-"""A longer wait is shown, once in this time."""
+SILENCE_LIMIT_S = 60.0  # a run is given up when no message has arrived for this time
+WAITING_S = 1.0  # a longer wait is shown, once in this time
 
 
 class GraphReceiver(Node):
@@ -147,10 +144,8 @@ class GraphWatch:
     ) -> None:
         """Receive until a condition holds, for ``limit_s`` at most; ``missing`` returns what is missing.
 
-        Raises:
-            InterruptedRunError: The user interrupted the run.
-            ProcessError: A process ended with an error, nothing arrived for ``SILENCE_LIMIT_S``, or ``limit_s`` passed.
-
+        Raises InterruptedRunError: the user interrupted the run. Raises ProcessError: a process ended with an error,
+        nothing arrived for ``SILENCE_LIMIT_S``, or ``limit_s`` passed.
         """
         received, since_s = -1, time.monotonic()
         shown_s = begin_s = since_s
@@ -219,20 +214,15 @@ def running_graph(
 
 
 class NodePlayer(GraphReceiver):
-    """Publishes to all topics of a node and keeps its serialised answers.
-
-    Attributes:
-        inputs: Publishers, in the order of the topics.
-        answers: Answers so far.
-
-    """
+    """Publishes to all topics of a node and keeps its serialised answers."""
 
     def __init__(self, node: str, inputs: Sequence[Topic], answer: Topic) -> None:
         """Open the topics of a node such as ``/arm/chain_node``: its inputs and its answer, within its namespace."""
         super().__init__("player")
         namespace = node.rpartition("/")[0]
         self._node, self._answer = node, answer[1]
-        self.answers: list[bytes] = []
+        self.answers: list[bytes] = []  # answers so far
+        # publishers, in the order of the topics
         self.inputs = [self.create_publisher(kind, f"{namespace}/{topic}", KEEP_ALL_QOS) for kind, topic in inputs]
         self.create_subscription(answer[0], f"{namespace}/{self._answer}", self._on_answer, KEEP_ALL_QOS, raw=True)
 

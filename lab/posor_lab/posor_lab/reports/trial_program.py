@@ -44,9 +44,7 @@ def parse_options(
 ) -> Namespace:
     """Return the values of options on a command line.
 
-    Raises:
-        ParameterError: An option is unknown or its value is invalid.
-
+    Raises ParameterError: an option is unknown or its value is invalid.
     """
     parser = CommandLineParser(prog=prog, description=description, help_call=help_call)
     for option in options:
@@ -102,12 +100,7 @@ class TrialProgram:
     check: Callable[[Namespace], None] = lambda _: None  # changes the options, or raises ParameterError
 
     def parse(self, arguments: Sequence[str]) -> Namespace:
-        """Return the options.
-
-        Raises:
-            ParameterError: An option is unknown or its value is invalid.
-
-        """
+        """Return the options. Raises ParameterError: an option is unknown or its value is invalid."""
         output = [Option("--output", Path(self.output), "file of the figures")] if self.output else []
         options = parse_options(self.name, self.description, [*self.options, *output], arguments)
         self.check(options)

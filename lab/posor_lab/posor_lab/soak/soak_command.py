@@ -48,16 +48,11 @@ if TYPE_CHECKING:
     from posor_lab.reports.trial_program import Trial
 
 QOS = QoSProfile(depth=10_000, reliability=ReliabilityPolicy.BEST_EFFORT)
-SEED = 1985
-"""Seed of the motion."""
-SETTLED_POSES = 100
-"""Poses before the run begins."""
-REFRESHES = 3
-"""Diagnostics of each node after the end of the drivers until its totals hold the last scans."""
-SAMPLE_S = 5.0
-"""Time between two samples of the process."""
-SETTLING_NS = 1_000_000_000
-"""Time before the end of the drivers that is not judged: scans under way."""
+SEED = 1985  # seed of the motion
+SETTLED_POSES = 100  # poses before the run begins
+REFRESHES = 3  # diagnostics of each node after the end of the drivers until its totals hold the last scans
+SAMPLE_S = 5.0  # time between two samples of the process
+SETTLING_NS = 1_000_000_000  # time before the end of the drivers that is not judged: scans under way
 _MISSING = "transform missing"
 
 
@@ -190,10 +185,8 @@ def run_soak(
 
     It moves as in the fault table, at a rate that two processors follow. ``on_sample`` is called every ``SAMPLE_S``.
 
-    Raises:
-        ProcessError: The process failed, or messages stopped.
-        InterruptedRunError: The user interrupted the run.
-
+    Raises ProcessError: the process failed, or messages stopped. Raises InterruptedRunError: the user interrupted the
+    run.
     """
     arm = write_fault_arm(name, folder / "arm", CYCLE_S, SEED)
     programs = group_programs(arm_programs(arm, driver_parameters=IMPERFECTION_PARAMETERS), "composed", folder)
@@ -215,11 +208,9 @@ def run_soak(
         return receiver.figures(window, receiver.missed() - missed, samples)
 
 
-LINE_S = 300.0
-"""Time between two lines about the process."""
+LINE_S = 300.0  # time between two lines about the process
 MOST_GROWTH_MB = 1.0
-MIN_SECONDS = 5.0
-"""The last second of a run is not judged."""
+MIN_SECONDS = 5.0  # the last second of a run is not judged
 OPTIONS = (
     Option("--arm", "five_axis", "simulated arm", choices=tuple(RATES)),
     Option("--seconds", 3600.0, "duration after the warm-up [s]", least=MIN_SECONDS),

@@ -142,9 +142,7 @@ class BudgetTable:
 def budget_tables() -> dict[str, BudgetTable]:
     """Return the tables by number.
 
-    Raises:
-        DataFileError: A printed table cannot be read, or a cell of it is not a number.
-
+    Raises DataFileError: a printed table cannot be read, or a cell of it is not a number.
     """
     file = RowFile(data_path("thesis_rows/03_budgets.yaml"))
     return {number: _table(file, number, content) for number, content in file.content["budgets"].items()}
@@ -207,9 +205,7 @@ def _size(row: Mapping[str, str], rule: Mapping[str, str]) -> tuple[float, float
 def budget_cells() -> list[dict[str, Any]]:
     """Return the cells for the thesis table, without perturbations that have no effect, in print and in the model.
 
-    Raises:
-        DataFileError: A printed table cannot be read.
-
+    Raises DataFileError: a printed table cannot be read.
     """
     cells = (cell for table in budget_tables().values() for cell in table.cells)
     return [cell.thesis_columns for cell in cells if cell.printed_number != 0.0 or cell.computed != 0.0]
@@ -229,9 +225,7 @@ def printed_factor(row: str, column: str) -> float:
 def fits_of_linearisation() -> dict[str, tuple[float, float]]:
     """Return the values of table 7.9's linearisation rows, and the mean deviations of ninth order of table 7.7 [uin].
 
-    Raises:
-        DataFileError: A printed table cannot be read.
-
+    Raises DataFileError: a printed table cannot be read.
     """
     fits = {row["quantity"]: row for row in read_table(data_path(FITS_FILE), ["quantity"])}["mean_order9"]
     rows = read_table(data_path(DIODE_FILE), ["group", "perturbation", "value"])
@@ -242,10 +236,8 @@ def fits_of_linearisation() -> dict[str, tuple[float, float]]:
 def rig_theta(diodes: BudgetTable) -> tuple[float, float, float]:
     """Return theta of table 7.9 for the real rig, whose spots are apart along Y: derived, not printed.
 
-    Returns:
-        Effect of an inch of x, and of y, of a spot on theta [rad] by the calibration of the rig, and the root sum
-        square of the rows with these [urad].
-
+    Returns effect of an inch of x, and of y, of a spot on theta [rad] by the calibration of the rig, and the root sum
+    square of the rows with these [urad].
     """
     posor = Posor(load_calibration(calibration_path("section84")).for_session("ymo"))
     pose = middle_pose(posor)

@@ -38,27 +38,20 @@ if TYPE_CHECKING:
 
 Axis = Literal["x", "y", "z"]
 
-LEVER = 1.5
-"""a and b [inch]."""
-PROBE_RANGE = 0.05
-"""Range of the probes [inch]: largest difference of two gaps, and the gap where a probe axis leans."""
-LEG_X, LEG_Y = 3.0, 0.5
-"""From spot 2 to spot 1 [inch]; along Y: at most."""
-SPOT = 0.5
-"""Position of each spot on its diode, along both axes [inch]."""
-RAY = 0.05
-"""Length of the rays [inch]."""
-STEP = 1e-3
-"""Angle of the second differences [rad]; their relative error is of the order of its square."""
+LEVER = 1.5  # a and b [inch]
+PROBE_RANGE = 0.05  # range of the probes [inch]: largest difference of two gaps, and the gap where a probe axis leans
+LEG_X, LEG_Y = 3.0, 0.5  # from spot 2 to spot 1 [inch]; along Y: at most
+SPOT = 0.5  # position of each spot on its diode, along both axes [inch]
+RAY = 0.05  # length of the rays [inch]
+STEP = 1e-3  # angle of the second differences [rad]; their relative error is of the order of its square
 POINTS: Mapping[str, tuple[float, float]] = {"l_0_0": (0.0, 0.0), "l_m1_1p5": (-1.0, 1.5), "l_0_1p5": (0.0, 1.5)}
 """Points [inch] at which the distance to the plate is an output, by name."""
 PROBES = ("gap probe_1", "gap probe_2", "gap probe_3")
-LEVERS: Mapping[str, tuple[str, float]] = {
+LEVERS: Mapping[str, tuple[str, float]] = {  # tip coordinate of each lever, and its sign
     "sigma_a": ("GapProbes.tips[1,1]", 1.0),
     "sigma_b": ("GapProbes.tips[2,1]", -1.0),
     "sigma_c": ("GapProbes.tips[0,0]", -1.0),
 }
-"""Tip coordinate of each lever, and its sign."""
 _TURNS: Mapping[str, Axis] = {"Xalpha": "x", "Ybeta": "y", "Ztheta": "z"}
 """Perturbations that turn a diode, and the axis about which it turns."""
 _RAYS: Mapping[str, int] = {"Xlalpha": 0, "Ylbeta": 1}
@@ -77,18 +70,14 @@ class Chapter5:
     """The model and its derivatives, in the units of the thesis: inch and radian.
 
     Outputs are ``alpha``, ``beta``, ``theta`` and the distances of ``POINTS``.
-
-    Attributes:
-        posor: The model; gaps have a noise of 10 microinch, parameters have no uncertainty.
-        pose: Pose of the derivatives.
-
     """
 
     def __init__(self, slopes: Slopes, *, c: float = 3.0, leg_y: float = LEG_Y) -> None:
         """Build the model at slopes, with a lever ``c`` of probe 1 and ``leg_y`` between the spots along Y [inch]."""
+        # the model; gaps have a noise of 10 microinch, parameters have no uncertainty
         self.posor = Posor(_calibration(c, leg_y))
         leans = -math.atan(slopes.across / (2.0 * LEVER)), math.atan(slopes.along / c)
-        self.pose = pose_from_native((0.0, 0.0, PROBE_RANGE * inch, *leans, 0.0))
+        self.pose = pose_from_native((0.0, 0.0, PROBE_RANGE * inch, *leans, 0.0))  # pose of the derivatives
         self._scan = scan_at(self.posor, self.pose)
         self._readings = self.posor.stack.reading_names
         self._parameters = self.posor.stack.parameter_names
@@ -208,15 +197,9 @@ def leans_effect(output: str, axis: str) -> float:
 def spot_shift(axis: str, perturbation: str, group: str = "axes offset") -> float:
     """Return the effect of a unit of a perturbation, or of its square, on X or Y of the spot, in inch and radian.
 
-    Args:
-        axis: ``X`` or ``Y``.
-        perturbation: Name in tables 5.4 and 7.9, such as ``sigma_Xalpha1``; without a number: of diode 1.
-        group: Group of the row in table 7.9. A shift affects the diode (``axes offset``), its map (``linearisation``)
-            or the reading (all others).
-
-    Raises:
-        DataFileError: The perturbation is unknown.
-
+    ``axis``: ``X`` or ``Y``. ``perturbation``: name in tables 5.4 and 7.9, such as ``sigma_Xalpha1``; without a number:
+    of diode 1. ``group``: group of the row in table 7.9. A shift affects the diode (``axes offset``), its map
+    (``linearisation``) or the reading (all others). Raises DataFileError: the perturbation is unknown.
     """
     kind, model = re.sub(r"[\d_]", "", perturbation.removeprefix("sigma_")), model_at()
     k = int((re.findall(r"\d", perturbation) or ["1"])[0]) - 1

@@ -24,16 +24,11 @@ STAGE_STRAIGHTNESS = 0.0004
 """Standard deviation of the straightness of the stage that calibrated the diodes, section 8.4 [inch]."""
 PEAK_TO_VALLEY = 0.025
 """Travel across a diode over which a linearisation follows this error from peak to valley, section 8.4 [inch]."""
-CURVE_PEAK = 0.00041
-"""Peak of a linearisation curve by this error, section 8.4.4 [inch]."""
-DIODE_RANGE = 0.5
-"""Travel across a diode over which the total of table 7.9 holds, section 8.4 [inch]."""
-READOUT = 0.0002
-"""Accuracy of the machining centre along any axis, section 8.2 [inch]."""
-READING_DISTANCE = 3.5
-"""Distance of the two readings that give alpha, section 8.2 [inch]."""
-BEARING_RUNOUT, BEARING_DISTANCE = 50e-6, 3.0
-"""Bearings of the twist stage, section 8.2 [inch]."""
+CURVE_PEAK = 0.00041  # peak of a linearisation curve by this error, section 8.4.4 [inch]
+DIODE_RANGE = 0.5  # travel across a diode over which the total of table 7.9 holds, section 8.4 [inch]
+READOUT = 0.0002  # accuracy of the machining centre along any axis, section 8.2 [inch]
+READING_DISTANCE = 3.5  # distance of the two readings that give alpha, section 8.2 [inch]
+BEARING_RUNOUT, BEARING_DISTANCE = 50e-6, 3.0  # bearings of the twist stage, section 8.2 [inch]
 
 MotionName = Literal["ZMO", "YMO", "YZMO", "TWIS", "GEN"]
 
@@ -66,9 +61,7 @@ class SensorTravel:
 def sensor_travel(test: MotionName) -> SensorTravel:
     """Return the travel of the sensors in a test.
 
-    Raises:
-        DataFileError: Table 8.1 cannot be read, or has an invalid number.
-
+    Raises DataFileError: table 8.1 cannot be read, or has an invalid number.
     """
     x1, y1, x2, y2 = (end - start for start, end in zip(spots_at(test, "start"), spots_at(test, "finish"), strict=True))
     one, two, three = (_sensor_cells(test)[f"probe{k}_range_in"] for k in (1, 2, 3))
@@ -78,9 +71,7 @@ def sensor_travel(test: MotionName) -> SensorTravel:
 def spots_at(test: MotionName, moment: Literal["start", "finish"]) -> tuple[float, float, float, float]:
     """Return X1, Y1, X2, Y2 of the light spots on their diodes at the start or the finish of a test [inch].
 
-    Raises:
-        DataFileError: Table 8.1 cannot be read, or has an invalid number.
-
+    Raises DataFileError: table 8.1 cannot be read, or has an invalid number.
     """
     cells = _sensor_cells(test)
     x1, y1, x2, y2 = (cells[f"{axis}d{k}_{moment}_in"] for k in (1, 2) for axis in "xy")
@@ -97,9 +88,7 @@ def _sensor_cells(test: MotionName) -> Mapping[str, float]:
 def dimensions() -> Mapping[str, float]:
     """Return the dimensions of POSOR and tests by name (inch, radian).
 
-    Raises:
-        DataFileError: The table cannot be read, or has an invalid number.
-
+    Raises DataFileError: the table cannot be read, or has an invalid number.
     """
     return read_numbers(data_path(DIMENSIONS_FILE), "quantity", "value")
 
@@ -120,9 +109,7 @@ class ProbePrediction:
 def increasing_errors(slopes: Slopes) -> ProbePrediction:
     """Return the errors by the uncertain spacings a, b, c of the probes at a change of inclination (5.21 to 5.25).
 
-    Raises:
-        DataFileError: Table 7.12 cannot be read.
-
+    Raises DataFileError: table 7.12 cannot be read.
     """
     model = Chapter5(slopes)
     sigmas = read_numbers(data_path(PROBE_FILE), "perturbation", "value", LEVERS)

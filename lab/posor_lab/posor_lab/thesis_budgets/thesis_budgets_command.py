@@ -30,8 +30,7 @@ if TYPE_CHECKING:
     from posor_lab.thesis_budgets.budget_tables import BudgetCell, BudgetTable
 
 _STYLES = {Agreement.EXPLAINED: "yellow", Agreement.DIFFERS: "bold red"}
-_ZERO = 5e-7
-"""Smaller factors are printed as 0: they come from the inclination of the plate."""
+_ZERO = 5e-7  # smaller factors are printed as 0: they come from the inclination of the plate
 
 
 @reports_errors

@@ -29,12 +29,7 @@ _CURVE = ("each", "at", "where", "series", "dash", "marker", "size", "tables", "
 
 
 def draw_figures(file: RowFile) -> list[Plot]:
-    """Return the figures of a file.
-
-    Raises:
-        PosorError: A figure is invalid, or one of its functions fails.
-
-    """
+    """Return the figures of a file. Raises PosorError: a figure is invalid, or one of its functions fails."""
     plots: list[Plot] = []
     for content in file.content.get("figures", []):
         file.enter("figures", content, "title")

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 _DEVIATIONS = "linearization_residuals_tables_7_3_to_7_5.csv"
 _FITS = "error_budget_table_7_7_diode_fits.csv"
-ARITHMETIC: dict[str, Callable[..., float]] = {
+ARITHMETIC: dict[str, Callable[..., float]] = {  # operations on a list of values, by the only key of a mapping
     "arc_sine": math.asin,
     "difference": operator.sub,
     "largest": lambda *values: max(map(abs, values)),
@@ -42,9 +42,7 @@ ARITHMETIC: dict[str, Callable[..., float]] = {
     "round": round,
     "total": lambda *parts: math.fsum(parts),
 }
-"""Operations on a list of values, by the only key of a mapping."""
-_DIODE_LENGTH = 0.5 * inch
-"""Length over which fifteen curves map a diode, section 7.4.2."""
+_DIODE_LENGTH = 0.5 * inch  # length over which fifteen curves map a diode, section 7.4.2
 
 
 def kelvin(celsius: float) -> float:

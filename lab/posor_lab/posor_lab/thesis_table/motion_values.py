@@ -67,9 +67,7 @@ _REPLAYS: tuple[tuple[Bag, CalibrationName], ...] = (
 def stated_error(test: MotionName, freedom: str, column: str) -> float:
     """Return a number of the text of chapter 8: a cell of expected_errors.csv, in the unit of its row.
 
-    Raises:
-        DataFileError: The table cannot be read, or has an invalid number.
-
+    Raises DataFileError: the table cannot be read, or has an invalid number.
     """
     path = data_path(EXPECTED_ERRORS_FILE)
     rows = read_table(path, ["test", "dof", column])
@@ -104,9 +102,7 @@ def replayed_deviation(bag: Bag, angle: Angle) -> float:
 def replay_figures() -> list[dict[str, Any]]:
     """Return the errors [urad] that section 8.4 and appendix 8B print, with the zero shifts of each.
 
-    Raises:
-        PosorError: A file of the rig is missing or invalid.
-
+    Raises PosorError: a file of the rig is missing or invalid.
     """
     return [
         {
@@ -130,9 +126,7 @@ def replay_figures() -> list[dict[str, Any]]:
 def replay_plots() -> list[Plot]:
     """Return motion and error of each angle with the zero shifts of the printed tables, as figures 8.8 to 8.14.
 
-    Raises:
-        PosorError: A table of the thesis or a file of the rig cannot be read.
-
+    Raises PosorError: a table of the thesis or a file of the rig cannot be read.
     """
     plots = []
     for bag in BAGS:
@@ -226,9 +220,7 @@ def place_of_print(printed: float | str, low: float, high: float) -> str:
 def end_of_beam_plots() -> list[Plot]:
     """Return figures 8.15 to 8.20: each motion, and its error with the range of the simulated errors.
 
-    Raises:
-        DataFileError: A table of the thesis cannot be read.
-
+    Raises DataFileError: a table of the thesis cannot be read.
     """
     figures: list[tuple[EndOfBeamTest, Column]] = [(test, column) for test in _TESTS for column in ("alpha", "y", "z")]
     return [

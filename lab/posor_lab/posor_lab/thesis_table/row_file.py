@@ -57,12 +57,7 @@ class RowFile:
     """A file of rows: its ``title``, and its ``content`` by section."""
 
     def __init__(self, path: Path) -> None:
-        """Read a file.
-
-        Raises:
-            DataFileError: The file cannot be read, is not YAML, or has a wrong section.
-
-        """
+        """Read a file. Raises DataFileError: the file cannot be read, is not YAML, or has a wrong section."""
         self._path = self._where = str(path)
         try:
             content = yaml.load(path.read_text(encoding="utf-8"), _TextLoader)  # noqa: S506  a safe loader
@@ -80,12 +75,7 @@ class RowFile:
         self._results: dict[tuple[Any, ...], Any] = {}  # of each call
 
     def rows(self) -> list[ThesisRow]:
-        """Return all rows.
-
-        Raises:
-            PosorError: A row is invalid, or its function fails.
-
-        """
+        """Return all rows. Raises PosorError: a row is invalid, or its function fails."""
         rows = []
         for section, entries in self.content["rows"].items():
             for entry in entries:
@@ -99,12 +89,7 @@ class RowFile:
         self._where = f"{self._path}, {section}, {entry.get(name, '') if isinstance(entry, Mapping) else entry}"
 
     def check_unused(self) -> None:
-        """Refuse sources that no row and no figure has used.
-
-        Raises:
-            DataFileError: A source is unused.
-
-        """
+        """Refuse sources that no row and no figure has used. Raises DataFileError: a source is unused."""
         if self._unused:
             raise DataFileError(f"source '{next(iter(self._unused))}' is not used", where=self._path)
 
@@ -121,9 +106,7 @@ class RowFile:
     def evaluate(self, content: Any, columns: Mapping[str, Any]) -> Any:
         """Return a value; ``columns``: values of the row by name.
 
-        Raises:
-            PosorError: The value is invalid, or its function fails.
-
+        Raises PosorError: the value is invalid, or its function fails.
         """
         if isinstance(content, Mapping):
             return self._call(content, columns)
@@ -152,12 +135,7 @@ class RowFile:
         return _PLACEHOLDER.sub(replaced, text)
 
     def amount(self, unit: str) -> float:
-        """Return the amount of a unit.
-
-        Raises:
-            DataFileError: The unit is unknown.
-
-        """
+        """Return the amount of a unit. Raises DataFileError: the unit is unknown."""
         try:
             return amount(unit)
         except DataFileError as error:
@@ -168,12 +146,7 @@ class RowFile:
         return DataFileError(what, where=self._where, expected=expected)
 
     def check_keys(self, content: Any, required: Collection[str], optional: Collection[str]) -> None:
-        """Refuse content that is not a mapping with these keys.
-
-        Raises:
-            DataFileError: A key is missing or unknown.
-
-        """
+        """Refuse content that is not a mapping with these keys. Raises DataFileError: a key is missing or unknown."""
         if not isinstance(content, Mapping):
             raise self.refusal("is not a mapping", f"keys {', '.join(sorted(required))}")
         for key in content:
@@ -190,9 +163,8 @@ class RowFile:
         reason = reason.get(quantity, "") if isinstance(reason, Mapping) else reason
         kind = self.fill(entry.get("kind", ComparisonKind.COMPUTED.value), columns)
         if kind not in {known.value for known in ComparisonKind}:
-            raise self.refusal(
-                f"kind '{kind}' is unknown", f"one of {', '.join(known.value for known in ComparisonKind)}"
-            )
+            what = f"kind '{kind}' is unknown"
+            raise self.refusal(what, f"one of {', '.join(known.value for known in ComparisonKind)}")
         value = self.evaluate(entry["value"], columns)
         scale = self.amount(self.fill(entry.get("scale", unit), columns))
         row = ThesisRow(

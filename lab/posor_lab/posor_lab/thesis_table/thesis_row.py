@@ -9,8 +9,7 @@ from posor_lab.thesis_data import last_digit
 
 RELATIVE_TOLERANCE = 0.02
 """A computed number agrees within this share of the printed one, or within the rounding of the printed one."""
-ROUNDING_MARGIN = 1.0 + 1e-9
-"""Factor of a tolerance that allows for the rounding of a binary number."""
+ROUNDING_MARGIN = 1.0 + 1e-9  # factor of a tolerance that allows for the rounding of a binary number
 
 
 class Agreement(Enum):

@@ -53,12 +53,7 @@ def row_files() -> list[Path]:
 
 
 def compute_subject(path: Path) -> Subject:
-    """Compute the rows and figures of a file.
-
-    Raises:
-        PosorError: The file is invalid, or a calculation fails.
-
-    """
+    """Compute the rows and figures of a file. Raises PosorError: the file is invalid, or a calculation fails."""
     file = RowFile(path)
     subject = Subject(file.title, tuple(sorted(file.rows(), key=_order)), tuple(draw_figures(file)))
     file.check_unused()
