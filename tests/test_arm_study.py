@@ -21,8 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
 CONTROLLER = Path(__file__).resolve().parents[1] / "examples" / "endpoint_controller" / "endpoint_controller.py"
-RUNNING = "without controller"
-"""Printed when the ticks begin."""
+RUNNING = "without controller"  # printed when the ticks begin
 TIMEOUT_S = 250
 pytestmark = pytest.mark.timeout(300)
 

@@ -11,8 +11,7 @@ import pytest
 if TYPE_CHECKING:
     from pathlib import Path
 
-CLOSED = "http://127.0.0.1:9"
-"""Nothing listens there."""
+CLOSED = "http://127.0.0.1:9"  # nothing listens there
 
 
 @pytest.fixture(autouse=True)

@@ -43,15 +43,13 @@ TYPES = {
     "/five_axis/target/endpoint": PoseStamped,
     "/five_axis/encoders": JointState,
 }
-OTHERS = {
+OTHERS = {  # what the nodes publish beside the endpoint
     **{f"/five_axis/{joint}/transform": JointTransform for joint in JOINTS},
     "/five_axis/joint_states": JointState,
 }
-"""What the nodes publish beside the endpoint."""
 TICKS, RATE, START_NS = 2000, 200, 1_767_225_600_000_000_000
 LOSSLESS: dict[str, Parameter] = {"lossless": True}
-WITHIN = 1e-12
-"""What another machine's arithmetic may differ by, in metres, radians and quaternions."""
+WITHIN = 1e-12  # what another machine's arithmetic may differ by, in metres, radians and quaternions
 
 
 @cache

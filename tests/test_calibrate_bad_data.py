@@ -35,8 +35,7 @@ if TYPE_CHECKING:
     from posor_lab.campaign.ground_truth import PosorName
 
 SEED = 5000
-SOUND = 4.5
-"""Standard uncertainties by which no number of a result is off; there are some dozen in each case."""
+SOUND = 4.5  # standard uncertainties by which no number of a result is off; there are some dozen in each case
 GAPS, CURRENTS = "gap_voltages", "diode_currents"
 
 

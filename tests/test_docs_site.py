@@ -18,12 +18,11 @@ if TYPE_CHECKING:
 DOCS = THIS.root / "docs"
 MESSAGES = THIS.ros2 / "src" / "posor_msgs" / "msg"
 CLICKS = 2
-QUESTIONS = {
+QUESTIONS = {  # what a new reader asks, and a text of the page that answers
     "show the arm live": "posor view",
     "write a stopping rule for a controller": "class StoppingRule",
     "plot the endpoint with its 2-sigma band": 'label="2 sigma"',
 }
-"""What a new reader asks, and a text of the page that answers."""
 
 
 def build(source: Path, output: Path) -> subprocess.CompletedProcess[str]:

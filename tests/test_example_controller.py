@@ -199,27 +199,18 @@ TOPICS = {
     "stage/command": Vector3Stamped,
 }
 FROM_DRIVER = ("truth/endpoint", "target/endpoint", "stage/position")
-AFTER_NS = 3_500_000
-"""Time of the clock after the stamp of a tick: all its scans have been sent, none of the next tick."""
-REPEAT_S = 0.5
-"""The clock is published again while waiting; its topic is best effort."""
+AFTER_NS = 3_500_000  # time of the clock after the stamp of a tick: all its scans have been sent, none of the next tick
+REPEAT_S = 0.5  # the clock is published again while waiting; its topic is best effort
 
 
 class SteppedArm:
-    """The nodes of an arm, their clock, and the newest message of each topic.
-
-    Attributes:
-        name: Namespace of the arm.
-        newest: Newest message of each topic below it.
-        commanded: Whether a command for the stage belongs to every pose.
-
-    """
+    """The nodes of an arm, their clock, and the newest message of each topic."""
 
     def __init__(self, graph: Graph, name: str) -> None:
         """Subscribe; ``with`` starts the nodes."""
         self._arm = load_checked_arm(name)
-        self.name = f"/{self._arm.name}"
-        self.commanded = False
+        self.name = f"/{self._arm.name}"  # namespace of the arm
+        self.commanded = False  # whether a command for the stage belongs to every pose
         self._graph = graph
         simulation = ArmSimulation(self._arm)
         self._dropouts = Dropouts(simulation)
@@ -227,6 +218,7 @@ class SteppedArm:
         self._transforms = {joint: f"{joint}/transform" for joint in simulation.joints}
         self._without_pose = False
         kinds = {**TOPICS, **dict.fromkeys(self._transforms.values(), JointTransform)}
+        # newest message of each topic below it
         self.newest: dict[str, Any] = {topic: kind() for topic, kind in kinds.items()}
         for topic, kind in kinds.items():
             keep = partial(self.newest.__setitem__, topic)
@@ -313,10 +305,8 @@ class SteppedArm:
 
 
 ARM = "five_axis"
-FIRST = 6000
-"""First tick of a cycle of the scenario; the same ticks run without and with the controller."""
-SETTLED, END = FIRST + 40, FIRST + 400
-"""Judged ticks, 0.2 s to 2 s: the arm rests, extended, then swings."""
+FIRST = 6000  # first tick of a cycle of the scenario; the same ticks run without and with the controller
+SETTLED, END = FIRST + 40, FIRST + 400  # judged ticks, 0.2 s to 2 s: the arm rests, extended, then swings
 README_ROW = re.compile(r"\| first 2 s \| ([\d.]+) um \| ([\d.]+) um \|")
 
 

@@ -28,8 +28,7 @@ ALLOWED = ("math", "signal", "geometry_msgs", "posor_msgs", "rclpy")
 ARM: ArmName = "five_axis"
 KILLED = "elbow/driver_node"
 CYCLE_S, SEED, WAYPOINT_S = 60, 4, 5.0
-JUDGED = 100
-"""Poses of the true endpoint before and after, 2 s each."""
+JUDGED = 100  # poses of the true endpoint before and after, 2 s each
 MAX_STOP_S = 0.2
 SILENT = "stopped: no message on endpoint/state"
 

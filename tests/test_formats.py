@@ -30,12 +30,11 @@ if TYPE_CHECKING:
 
 FORMATS = Path(__file__).parent / "formats"
 ROOT = Path(__file__).resolve().parents[1]
-CONTENT_HASHES = {
+CONTENT_HASHES = {  # bags and fit records name calibrations by these hashes, so they must not change
     1: "166c0215cec86f9be92629bfb9c688ea19d3085ffa04b3a35cc8487e4df46bc2",
     2: "a75597768bc59c0641c2bdba171e4df15e40b49074751698cd99858cbeedadfc",
     3: "9a94d6c1fe4bbcdda9b8e80c3a19e214641e4cde503da95401d50548eece49f2",
 }
-"""Bags and fit records name calibrations by these hashes, so they must not change."""
 
 
 def test_there_is_a_file_of_every_version() -> None:

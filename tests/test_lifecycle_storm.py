@@ -21,12 +21,11 @@ if TYPE_CHECKING:
 
 pytestmark = pytest.mark.usefixtures("ros_domain")
 
-NEXT = {
+NEXT = {  # the state after each transition that a state has
     "unconfigured": {Transition.TRANSITION_CONFIGURE: "inactive"},
     "inactive": {Transition.TRANSITION_ACTIVATE: "active", Transition.TRANSITION_CLEANUP: "unconfigured"},
     "active": {Transition.TRANSITION_DEACTIVATE: "inactive"},
 }
-"""The state after each transition that a state has."""
 *RESULT_NODES, DRIVER = NODES
 WITHOUT_DRIVER, DRIVER_ENTRY, _ = RIG.partition("  - node: driver_node")
 DRIVER_PROGRAM = [

@@ -37,8 +37,7 @@ PACKAGES = ("posor", "posor_calibration")
 EXAMPLE = ROOT / "examples" / "estimate_bag.py"
 BAG = ROOT / "bags" / "five_axis"
 MAX_EXAMPLE_LINES = 15
-TOLERANCE = 1e-12
-"""Largest difference of positions [m] and quaternions."""
+TOLERANCE = 1e-12  # largest difference of positions [m] and quaternions
 
 RUN_EXAMPLE = f"""
 import json, runpy, sys

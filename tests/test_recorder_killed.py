@@ -28,8 +28,7 @@ pytestmark = pytest.mark.usefixtures("ros_domain")
 ROOT = Path(__file__).resolve().parents[1]
 TOPICS = ("/one", "/other")
 PERIOD_S = 0.005
-LOST_S = 1.0
-"""Time before the kill whose messages may be missing."""
+LOST_S = 1.0  # time before the kill whose messages may be missing
 QOS = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)
 
 

@@ -33,11 +33,9 @@ if TYPE_CHECKING:
     from posor_lab.replay_1985.replay import Replay
 
 RAW, TRANSFORM, ENDPOINT, TRUTH = TOPICS
-FURTHER_POSES = 5
-"""Number of further poses that show a working graph."""
+FURTHER_POSES = 5  # number of further poses that show a working graph
 
-BEAM_M = 1.0
-"""Upper bound of the lever from the POSOR to the endpoint [m]."""
+BEAM_M = 1.0  # upper bound of the lever from the POSOR to the endpoint [m]
 
 
 def restart_error(scan: int) -> float:

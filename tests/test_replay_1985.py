@@ -40,12 +40,11 @@ RAW, TRANSFORM, ENDPOINT, TRUTH = TOPICS
 ALPHA, BETA, THETA = range(3)
 INCH = 0.0254
 
-ESTIMATED: dict[Bag, dict[int, int]] = {
+ESTIMATED: dict[Bag, dict[int, int]] = {  # flags of steps whose readings are illegible in the source
     "ymo": {14: DIODES_ESTIMATED},
     "yzmo": {6: PROBES_ESTIMATED, 13: DIODES_ESTIMATED, 14: DIODES_ESTIMATED},
     "zmo": dict.fromkeys((3, 6, 9, 11, 14, 17), DIODES_ESTIMATED),
 }
-"""Flags of steps whose readings are illegible in the source."""
 
 
 @dataclass(frozen=True)

@@ -333,8 +333,7 @@ def test_a_bag_that_is_cut_short_leaves_nothing(tmp_path: Path, capsys: pytest.C
 
 
 COARSE_NS = 10_000_000
-Logged = tuple[str, int, bytes]
-"""Topic, log time [ns], message."""
+Logged = tuple[str, int, bytes]  # topic, log time [ns], message
 
 
 def raw_scans(bag: Path) -> tuple[list[Connection], list[Logged]]:

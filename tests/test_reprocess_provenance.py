@@ -25,8 +25,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
 ROOT = Path(__file__).resolve().parents[1]
-BAG = ROOT / "bags" / "five_axis"
-"""Simulated."""
+BAG = ROOT / "bags" / "five_axis"  # simulated
 
 
 def write_bag(path: Path, hashes: Mapping[str, str], scans: int = 100) -> Path:

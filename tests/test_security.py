@@ -35,8 +35,7 @@ Entity = tuple[str, str]
 ROOT = Path(__file__).resolve().parents[1]
 SCRIPT = ROOT / "examples/security/make_keystore.sh"
 JOINTS = ("base_swivel", "shoulder", "elbow", "wrist_roll", "wrist_yaw")
-JOINT = JOINTS[-1]
-"""The last joint: its simulated driver publishes what belongs to the whole arm too."""
+JOINT = JOINTS[-1]  # the last joint: its simulated driver publishes what belongs to the whole arm too
 CLASSES: dict[str, type[PosorNode[Any]]] = {
     "chain_node": ChainNode,
     "posor_node": PosorEstimatorNode,

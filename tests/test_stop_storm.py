@@ -33,13 +33,10 @@ POSOR = ProgramCommand(
     parameters={"calibration": str(calibration_path("printed")), "session": "ymo"},
 )
 CHAIN = ProgramCommand("chain_node", "posor_estimator", "chain_node", parameters={"urdf": str(urdf_path())})
-AT_ONCE = 4
-"""Nodes that start at the same time: more than the host has processors."""
-LATEST_S = 4.0
-"""Latest interruption after the start; under this load a node is active after about half of the time."""
+AT_ONCE = 4  # nodes that start at the same time: more than the host has processors
+LATEST_S = 4.0  # latest interruption after the start; under this load a node is active after about half of the time
 END_S = 5.0
-CODES = {0, 130}
-"""130: interrupted before it was active."""
+CODES = {0, 130}  # 130: interrupted before it was active
 
 
 class Stop:

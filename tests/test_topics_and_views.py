@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 pytestmark = pytest.mark.usefixtures("ros_domain")
 
-TOPICS = {
+TOPICS = {  # topics that the arm must have at least
     "/diagnostics",
     "/tf",
     "/tf_static",
@@ -33,20 +33,17 @@ TOPICS = {
         )
     ),
 }
-"""Topics that the arm must have at least."""
-NO_DATA = ("/parameter_events", "/rosout", "/transition_event")
-"""Topics of rclpy that are silent while nothing happens."""
+NO_DATA = ("/parameter_events", "/rosout", "/transition_event")  # topics of rclpy that are silent while nothing happens
 USUAL = (QoSProfile(depth=10), qos_profile_sensor_data)
 LATCHED = (QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL),)
 """The usual profile for what was published before; DDS repeats it to reliable subscriptions only."""
 
 
-RVIZ_TYPES = {
+RVIZ_TYPES = {  # type of the topic of each display
     "rviz_default_plugins/RobotModel": "std_msgs/msg/String",
     "rviz_default_plugins/Pose": "geometry_msgs/msg/PoseStamped",
     "rviz_default_plugins/PoseWithCovariance": "geometry_msgs/msg/PoseWithCovarianceStamped",
 }
-"""Type of the topic of each display."""
 
 
 def test_usual_subscribers_receive_every_topic_and_views_name_existing_ones(tmp_path: Path) -> None:

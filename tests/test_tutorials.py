@@ -19,8 +19,7 @@ PAGES = ROOT / "docs" / "tutorials"
 BLOCK = re.compile(r"^```(\w*)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 FILE = re.compile(r"# (build/[\w/]+\.py)\n")
 """First line of a Python block: the file that the reader saves it as."""
-FIRST = "first_pose"
-"""Its files are used by other tutorials."""
+FIRST = "first_pose"  # its files are used by other tutorials
 SAID: dict[str, list[str]] = yaml.safe_load(Path(__file__).with_name("tutorials.yaml").read_text(encoding="utf-8"))
 """Patterns of the output of each tutorial."""
 LONG = ("calibrate", "your_own_arm", "your_own_sensor", "close_a_loop")

@@ -22,8 +22,7 @@ pytestmark = [
 ]
 WIDTH, HEIGHT = 800, 400
 ARTIFACTS = THIS.root / "build" / "test_view"
-MAX_RED_S = 1.0
-"""Of a quiet machine; the short test, which may run on a busy one, only prints the time."""
+MAX_RED_S = 1.0  # of a quiet machine; the short test, which may run on a busy one, only prints the time
 MOVED_MM = 1.0
 PICTURE = "canvas[data-engine]"
 STATE = f"#joint-{KILLED} td:nth-child(2)"

@@ -114,7 +114,7 @@ def display_name(path: Path) -> str:
 
 
 def make_test_jobs(files: list[Path], marked: str = "not long") -> list[Job]:
-    """Return one job for all files of a folder without ROS, and one for each other file; only tests marked ``marked``."""
+    """Return one job for all files of a folder without ROS, and one for each other file; only tests with the marker."""
     groups: dict[Path, list[str]] = {}
     for file in files:
         key = next((folder for folder in WITHOUT_ROS if file.is_relative_to(folder)), file)

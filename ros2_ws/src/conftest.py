@@ -20,8 +20,7 @@ if TYPE_CHECKING:
 GOLDEN_CASES = 100
 SOURCES = Path(__file__).resolve().parent
 RIG_CALIBRATIONS = SOURCES / "posor_bringup" / "config"
-STEP = 1e-5
-"""Step of central differences."""
+STEP = 1e-5  # step of central differences
 
 
 @pytest.fixture

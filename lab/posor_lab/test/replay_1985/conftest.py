@@ -16,8 +16,7 @@ if TYPE_CHECKING:
 
     from posor.numerics.array_types import FloatArray
 
-OFFSET = np.array([3e-3, -2e-3, 0.1])
-"""Angles of the first step [rad]; no figure may depend on them."""
+OFFSET = np.array([3e-3, -2e-3, 0.1])  # angles of the first step [rad]; no figure may depend on them
 
 
 @pytest.fixture(scope="session")

@@ -79,8 +79,7 @@ def test_abbe_and_growth_of_the_thesis() -> None:
     assert thermal_growth(10.0 * INCH, 10.8e-6, 0.1 / 1.8).growth / UIN == pytest.approx(6.0)
 
 
-COEFFICIENTS = (-0.0061186, -0.0537874, -0.0013568, -0.0125008, 0.0040221)
-"""Probe 1, table 7.10 [inch]."""
+COEFFICIENTS = (-0.0061186, -0.0537874, -0.0013568, -0.0125008, 0.0040221)  # probe 1, table 7.10 [inch]
 
 
 def test_the_zero_of_the_thesis() -> None:

@@ -16,8 +16,7 @@ from posor_design.measuring_beams import beam_frequencies, beam_sag, sag_correct
 from .beam_elements import ElementBeam
 
 INCH = 0.0254
-FINITE_ELEMENTS = 1e-3
-"""Relative: show 2 of the design calculators."""
+FINITE_ELEMENTS = 1e-3  # relative
 POISSON = 0.33
 BEAM: dict[str, Any] = {
     "shape": "tube",

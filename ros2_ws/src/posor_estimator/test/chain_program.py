@@ -19,8 +19,7 @@ if TYPE_CHECKING:
     from diagnostic_msgs.msg import DiagnosticStatus
 
 PLATES = ("posor_receiving", "posor_target")
-TURN = 2.0 * math.pi
-"""The joint has made one turn."""
+TURN = 2.0 * math.pi  # the joint has made one turn
 LOSSLESS = {"lossless": True, "max_wait": 60.0, "alarm_count": 1, **HAND_FED}
 
 

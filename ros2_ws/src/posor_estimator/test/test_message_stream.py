@@ -302,7 +302,7 @@ def test_wrong_numbers_of_readings_are_lost_with_a_sentence() -> None:
         assert stream.last_scan().reason == other.estimate(scan_of(data)).reason
 
 
-SOME = {
+SOME = {  # how many of each a scan may have, or none
     "gap_voltages": 3,
     "gap_voltage_spreads": 3,
     "ring_voltages": 4,
@@ -311,7 +311,6 @@ SOME = {
     "diode_current_spreads": 8,
     "lit_sources": 2,
 }
-"""How many of each a scan may have, or none."""
 
 
 @pytest.mark.parametrize("given", list(product([False, True], repeat=len(SOME))))

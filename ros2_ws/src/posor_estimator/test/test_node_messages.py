@@ -32,8 +32,7 @@ if TYPE_CHECKING:
 
 RAW_SCAN = schema_of_class(RawScan)
 JOINT_TRANSFORM = schema_of_class(JointTransform)
-SHAPES = [(3, 0, 8), (0, 4, 0), (8, 8, 16), (1, 0, 4), (0, 0, 0)]
-"""Numbers of gap voltages, ring voltages and currents."""
+SHAPES = [(3, 0, 8), (0, 4, 0), (8, 8, 16), (1, 0, 4), (0, 0, 0)]  # numbers of gap voltages, ring voltages and currents
 
 
 def scans(shape: tuple[int, int, int], spreads: tuple[float, ...] = ()) -> Iterator[Any]:

@@ -22,8 +22,7 @@ if TYPE_CHECKING:
 TOPICS = ("/one/raw", "/two/raw", "/other/raw")
 WANTED = list(TOPICS[:2])
 COMPRESSIONS = {CompressionMode.NONE: CompressionType.NONE, CompressionMode.STORAGE: CompressionType.ZSTD}
-Record = tuple[str, int, bytes]
-"""Topic, log time [ns], message."""
+Record = tuple[str, int, bytes]  # topic, log time [ns], message
 
 
 def write(

@@ -180,15 +180,13 @@ def test_chunks_written_in_bulk_are_read_by_rosbags(tmp_path: Path) -> None:
 
 
 KILOBYTE = 1000
-BAGS = 20
-"""Of each kind of log times."""
-LOGGED: dict[str, Callable[[np.random.Generator, int], IntArray]] = {
+BAGS = 20  # of each kind of log times
+LOGGED: dict[str, Callable[[np.random.Generator, int], IntArray]] = {  # log times [ns] of so many messages
     "five at a time": lambda _, count: np.arange(count) // 5,
     "twenty ticks, any order": lambda random, count: random.integers(20, size=count),
     "a little out of order": lambda random, count: 30 + np.arange(count) + random.integers(-30, 30, count),
     "any order": lambda random, count: random.integers(count, size=count),
 }
-"""Log times [ns] of so many messages."""
 
 
 @pytest.mark.long
@@ -247,8 +245,7 @@ def test_only_messages_that_have_to_wait_are_held(
     assert list(by_blocks(tmp_path / "bag")) == by_rosbags(tmp_path / "bag")
 
 
-SPANNING = [scans(1000 + n, 6000, 49) for n in range(50)]
-"""Chunks of 10 kB, each of which spans the whole record."""
+SPANNING = [scans(1000 + n, 6000, 49) for n in range(50)]  # chunks of 10 kB, each of which spans the whole record
 
 
 def test_chunks_that_span_the_record_are_read_once_and_given_out_by_and_by(

@@ -15,8 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
 NAMES = ("a", "b", "c")
-Arrival = tuple[int, int]
-"""Joint and stamp."""
+Arrival = tuple[int, int]  # joint and stamp
 
 
 def arrivals(random: np.random.Generator, count: int, *, restarts: bool, wrong: float) -> list[Arrival]:

@@ -18,8 +18,7 @@ FOLDER = Path(__file__).resolve().parents[3] / "posor_bringup" / "arms" / "six_a
 JOINTS = 6
 SCANS = 40
 PERIOD_NS = 500_000
-WINDOW_S = 0.01
-"""Of the scans here, 20 periods."""
+WINDOW_S = 0.01  # of the scans here, 20 periods
 
 
 def six_axis_chain() -> Chain:

@@ -184,12 +184,11 @@ def refused(urdf: str, endpoint_frame: str = "tip") -> ChainError:
     return error
 
 
-LOOSE_CYCLE = (
+LOOSE_CYCLE = (  # the parser starts at the root link and leaves out, without a word, what is not connected to it
     '<link name="left"/><link name="right"/>'
     '<joint name="there" type="floating"><parent link="left"/><child link="right"/></joint>'
     '<joint name="back" type="floating"><parent link="right"/><child link="left"/></joint>'
 )
-"""The parser starts at the root link and leaves out, without a word, what is not connected to it."""
 
 
 @pytest.mark.parametrize(

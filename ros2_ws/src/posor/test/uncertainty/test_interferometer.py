@@ -41,7 +41,7 @@ EXACT = Interferometer(
     air=AirQuantities(Input(293.15), Input(101325.0), Input(0.5), Input(450e-6)),
     index_uncertainty=0.0,
 )
-FULL = Interferometer(
+FULL = Interferometer(  # all terms at once, their uncertainties of like size
     wavelength=Input(WAVELENGTH, 2e-8 * WAVELENGTH),
     assumed_index=1.0 / 0.9997300,
     air=AirQuantities(Input(293.15, 0.1), Input(101325.0, 40.0), Input(0.5, 0.05), Input(450e-6, 50e-6)),
@@ -55,7 +55,6 @@ FULL = Interferometer(
     ),
     expansions=(Expansion(Input(0.2, 0.01), Input(10.8e-6, 1e-6), Input(0.05, 0.02)),),
 )
-"""All terms at once, their uncertainties of like size."""
 
 
 def term(setup: Interferometer, name: str, reading: float = LENGTH) -> Term:

@@ -18,8 +18,7 @@ if TYPE_CHECKING:
 
     from posor_drivers.instruments.device_reader import DeviceReader
 
-STEP_V = 3.2e-4
-"""A little more than a step of the converter at 10 V."""
+STEP_V = 3.2e-4  # a little more than a step of the converter at 10 V
 
 
 def ramps(time_ns: int) -> list[float]:

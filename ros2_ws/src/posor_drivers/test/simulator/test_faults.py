@@ -21,8 +21,7 @@ if TYPE_CHECKING:
     from posor_drivers.simulator.arm_simulation import ArmSimulation
     from posor_drivers.simulator.simulated_scans import SimulatedScans
 
-FIRST, END = 100, 130
-"""Ticks with the fault, at 100 Hz; the lit light source changes meanwhile."""
+FIRST, END = 100, 130  # ticks with the fault, at 100 Hz; the lit light source changes meanwhile
 FIELDS = (*PROBE_FIELDS, "diode_currents", "lit_sources", "supply_voltages", "temperatures", "numbers", "stamps_ns")
 
 

@@ -37,8 +37,7 @@ if TYPE_CHECKING:
     from posor_drivers.sources.source import SourceMessage
 
 RATE = 2000
-FAR = 1_800_000_000 * RATE
-"""A tick of the year 2027."""
+FAR = 1_800_000_000 * RATE  # a tick of the year 2027
 
 
 def voltages(number: int) -> np.ndarray[Any, Any]:

@@ -117,15 +117,10 @@ def test_drivers_of_one_arm_publish_one_truth(arm: Path) -> None:
 
 
 class SimulatedRun:
-    """A driver of the joint ``base`` in simulated time, and its scans.
-
-    Attributes:
-        now_ns: The simulated time; each call of ``advance`` adds a fifth of a tick.
-
-    """
+    """A driver of the joint ``base`` in simulated time, and its scans."""
 
     def __init__(self, arm: Path, **parameters: object) -> None:
-        self.now_ns = 1000 * NS
+        self.now_ns = 1000 * NS  # the simulated time; each call of ``advance`` adds a fifth of a tick
         self.graph = Graph()
         self.scans: list[RawScan] = []
         self.program = driver(arm, "base", use_sim_time=True, **parameters)
