@@ -61,11 +61,12 @@ def test_an_interrupted_import_ends_with_one_line(path: str, program: EntryPoint
         assert running.stderr == [f"{program.name}: interrupted."]
 
 
-def test_an_interrupt_during_the_start_of_python_waits_for_the_program(path: str) -> None:
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGHUP])
+def test_an_interrupt_during_the_start_of_python_waits_for_the_program(path: str, number: signal.Signals) -> None:
     with interrupts_blocked():
         running = Program(installed("posor_estimator", "chain_node"), {"PYTHONPATH": path})
     with running:
-        assert running.end() == 130
+        assert running.end(number) == 130
         assert running.stderr == ["chain_node: interrupted."]
 
 

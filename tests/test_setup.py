@@ -100,6 +100,8 @@ def test_changed_kernels_are_compiled_by_the_set_up(tmp_path: Path, name: str, i
         file.write_text(f"import {imports}\nnumber = {number}\n", encoding="utf-8")
         inputs.append(build_inputs(Workspace(tmp_path), official=False))
     assert (inputs[0] != inputs[1]) == rebuilds
+    (file.parent / ".#gap.py").symlink_to("user@host.1:2")  # the lock of an editor; its target does not exist
+    assert build_inputs(Workspace(tmp_path), official=False) == inputs[1]
 
 
 @pytest.mark.parametrize(
@@ -110,6 +112,8 @@ def test_changed_kernels_are_compiled_by_the_set_up(tmp_path: Path, name: str, i
         ("notes.txt", False),
         ("config/.more.yaml.swp", False),
         ("config/more.yaml~", False),
+        ("config/more.yaml.orig", False),
+        ("dist/miniature.whl", False),
         (".pytest_cache/README.md", False),
         ("build/lib/miniature/programs.py", False),
         ("miniature.egg-info/PKG-INFO", False),

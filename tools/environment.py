@@ -5,15 +5,17 @@ The set-up, ``./run`` and the test runner use this module before any library is 
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import signal
+import subprocess
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Mapping, Sequence
 
 PATH_LISTS = (
     "AMENT_PREFIX_PATH",
@@ -31,7 +33,7 @@ OTHER_ROS_VARIABLES = (
     *("COLCON_PREFIX_PATH", "LD_LIBRARY_PATH", "PYTHONHOME", "PYTHONPATH"),
     "_ROS_WHEELS_BOOTSTRAP_COMPLETE",
 )
-
+END_S = 20.0  # time that a command has to end after an interruption of its tool [s]
 
 NO_BYTECODE = "PYTHONDONTWRITEBYTECODE"
 """The set-up leaves the bytecode of the libraries to their first import. A start without it takes twice as long."""
@@ -170,19 +172,39 @@ def with_variables(environ: Mapping[str, str], added: Mapping[str, Any]) -> dict
     return result
 
 
+def run_command(command: Sequence[str | Path], **options: Any) -> int:
+    """Run a command with options of Popen and return its exit code.
+
+    The command has a session of its own. An interruption of the tool ends all processes of the session, by SIGTERM,
+    after ``END_S`` by SIGKILL.
+    """
+    with subprocess.Popen(command, start_new_session=True, **options) as process:
+        try:
+            return process.wait()
+        except KeyboardInterrupt:
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(process.pid, signal.SIGTERM)
+            try:
+                process.wait(END_S)
+            except subprocess.TimeoutExpired:
+                os.killpg(process.pid, signal.SIGKILL)
+            raise
+
+
 def exit_with(name: str, main: Callable[[], int]) -> NoReturn:
     """Run the function of a tool and end the process with its exit code.
 
-    A SetupError is one sentence, exit code 2. SIGINT and SIGTERM end the tool with one line and exit code 130, also in
-    a background job of a shell, which starts with SIGINT ignored, as do the programs that it starts
-    (``posor.lazy_program.handle_interrupts``, which tools cannot import before the set-up).
+    A SetupError is one sentence, exit code 2. SIGINT, SIGTERM and, without ``nohup``, SIGHUP end the tool with one line
+    and exit code 130, also in a background job of a shell, which starts with SIGINT ignored, as do the programs that it
+    starts (``posor.lazy_program.handle_interrupts``, which tools cannot import before the set-up).
 
     Args:
         name: Name of the tool, for messages.
         main: Returns the exit code.
 
     """
-    for number in (signal.SIGINT, signal.SIGTERM):
+    is_nohup = signal.getsignal(signal.SIGHUP) == signal.SIG_IGN
+    for number in (signal.SIGINT, signal.SIGTERM, *([] if is_nohup else [signal.SIGHUP])):
         signal.signal(number, signal.default_int_handler)
     try:
         code = main()

@@ -8,12 +8,19 @@ from __future__ import annotations
 import os
 import shutil
 import signal
-import subprocess
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from environment import THIS, SetupError, exit_with, is_official_ros_sourced, split_paths, workspace_environment
+from environment import (
+    THIS,
+    SetupError,
+    exit_with,
+    is_official_ros_sourced,
+    run_command,
+    split_paths,
+    workspace_environment,
+)
 from setup_state import reasons_to_set_up
 
 if TYPE_CHECKING:
@@ -69,7 +76,7 @@ def main() -> int:
         if any(reasons_to_set_up(THIS, os.environ, official=is_official_ros_sourced(os.environ))):
             tools = Path(__file__).parent
             command = [tools / "python.sh", tools / "setup_workspace.py"]
-            code = subprocess.run(command, stdout=sys.stderr, check=False).returncode
+            code = run_command(command, stdout=sys.stderr)
             if code:
                 return code
         environ = workspace_environment()

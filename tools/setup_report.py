@@ -9,7 +9,7 @@ import sys
 import time
 from typing import TYPE_CHECKING
 
-from environment import SetupError, Workspace
+from environment import SetupError, Workspace, run_command
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -73,7 +73,7 @@ class SetupReport:
         with self.log.open("ab") as log:
             log.write(f"$ {' '.join(map(str, command))}\n".encode())
             log.flush()
-            code = subprocess.run(
+            code = run_command(
                 command,
                 env=dict(environ),
                 cwd=self.workspace.root,
@@ -81,8 +81,7 @@ class SetupReport:
                 stdout=log,
                 stderr=log,
                 pass_fds=[self.lock],
-                check=False,
-            ).returncode
+            )
         if code:
             log_name = self.log.relative_to(self.workspace.root)
             raise SetupError(f"{self.index_error() or failure} (exit code {code}; all of its output is in {log_name}).")

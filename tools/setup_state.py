@@ -21,8 +21,7 @@ BUILD_FILES = {"CMakeLists.txt", "package.xml", "setup.cfg", "setup.py"}
 INTERFACE_SUFFIXES = {".action", ".idl", ".msg", ".srv"}
 SOURCES_CHANGED = "sources changed"
 KERNEL_FILES = tuple(
-    f"src/posor/posor/{pattern}"
-    for pattern in (*("numerics/*.py", "model/*.py", "estimation/*.py", "chain/*.py"), "messages/*.py")
+    f"src/posor/posor/{folder}/[!.#]*.py" for folder in ("numerics", "model", "estimation", "chain", "messages")
 )  # as in posor.numerics.compiled
 
 
@@ -79,8 +78,9 @@ def package_files(package: Path) -> Iterator[Path]:
 
 
 def is_leftover(name: str) -> bool:
-    """Return whether a file or folder is a cache, a copy of an editor, or a result of pip."""
-    return name == "__pycache__" or name.startswith((".", "#")) or name.endswith(("~", ".egg-info"))
+    """Return whether a file or folder is a cache, a copy of an editor or of a patch, or a result of pip or build."""
+    ending = ("~", ".egg-info", ".orig", ".rej", ".bak", ".kate-swp")
+    return name in {"__pycache__", "dist"} or name.isdigit() or name.startswith((".", "#")) or name.endswith(ending)
 
 
 def reasons_to_set_up(workspace: Workspace, environ: Mapping[str, str], *, official: bool) -> tuple[str, str]:

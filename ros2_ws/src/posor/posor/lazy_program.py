@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from types import FrameType
 
 EXIT_INTERRUPTED = 130  # exit code of an interrupted program, by the convention of shells
-INTERRUPT_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+INTERRUPT_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)  # SIGHUP: the terminal was closed
 LEAST_LIMITS = (  # limits below which libraries of every program fail, in ways that do not show the reason
     (resource.RLIMIT_NOFILE, 64, "files open at a time (ulimit -n)"),
     (resource.RLIMIT_AS, 2 * 1024**3, "bytes of address space (ulimit -v counts kilobytes)"),
@@ -36,19 +36,25 @@ SHORTAGES = {  # remedies of errors of the system
 def handle_interrupts(
     handler: Callable[[int, FrameType | None], object] | signal.Handlers = signal.default_int_handler,
 ) -> None:
-    """Give SIGINT and SIGTERM one handler; the default one raises KeyboardInterrupt.
+    """Give INTERRUPT_SIGNALS one handler; the default one raises KeyboardInterrupt.
 
-    Every program calls this function first: a shell or ``nohup`` starts a background job with SIGINT ignored, Python
-    then installs no handler, and the programs that this one starts would ignore SIGINT, too.
+    Every program calls this function first: a shell starts a background job with SIGINT ignored, Python then installs
+    no handler, and the programs that this one starts would ignore SIGINT, too. SIGHUP stays ignored under ``nohup``.
     """
-    for number in INTERRUPT_SIGNALS:
+    for number in heeded_signals():
         signal.signal(number, handler)
+
+
+def heeded_signals() -> list[signal.Signals]:
+    """Return INTERRUPT_SIGNALS, under ``nohup`` without SIGHUP."""
+    is_nohup = signal.getsignal(signal.SIGHUP) == signal.SIG_IGN
+    return [number for number in INTERRUPT_SIGNALS if number != signal.SIGHUP or not is_nohup]
 
 
 @contextmanager
 def interrupts_handled(handler: Callable[[int, FrameType | None], object]) -> Iterator[None]:
-    """Handle SIGINT and SIGTERM in a ``with`` block; the former handlers are restored at its end."""
-    former = {number: signal.signal(number, handler) for number in INTERRUPT_SIGNALS}
+    """Handle INTERRUPT_SIGNALS in a ``with`` block; the former handlers are restored at its end."""
+    former = {number: signal.signal(number, handler) for number in heeded_signals()}
     try:
         yield
     finally:
@@ -58,7 +64,7 @@ def interrupts_handled(handler: Callable[[int, FrameType | None], object]) -> It
 
 @contextmanager
 def interrupts_blocked() -> Iterator[None]:
-    """Block SIGINT and SIGTERM in this thread; a process that it starts meanwhile begins with both blocked.
+    """Block INTERRUPT_SIGNALS in this thread; a process that it starts meanwhile begins with them blocked.
 
     A started LazyProgram allows them when it has its handlers. A signal before that waits until then; otherwise it
     would end Python during its own start, with a traceback and the exit code 1.
@@ -70,6 +76,17 @@ def interrupts_blocked() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, former)
 
 
+def _open_standard_streams() -> None:
+    """Let standard streams that the caller closed be ``/dev/null``: libraries write to their descriptors."""
+    for descriptor, name in enumerate(("stdin", "stdout", "stderr")):
+        if getattr(sys, name) is None:
+            null = os.open(os.devnull, os.O_RDWR)
+            if null != descriptor:
+                os.dup2(null, descriptor)
+                os.close(null)
+            setattr(sys, name, os.fdopen(descriptor, "r" if name == "stdin" else "w", closefd=False))
+
+
 class LazyProgram:
     """A program that is imported when it is called."""
 
@@ -78,17 +95,18 @@ class LazyProgram:
         self.module = module  # module whose function ``main`` runs the program and returns its exit code
 
     def __call__(self) -> int:
-        """Import and run the program; return its exit code, or ``EXIT_INTERRUPTED`` after SIGINT or SIGTERM.
+        """Import and run the program; return its exit code, or ``EXIT_INTERRUPTED`` after one of INTERRUPT_SIGNALS.
 
         During the import a signal ends the process at once: libraries may catch or convert an exception that a handler
         raises in them, and there is nothing to clean up yet. Afterwards a signal raises KeyboardInterrupt, unless the
-        program sets its own handlers. When the program has ended, both signals are ignored: Python would restore the
+        program sets its own handlers. When the program has ended, these signals are ignored: Python would restore the
         default action while it ends. A background job of a shell is interrupted in the same way
         (``handle_interrupts``).
 
         A limit of the process that is too low, and a lack of descriptors, memory or disk, are one sentence and exit
         code 1.
         """
+        _open_standard_streams()
         handle_interrupts(self._exit_at_once)
         signal.pthread_sigmask(signal.SIG_UNBLOCK, INTERRUPT_SIGNALS)  # see ``interrupts_blocked``
         for limit, least, what in LEAST_LIMITS:

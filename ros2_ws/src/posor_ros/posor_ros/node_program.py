@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Self
 import rclpy
 from posor.compilation import compile_kernels
 from posor.errors import NodeError, ParameterError, PosorError
+from posor.lazy_program import heeded_signals
 from posor.node_parameters import RealtimeParameters
 from posor.reporting.program_errors import reports_errors
 from rclpy.experimental.events_executor import EventsExecutor
@@ -36,7 +37,7 @@ SPIN_TIMEOUT_S = 0.1
 
 
 class StopSignal:
-    """Records SIGINT and SIGTERM in a ``with`` block. Further signals change nothing: launch repeats Ctrl-C.
+    """Records SIGINT, SIGTERM and SIGHUP in a ``with`` block. Further signals change nothing: launch repeats Ctrl-C.
 
     rclpy's own handlers would shut the context down before the nodes have published their end and closed their files.
     """
@@ -45,7 +46,7 @@ class StopSignal:
         self.requested = False
 
     def __enter__(self) -> Self:
-        self._former = {number: signal.signal(number, self._on_signal) for number in (signal.SIGINT, signal.SIGTERM)}
+        self._former = {number: signal.signal(number, self._on_signal) for number in heeded_signals()}
         return self
 
     def _on_signal(self, _number: int, _frame: FrameType | None) -> None:

@@ -30,8 +30,8 @@ if TYPE_CHECKING:
 Kernel = TypeVar("Kernel", bound="Callable[..., Any]")
 
 PACKAGE = Path(__file__).resolve().parent.parent
-KERNEL_FILES = ("numerics/*.py", "model/*.py", "estimation/*.py", "chain/*.py", "messages/*.py")
-"""Files of the package that hold kernels and the constants that they are compiled with."""
+KERNEL_FILES = tuple(f"{folder}/[!.#]*.py" for folder in ("numerics", "model", "estimation", "chain", "messages"))
+"""Files of the package that hold kernels and the constants that they are compiled with; no locks of editors."""
 
 CACHE_LOCATORS = (
     "posor.numerics.kernel_cache.KernelCacheLocator",
