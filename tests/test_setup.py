@@ -8,12 +8,15 @@ import re
 import shutil
 import signal
 import subprocess
+import sys
 import time
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
 from environment import THIS, SetupError, Workspace
+from posor_lab.harness.program import Program
 from setup_state import build_inputs, reasons_to_set_up
 from setup_workspace import rewrite_cmake_paths
 
@@ -21,7 +24,6 @@ from tests.miniature import BASE_PYTHON, PACKAGE, Miniature, clean_environ
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from pathlib import Path
 
 EVENT_DEADLINE_S = 60.0
 STEP = re.compile(r"^set-up: (.*) \.\.\. \d+\.\d s$", re.MULTILINE)
@@ -270,3 +272,13 @@ def test_cmake_path_of_another_kind_is_refused(tmp_path: Path) -> None:
     file.write_text("/opt/python/cp311-cp311/bin/python3\n")
     with pytest.raises(SetupError, match=r"export\.cmake: holds a path of the machine that built the wheel"):
         rewrite_cmake_paths(tmp_path)
+
+
+def test_an_interrupted_tool_ends_what_it_started() -> None:
+    main = "lambda: run_command(['sh', '-c', 'sleep 300 & echo $!; wait'])"
+    code = f"from environment import exit_with, run_command; exit_with('tool', {main})"
+    with Program([sys.executable, "-c", code], {"PYTHONPATH": str(THIS.root / "tools")}) as running:
+        command = Path("/proc", running.wait_for_line("").strip(), "cmdline")
+        assert running.end(signal.SIGTERM) == 130
+        assert running.stderr == ["tool: interrupted."]
+        assert not command.is_file() or not command.read_bytes()
