@@ -261,8 +261,8 @@ SCANS = {"stamps_ns": np.arange(3)}
 WRONG: list[tuple[Callable[[], Any], type[posor.PosorError], str]] = [
     (lambda: posor.Scans.from_fields(**SCANS, gap_volts=np.zeros((3, 3))), posor.ParameterError, "gap_voltages"),
     (lambda: posor.Scans.from_fields(gap_voltages=np.zeros((3, 3))), posor.ParameterError, "middle of each exposure"),
-    (lambda: posor.Scans.from_fields(stamps_ns=["a"]), posor.ParameterError, "array of numbers"),  # type: ignore[arg-type]
-    (lambda: posor.Scans.from_fields(**SCANS, numbers=np.zeros(2)), posor.ShapeError, "(3,)"),
+    (lambda: posor.Scans.from_fields(stamps_ns=["a"]), posor.ParameterError, "whole numbers"),  # type: ignore[arg-type]
+    (lambda: posor.Scans.from_fields(**SCANS, numbers=np.arange(2)), posor.ShapeError, "(3,)"),
     (lambda: posor.Scans.from_fields(stamps_ns=5), posor.ShapeError, "(1,)"),  # type: ignore[arg-type]
     (lambda: posor.Scans.of([1]), posor.ParameterError, "sequence of Scan"),  # type: ignore[list-item]
     (lambda: posor.Posor("/x"), posor.ParameterError, "Calibration"),  # type: ignore[arg-type]
@@ -294,6 +294,79 @@ def test_a_wrong_argument_is_named_with_the_valid_ones(
         call()
     assert expected in caught.value.expected
     assert caught.value.where or "cannot be a table" in caught.value.what
+
+
+ANY: Any = posor  # without types, for arguments of a wrong type
+REFUSED: list[tuple[str, Callable[[], Any], str, str]] = [
+    (
+        "float stamps",
+        lambda: ANY.Scans.from_fields(stamps_ns=[np.nan, 1.0]),
+        "stamps_ns holds float64",
+        "whole numbers",
+    ),
+    ("ragged stamps", lambda: ANY.Scans.from_fields(stamps_ns=[[1], [1, 2]]), "stamps_ns is of type list", "numbers"),
+    ("float mark", lambda: field("at_home", np.full(3, 0.5)), "at_home holds float64", "whole numbers"),
+    ("complex", lambda: field("gap_voltages", np.full((3, 3), 1j)), "gap_voltages holds complex128", "real numbers"),
+    ("ragged", lambda: field("gap_voltages", [[1.0], [1.0, 2.0]]), "gap_voltages is of type list", "numbers"),
+    ("no fields", lambda: scans_of_three().with_fields(None), "NoneType", "Mapping"),
+    ("numbered field", lambda: field(1, 2), "'1' is unknown", "one of numbers"),
+    ("scans of None", lambda: ANY.Scans.of(None), "no sequence", "sequence of Scan"),
+    ("slice", lambda: scans_of_three()[0:2], "slice(0, 2, None)", ".part(begin, end)"),
+    ("text as index", lambda: scans_of_three()["x"], "'x'", "an integer"),
+    ("empty data", lambda: fit(ANY.Scans.of([])), "no scans", "at least one"),
+    ("references", lambda: fit(references=[1]), "list", "Mapping"),
+    ("reference", lambda: fit(references={"/cmm": "abc"}), "str", "real numbers"),
+    ("uncertainties", lambda: fit(uncertainties=[1.0]), "list", "Mapping"),
+    ("uncertainty", lambda: fit(uncertainties={"/cmm": None}), "NoneType", "real numbers"),
+    ("instruments", lambda: fit(instruments=["x"]), "list", "Mapping"),
+    ("instrument", lambda: fit(instruments={"/cmm": 5}), "int", "str"),
+    ("procedure", lambda: posor_calibration.fit([], CALIBRATION, BAG), "procedure []", "one of"),  # type: ignore[arg-type]
+    ("joint", lambda: posor.load_arm(find_arm("five_axis")).calibration("elbo"), "'elbo'", "elbow"),
+    ("budget", lambda: ANY.error_budget(CALIBRATION, None, POSES[0]), "Calibration", "Posor"),
+    ("pose", lambda: ANY.joint_reliability(posor.Posor(CALIBRATION), None, np.eye(4)), "ndarray", "SE3"),
+    ("scalar stamp", lambda: ANY.simulate(CALIBRATION, POSES, stamps_ns=5), "shape ()", "(20,)"),
+    (
+        "stamps of poses",
+        lambda: ANY.simulate(CALIBRATION, POSES, stamps_ns=[[1], [1, 2]]),
+        "stamps_ns",
+        "whole numbers",
+    ),
+    ("rates", lambda: ANY.simulate(CALIBRATION, POSES, rate=[1.0, 2.0]), "rate [1.0, 2.0]", "one number"),
+    ("seed", lambda: posor.simulate(CALIBRATION, POSES, seed=-1), "seed -1", "zero or more"),
+    ("theta", lambda: ANY.Posor(CALIBRATION).confirm_theta("x", 1e-6), "theta 'x'", "finite numbers"),
+    ("theta None", lambda: ANY.Posor(CALIBRATION).confirm_theta(None, 1e-6), "theta None", "finite numbers"),
+    ("covariance", lambda: ANY.load_arm(find_arm("five_axis")).estimate(BAG, covariance=["total"]), "total", "random"),
+    ("null character", lambda: posor.load_calibration("a\0b"), "null character", "calibration file"),
+]
+
+
+def scans_of_three() -> Any:
+    return posor.Scans.from_fields(**SCANS)
+
+
+def field(name: object, values: object) -> Any:
+    return scans_of_three().with_fields({name: values})
+
+
+def fit(data: object = None, **arguments: Any) -> Any:
+    data = scans_of_three() if data is None else data
+    return posor_calibration.fit("zero_drift", CALIBRATION, data, **arguments)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(("call", "what", "expected"), [row[1:] for row in REFUSED], ids=[row[0] for row in REFUSED])
+def test_a_refusal_says_what_was_wrong_and_what_is_right(call: Callable[[], Any], what: str, expected: str) -> None:
+    with pytest.raises((posor.ParameterError, posor.ShapeError)) as caught:
+        call()
+    assert what in caught.value.what
+    assert expected in caught.value.expected
+    assert caught.value.where
+
+
+@pytest.mark.parametrize("sigma", [np.array(1e-6), np.float32(1e-6), 1e-6, [1e-6] * 3])
+def test_an_uncertainty_is_any_real_number(sigma: Any) -> None:
+    with pytest.raises(posor.PosorError) as caught:
+        fit(references={"/cmm": np.zeros((3, 3))}, uncertainties={"/cmm": sigma})
+    assert not isinstance(caught.value, posor.ParameterError)
 
 
 def test_a_fit_in_memory_and_of_a_file_are_the_same(tmp_path: Path) -> None:

@@ -144,10 +144,12 @@ def similar_name(name: str, names: Iterable[str], otherwise: str, *, least: floa
 
 
 def checked_path(path: object, where: str, expected: str) -> Path:
-    """Return an argument of a public function as a path; raise ParameterError for another type."""
-    if isinstance(path, str | Path):
-        return Path(path)
-    raise ParameterError(f"{path!r} is of type {type(path).__name__}", where=where, expected=expected)
+    """Return an argument of a public function as a path; raise ParameterError if it cannot be one."""
+    if not isinstance(path, str | Path):
+        raise ParameterError(f"{path!r} is of type {type(path).__name__}", where=where, expected=expected)
+    if "\0" in str(path):
+        raise ParameterError(f"{str(path)!r} contains a null character", where=where, expected=expected)
+    return Path(path)
 
 
 def check_type(value: object, kind: type, where: str) -> None:

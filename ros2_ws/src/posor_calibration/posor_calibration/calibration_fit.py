@@ -7,6 +7,7 @@ calibration here.
 from __future__ import annotations
 
 import datetime as dt
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import NoneType
@@ -30,9 +31,10 @@ from posor_calibration.calibration_update import FitContext, update_calibration,
 from posor_calibration.procedure_registry import PROCEDURES
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Mapping, Sequence
+    from collections.abc import Callable, Collection, Sequence
 
     from numpy.typing import ArrayLike
+    from posor.numerics.array_types import FloatArray
 
     from posor_calibration.least_squares import Fit
     from posor_calibration.procedure import JointCovariance, Options, Outcome, Procedure
@@ -134,7 +136,7 @@ def fit(
         PosorError: The calibration, the bag or the data cannot be used.
 
     """
-    if procedure not in PROCEDURES:
+    if str(procedure) not in PROCEDURES:
         expected = similar_name(str(procedure), PROCEDURES, f"one of {', '.join(PROCEDURES)}")
         raise ParameterError(f"procedure {procedure!r} is unknown", where="fit", expected=expected)
     chosen = PROCEDURES[procedure]
@@ -144,11 +146,15 @@ def fit(
         text, source = read_text(Path(calibration), FILE_KIND), str(calibration)
         calibration = parse_calibration(text, source)
     check_type(calibration, Calibration, "fit, calibration")
+    for name, given in (("references", references), ("uncertainties", uncertainties), ("instruments", instruments)):
+        check_type({} if given is None else given, Mapping, f"fit, {name}")
     sigmas = {
-        name: [float(value)] if isinstance(value, int | float) else [float(part) for part in value]
+        name: np.atleast_1d(_numbers(value, f"fit, uncertainties, {name}")).tolist()
         for name, value in (uncertainties or {}).items()
     }
     names = dict(instruments or {})
+    for name, instrument in names.items():
+        check_type(instrument, str, f"fit, instruments, {name}")
     if isinstance(data, str | Path):
         if references is not None:
             raise ParameterError("references beside a bag", where="fit", expected="the references of the bag")
@@ -285,7 +291,7 @@ def _with_uncertainties(
                 raise ParameterError(f"there is no reference {topic}", where=where.format(argument), expected=expected)
     tracks = dict(recording.tracks)
     for topic, sigmas in uncertainties.items():
-        if not sigmas or not np.all(np.isfinite(sigmas)) or min(sigmas) < 0.0:
+        if not sigmas or np.ndim(sigmas) != 1 or not np.all(np.isfinite(sigmas)) or min(sigmas) < 0.0:
             expected = "standard uncertainties of zero or more"
             raise ParameterError(f"{sigmas} for {topic}", where=where.format("uncertainty"), expected=expected)
         columns = tracks[topic].values.shape[1]
@@ -300,15 +306,27 @@ def _with_uncertainties(
     return replace(recording, tracks=tracks), instruments
 
 
+def _numbers(given: ArrayLike, where: str) -> FloatArray:
+    try:
+        values = np.array(given)
+    except (TypeError, ValueError):
+        values = np.empty(0, dtype=object)  # sequences of different lengths
+    if values.dtype.kind not in "iuf":
+        raise ParameterError(f"{type(given).__name__} of {values.dtype}", where=where, expected="real numbers")
+    return values.astype(float)
+
+
 def _recording_of(scans: Scans, references: Mapping[str, ArrayLike | Track]) -> Recording:
     """Return a recording of scans and of references at their stamps."""
     check_type(scans, Scans, "fit, data")
+    if len(scans) == 0:
+        raise ParameterError("no scans", where="fit, data", expected="at least one")
     tracks = {}
     for name, given in references.items():
         if isinstance(given, Track):
             tracks[name] = given
             continue
-        values = np.array(given, dtype=float)
+        values = _numbers(given, f"fit, references, {name}")
         if values.ndim not in (1, 2) or len(values) != len(scans):
             raise ShapeError(name, received=values.shape, expected=f"({len(scans)}, k)", where="fit, references")
         values = values.reshape(len(scans), -1)

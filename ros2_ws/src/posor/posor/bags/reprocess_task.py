@@ -72,7 +72,7 @@ class Settings:
         """
         changes: dict[str, Any] = {"covariance": covariance, "false_alarm": false_alarm}
         changes = {name: value for name, value in changes.items() if value is not None}
-        if (kind := changes.get("covariance", "total")) not in COVARIANCE_KINDS:
+        if (kind := str(changes.get("covariance", "total"))) not in COVARIANCE_KINDS:
             raise ParameterError(f"'{kind}' is unknown", where="covariance", expected=", ".join(COVARIANCE_KINDS))
         check_probability(changes.get("false_alarm", 0.5), "false_alarm")
         return replace(self, joints={name: replace(joint, **changes) for name, joint in self.joints.items()})

@@ -17,7 +17,7 @@ from posor.calibration.calibration_file import Calibration, Provenance, load_cal
 from posor.calibration.file_model import EntryError, FrozenModel, format_value
 from posor.calibration.yaml_document import load_document
 from posor.chain.kinematic_chain import Chain, load_chain
-from posor.errors import CalibrationError, ChainError, NodeError, ParameterError
+from posor.errors import CalibrationError, ChainError, NodeError, ParameterError, similar_name
 from posor.node_parameters import ChainParameters, PosorParameters
 from posor.parameter_model import validate_parameters
 from posor.ros_names import ROS_OWN_PARAMETERS
@@ -131,7 +131,13 @@ class ArmFile:
         return chain
 
     def calibration(self, joint: str) -> Calibration:
-        """Return the calibration of a joint with its session applied. Raises CalibrationError: the file is invalid."""
+        """Return the calibration of a joint with its session applied.
+
+        Raises ParameterError: the arm has no such joint; CalibrationError: the file is invalid.
+        """
+        if joint not in tuple(self.calibrations):
+            expected = similar_name(str(joint), self.calibrations, f"one of {', '.join(self.calibrations)}")
+            raise ParameterError(f"joint {joint!r} is unknown", where="Arm.calibration", expected=expected)
         return load_calibration(self.calibrations[joint]).for_session(self.sessions[joint])
 
 

@@ -70,7 +70,7 @@ def select_covariance(random: FloatArray, systematic: FloatArray, kind: Covarian
 
     Raises ParameterError: there is no such part.
     """
-    if kind not in COVARIANCE_KINDS:
+    if str(kind) not in COVARIANCE_KINDS:
         raise ParameterError(f"'{kind}' is unknown", where="covariance", expected=", ".join(COVARIANCE_KINDS))
     return random + systematic if kind == "total" else (random if kind == "random" else systematic)
 

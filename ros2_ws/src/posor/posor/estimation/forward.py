@@ -68,12 +68,17 @@ def simulate(
     rotations, translations = _poses_of(poses)
     count = len(rotations)
     if stamps_ns is None:
-        frequency = float(_values("rate", rate, 1)[0])
-        if frequency <= 0.0:
-            raise ParameterError(f"rate {rate:g}", where="simulate", expected="scans for each second, above zero")
-        stamps = (np.arange(1, count + 1) * (NS / frequency)).astype(np.int64)
-    elif (stamps := np.asarray(stamps_ns)).dtype.kind not in "iu":
-        raise ParameterError(f"stamps_ns holds {stamps.dtype}", where="simulate", expected="whole numbers [ns]")
+        frequency = _values("rate", rate, 1)
+        if frequency.shape != (1,) or frequency[0] <= 0.0:
+            expected = "one number of scans for each second, above zero"
+            raise ParameterError(f"rate {rate!r}", where="simulate", expected=expected)
+        stamps = (np.arange(1, count + 1) * (NS / float(frequency[0]))).astype(np.int64)
+    else:
+        stamps = _stamps_of(stamps_ns, count)
+    try:
+        noise = None if seed is None else np.random.default_rng(seed)
+    except (TypeError, ValueError):
+        raise ParameterError(f"seed {seed!r}", where="simulate", expected="an integer of zero or more") from None
     return scans_at(
         stack,
         rotations,
@@ -81,7 +86,7 @@ def simulate(
         stamps,
         supply_voltages=None if supply_voltages is None else _values("supply_voltages", supply_voltages, count),
         temperatures=None if temperatures is None else _values("temperatures", temperatures, count),
-        noise=None if seed is None else np.random.default_rng(seed),
+        noise=noise,
     )
 
 
@@ -100,6 +105,18 @@ def _poses_of(poses: ArrayLike | Sequence[pin.SE3]) -> tuple[FloatArray, FloatAr
         what = f"the quaternion of pose {bad[0]} has the length {lengths[bad[0]]:.9g}"
         raise ParameterError(what, where="simulate", expected="a unit quaternion x, y, z, w")
     return Rotation.from_quat(numbers[:, 3:]).as_matrix(), numbers[:, :3].copy()
+
+
+def _stamps_of(stamps_ns: ArrayLike, count: int) -> IntArray:
+    try:
+        stamps = np.asarray(stamps_ns)
+    except ValueError:
+        stamps = np.empty(0, dtype=object)  # sequences of different lengths
+    if stamps.dtype.kind not in "iu":
+        raise ParameterError(f"stamps_ns holds {stamps.dtype}", where="simulate", expected="whole numbers [ns]")
+    if stamps.shape != (count,):
+        raise ShapeError("stamps_ns", received=stamps.shape, expected=f"({count},)", where="simulate")
+    return stamps
 
 
 def _values(name: str, given: ArrayLike | Sequence[pin.SE3], count: int | None) -> FloatArray:

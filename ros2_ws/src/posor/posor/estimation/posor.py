@@ -231,10 +231,13 @@ class Posor:
                 an ambiguous theta apart.
 
         """
-        if not (math.isfinite(theta) and math.isfinite(sigma) and sigma > 0.0):
-            raise ParameterError(
-                f"theta {theta:g}, sigma {sigma:g}", where="confirm_theta", expected="finite, sigma > 0"
-            )
+        try:
+            valid = math.isfinite(theta) and math.isfinite(sigma) and sigma > 0.0
+        except (TypeError, ValueError, OverflowError):
+            valid = False
+        if not valid:
+            expected = "finite numbers, sigma > 0"
+            raise ParameterError(f"theta {theta!r}, sigma {sigma!r}", where="confirm_theta", expected=expected)
         period = float(self.settings["period"])
         if period > 0.0 and sigma > LARGEST_SIGMA * period:
             raise ParameterError(

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from operator import index as whole_number
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from posor.errors import ParameterError, ShapeError, similar_name
+from posor.errors import ParameterError, ShapeError, check_type, similar_name
 from posor.numerics.stamps import span_text
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
     from numpy.typing import NDArray
 
     from posor.numerics.array_types import BoolArray, FloatArray, IntArray
@@ -154,12 +154,17 @@ class Scans:
 
         An attribute that is left out is 0, or NaN for supply voltage and temperature, or has no readings.
 
-        Raises ParameterError: an attribute is unknown, ``stamps_ns`` is missing, or an array does not hold numbers.
+        Raises ParameterError: an attribute is unknown, ``stamps_ns`` is missing, or an array holds other than real
+        numbers, or whole numbers where the attribute has them.
         Raises ShapeError: an array has the wrong shape; names the attribute, the expected and the received shape.
         """
         if "stamps_ns" not in arrays:
             raise ParameterError("stamps_ns is missing", where="Scans", expected="the middle of each exposure [ns]")
-        records = np.zeros(np.size(arrays["stamps_ns"]), dtype=SCAN)
+        try:
+            count = np.size(arrays["stamps_ns"])
+        except ValueError:
+            count = 0  # sequences of different lengths: refused below
+        records = np.zeros(count, dtype=SCAN)
         records["supply_voltage"] = records["temperature"] = np.nan
         scans = Scans(records)
         scans._write(arrays)
@@ -169,21 +174,27 @@ class Scans:
         count = len(self._records)
         for name, array in arrays.items():
             if name not in SCAN_FIELDS:
-                expected = similar_name(name, SCAN_FIELDS, f"one of {', '.join(SCAN_FIELDS)}")
+                expected = similar_name(str(name), SCAN_FIELDS, f"one of {', '.join(SCAN_FIELDS)}")
                 raise ParameterError(f"'{name}' is unknown", where="Scans", expected=expected)
             try:
-                shape = np.shape(array)
+                values = np.asarray(array)
+                shape = values.shape
+                whole = SCAN[_SCALARS.get(name, name)].base.kind in "iu"
+                kinds = ("iub" if name == "at_home" else "iu") if whole else "iuf"
+                if values.size and values.dtype.kind not in kinds:
+                    expected = "an array of whole numbers" if whole else "an array of real numbers"
+                    raise ParameterError(f"{name} holds {values.dtype}", where="Scans", expected=expected)
                 if name in _SCALARS:
                     if shape != (count,):
                         raise ShapeError(name, received=shape, expected=f"({count},)", where="Scans")
-                    self._records[_SCALARS[name]] = array
+                    self._records[_SCALARS[name]] = values
                     continue
                 most = self._records.dtype[name].shape[0]
                 size = int(np.prod(shape[1:]))
                 if len(shape) < 2 or shape[0] != count or size > most:  # noqa: PLR2004  scans, readings
                     expected = f"({count}, ...) with at most {most} readings"
                     raise ShapeError(name, received=shape, expected=expected, where="Scans")
-                self._records[name][:, :size] = np.reshape(array, (count, size))
+                self._records[name][:, :size] = values.reshape(count, size)
                 self._records[_COUNTS[name]] = size
             except (TypeError, ValueError, OverflowError) as error:
                 if isinstance(error, ShapeError):
@@ -197,8 +208,13 @@ class Scans:
 
         Raises ParameterError: an entry is no Scan, or the scans have different numbers of readings.
         """
-        if not all(isinstance(scan, Scan) for scan in scans):
-            raise ParameterError("an entry is no Scan", where="Scans.of", expected="a sequence of Scan")
+        given: Any = scans
+        if not isinstance(given, Sequence | Scans) or not all(isinstance(scan, Scan) for scan in scans):
+            raise ParameterError(
+                "the argument is no sequence or an entry is no Scan", where="Scans.of", expected="a sequence of Scan"
+            )
+        if len(scans) == 0:
+            return Scans(np.zeros(0, dtype=SCAN))
         attributes = {**_SCALARS, **{name: name for name in _COUNTS}}
         try:
             arrays = {
@@ -239,6 +255,11 @@ class Scans:
 
     def __getitem__(self, index: int) -> Scan:
         """Return one scan."""
+        try:
+            index = whole_number(index)
+        except TypeError:
+            expected = "an integer; a range: .part(begin, end)"
+            raise ParameterError(f"{index!r} is no index", where="Scans", expected=expected) from None
         if not -len(self) <= index < len(self):
             raise IndexError(f"scan {index} of {len(self)}; expected {-len(self)} to {len(self) - 1}")
         index %= len(self)
@@ -266,6 +287,7 @@ class Scans:
 
     def with_fields(self, arrays: Mapping[str, NDArray[Any]]) -> Scans:
         """Return the same scans with some attributes replaced. Raises the errors of ``from_fields``."""
+        check_type(arrays, Mapping, "Scans.with_fields")
         scans = Scans(self._records.copy(), editable=self._editable)
         scans._write(arrays)
         return scans

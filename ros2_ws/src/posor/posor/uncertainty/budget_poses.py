@@ -118,7 +118,7 @@ def _selected_rows(posor: Posor, pose: pin.SE3) -> IntArray:
 
 def _middle_scans(posor: Posor) -> Scans:
     """Return one scan with every reading in the middle of its calibrated range."""
-    fields: dict[str, FloatArray] = {}
+    fields: dict[str, FloatArray | IntArray] = {}
     for sensor in posor.calibration.sensors:
         if isinstance(sensor, GapProbesCalibration | BumpyRingCalibration):
             name = "gap_voltages" if isinstance(sensor, GapProbesCalibration) else "ring_voltages"
@@ -127,9 +127,8 @@ def _middle_scans(posor: Posor) -> Scans:
             ratios = np.array([spot_map.domain.array.mean(axis=1) for spot_map in sensor.maps[sensor.map]])
             sums = np.array([2.0 * diode.sums[0] for diode in sensor.diodes])[:, None]
             fields["diode_currents"] = 0.5 * np.hstack([sums * (1.0 + ratios), sums * (1.0 - ratios)])[None]
-            fields["lit_sources"] = np.zeros((1, len(sensor.diodes)))
-    scans = empty_scans(np.zeros(1, dtype=np.int64)).with_fields(fields)
-    return scans.with_fields({"lit_sources": scans.lit_sources.astype(np.int64)})
+            fields["lit_sources"] = np.zeros((1, len(sensor.diodes)), dtype=np.int64)
+    return empty_scans(np.zeros(1, dtype=np.int64)).with_fields(fields)
 
 
 def model_covariances(

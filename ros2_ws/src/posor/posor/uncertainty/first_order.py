@@ -11,8 +11,10 @@ from enum import StrEnum
 from typing import TYPE_CHECKING
 
 import numpy as np
+import pinocchio as pin
 
-from posor.errors import FitError
+from posor.errors import FitError, check_type
+from posor.estimation.posor import Posor
 from posor.estimation.solver import ILL_CONDITIONED
 from posor.model.scan import Scans
 from posor.numerics.array_types import freeze_arrays
@@ -22,9 +24,6 @@ from posor.uncertainty.reading_sensitivity import sensitivity_at
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    import pinocchio as pin
-
-    from posor.estimation.posor import Posor
     from posor.estimation.sensor_stack import Stack
     from posor.model.scan import Scan
     from posor.numerics.array_types import FloatArray
@@ -143,6 +142,12 @@ def require_determined(stack: Stack, readings: Linearised, T_R_T: pin.SE3) -> No
         raise FitError(what, expected="a pose at which they do")
 
 
+def check_place(posor: object, T_R_T: object, where: str) -> None:
+    """Raise ParameterError if the POSOR or the pose of a public function has another type."""
+    check_type(posor, Posor, f"{where}, posor")
+    check_type(T_R_T, pin.SE3, f"{where}, T_R_T")
+
+
 def error_budget(posor: Posor, scan: Scan, T_R_T: pin.SE3, points: Sequence[PlatePoint] = ()) -> ErrorBudget:
     """Return the first-order budget at a pose, from the covariance that the calibration states.
 
@@ -155,10 +160,12 @@ def error_budget(posor: Posor, scan: Scan, T_R_T: pin.SE3, points: Sequence[Plat
         points: Points of the plate whose gaps are outputs besides the six native coordinates.
 
     Raises:
+        ParameterError: An argument has the wrong type.
         ScanError: The scan cannot be linearised.
         FitError: Its readings do not determine all six freedoms at this pose.
 
     """
+    check_place(posor, T_R_T, "error_budget")
     found = sensitivities(posor, scan, T_R_T, points)
     root = posor.parameter_square_root
     noise = found.by_reading * found.noise

@@ -26,7 +26,7 @@ from scipy.special import chdtrc, chndtrinc
 from posor.errors import check_probability
 from posor.model.scan import Scans
 from posor.numerics.array_types import freeze_arrays
-from posor.uncertainty.first_order import require_determined
+from posor.uncertainty.first_order import check_place, require_determined
 from posor.uncertainty.reading_sensitivity import sensitivity_at
 
 if TYPE_CHECKING:
@@ -88,11 +88,12 @@ def joint_reliability(
         missed_detection: Probability that a bias of the minimal detectable size is missed, between 0 and 1.
 
     Raises:
-        ParameterError: ``missed_detection`` is not a probability.
+        ParameterError: ``missed_detection`` is not a probability, or an argument has the wrong type.
         ScanError: A reading of the scan is invalid.
         FitError: The readings do not determine all six freedoms at this pose.
 
     """
+    check_place(posor, T_R_T, "joint_reliability")
     check_probability(missed_detection, "joint_reliability, missed_detection")
     require_determined(posor.stack, posor.stack.linearise(Scans.of([scan])), T_R_T)
     return reliability(posor, sensitivity_at(posor, scan, T_R_T), missed_detection)
