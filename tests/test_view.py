@@ -28,7 +28,7 @@ PICTURE = "canvas[data-engine]"
 STATE = f"#joint-{KILLED} td:nth-child(2)"
 HAS_COLOUR = "([selector, colour]) => getComputedStyle(document.querySelector(selector)).color === colour"
 X = "parseFloat(document.querySelector('#endpoint tr:nth-child(2) td:nth-child(2)')?.innerText)"
-HAS_X, HAS_MOVED = f"() => {X} > 0", f"([x, moved]) => Math.abs({X} - x) > moved"
+HAS_X, HAS_MOVED = f"() => {X} > 0 && {X}", f"([x, moved]) => Math.abs({X} - x) > moved"
 
 
 @pytest.mark.timeout(300)
@@ -36,9 +36,9 @@ HAS_X, HAS_MOVED = f"() => {X} > 0", f"([x, moved]) => Math.abs({X} - x) > moved
 def test_the_page_follows_the_arm_and_a_killed_driver_turns_its_joint_red(tmp_path: Path, max_red_s: float) -> None:
     with running_arm(tmp_path) as arm, opened_page(arm.path, WIDTH, HEIGHT) as (page, view):
         page.set_default_timeout(60_000)
-        page.wait_for_function(HAS_X, polling=50)
+        x = page.wait_for_function(HAS_X, polling=50).json_value()  # a later x may be that of no pose
         picture = page.locator(PICTURE)
-        x, drawn = page.evaluate(X), picture.screenshot()
+        drawn = picture.screenshot()
         page.wait_for_function(HAS_MOVED, arg=[x, MOVED_MM], polling=50)
         assert picture.screenshot() != drawn
 
