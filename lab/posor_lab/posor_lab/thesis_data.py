@@ -74,8 +74,8 @@ def read_numbers(path: Path, key: str, column: str, names: Collection[str] = ())
     Raises DataFileError: the table cannot be read, lacks a column, or has an invalid number.
     """
     rows = read_table(path, [key, column])
-    chosen = [row for row in rows if not names or row[key] in names]
-    return {row[key]: parse_number(row, column, f"{path}, {row[key]}") for row in chosen}
+    selected = [row for row in rows if not names or row[key] in names]
+    return {row[key]: parse_number(row, column, f"{path}, {row[key]}") for row in selected}
 
 
 def last_digit(text: str) -> float:

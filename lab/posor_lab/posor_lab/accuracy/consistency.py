@@ -171,9 +171,9 @@ def closure(stack: DesignName, count: int, seed: int) -> tuple[LargestError, Lar
         exact = LargestError(math.inf, math.inf)
     else:
         exact = _largest(errors_in_parent(estimates.rotations, estimates.translations, rotations, translations))
-    readings, pool = posor.stack.linearise(scans), posor.stack.pool
+    readings, reading_rows = posor.stack.linearise(scans), posor.stack.pool
     poses = [
-        _closed_form(pool[rows], values, theta)
+        _closed_form(reading_rows[rows], values, theta)
         for rows, values, theta in zip(readings.selected, readings.values, thetas, strict=True)
     ]
     found_rotations, found_translations = (np.array(part) for part in zip(*poses, strict=True))

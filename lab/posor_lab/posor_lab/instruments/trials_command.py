@@ -28,17 +28,17 @@ REGION_TOLERANCE, LEAST_RATE, NAMED_WITHIN_S, BACK_WITHIN_S = 0.02, 0.95, 0.5, 2
 
 
 def choose_trials(options: Namespace) -> None:
-    """Set ``options.chosen``. Raises ParameterError: no trial is chosen."""
-    options.chosen = [trial for trial in TRIALS if options.trials in trial.name]
-    if not options.chosen:
+    """Set ``options.selected``. Raises ParameterError: no trial is selected."""
+    options.selected = [trial for trial in TRIALS if options.trials in trial.name]
+    if not options.selected:
         expected = f"part of one of {'; '.join(trial.name for trial in TRIALS)}"
         raise ParameterError(f"--trials {options.trials}", where="instruments_trials", expected=expected)
 
 
 def run_trials(trial: Trial) -> tuple[Findings, Mapping[str, Any]]:
-    """Run the chosen trials; return the findings and the content of the output file."""
+    """Run the selected trials; return the findings and the content of the output file."""
     figures = []
-    for each in trial.options.chosen:
+    for each in trial.options.selected:
         trial.progress.line(f"{each.name}: about {each.seconds + 20:.0f} s")
         figures.append(run_trial(each, trial.subfolder(each.name), trial.interrupted))
     findings = Findings(tuple(finding for each in figures for finding in trial_findings(each)))

@@ -139,8 +139,8 @@ def fit(
     if str(procedure) not in PROCEDURES:
         expected = similar_name(str(procedure), PROCEDURES, f"one of {', '.join(PROCEDURES)}")
         raise ParameterError(f"procedure {procedure!r} is unknown", where="fit", expected=expected)
-    chosen = PROCEDURES[procedure]
-    settings = check_options(chosen.options, options, lambda name: f"fit, option {name}")
+    selected = PROCEDURES[procedure]
+    settings = check_options(selected.options, options, lambda name: f"fit, option {name}")
     text, source = "", ""
     if isinstance(calibration, str | Path):
         text, source = read_text(Path(calibration), FILE_KIND), str(calibration)
@@ -163,7 +163,7 @@ def fit(
     else:
         recording = data if isinstance(data, Recording) else _recording_of(data, references or {})
         recording, found = _with_uncertainties(recording, sigmas, names, list(recording.tracks), "fit, {}")
-    return fit_recording(chosen, calibration, recording, found, settings, options, text=text, source=source)
+    return fit_recording(selected, calibration, recording, found, settings, options, text=text, source=source)
 
 
 def fit_recording(

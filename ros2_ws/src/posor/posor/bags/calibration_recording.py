@@ -69,7 +69,7 @@ def read_scans(bag: Path | str, topic: str = "") -> Scans:
         topic: Of the scans; empty: the only one of type RawScan.
 
     Raises:
-        ParameterError: ``bag`` is no path.
+        ParameterError: ``bag`` is not a path.
         BagError: The bag cannot be read, lacks the topic, or the numbers of readings or the stamps are inconsistent.
 
     """

@@ -190,7 +190,7 @@ def load_arm(path: Path | str) -> Arm:
     """Read an arm file; the files that it names are read by ``Arm.estimate``.
 
     Raises:
-        ParameterError: The argument is no path.
+        ParameterError: The argument is not a path.
         CalibrationError: The file cannot be read, is not YAML, or has invalid content.
 
     """

@@ -224,7 +224,7 @@ def load_calibration(path: Path | str) -> Calibration:
     """Read and validate a calibration file (YAML, SI).
 
     Raises:
-        ParameterError: The argument is no path.
+        ParameterError: The argument is not a path.
         CalibrationError: The file cannot be read, is not YAML, or has invalid content.
 
     """
