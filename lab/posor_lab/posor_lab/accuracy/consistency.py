@@ -171,7 +171,7 @@ def closure(stack: DesignName, count: int, seed: int) -> tuple[LargestError, Lar
         exact = LargestError(math.inf, math.inf)
     else:
         exact = _largest(errors_in_parent(estimates.rotations, estimates.translations, rotations, translations))
-    readings, reading_rows = posor.stack.linearise(scans), posor.stack.pool
+    readings, reading_rows = posor.stack.linearise(scans), posor.stack.reading_rows
     poses = [
         _closed_form(reading_rows[rows], values, theta)
         for rows, values, theta in zip(readings.selected, readings.values, thetas, strict=True)

@@ -87,7 +87,7 @@ def _write_in_parent_axes(local: Symmetric, axes: Matrix, out: FloatArray) -> No
 def _parameter_of(model: Model, reading: int, k: int) -> int:
     """Return the parameter of derivative k of a reading, first those of its row, or -1 where it has no uncertainty."""
     if k < PARAMETERS:
-        parameter = model.pool_parameters[model.workspace[0].active_rows[reading], k]
+        parameter = model.row_parameters[model.workspace[0].active_rows[reading], k]
     else:
         parameter = model.linearisation_parameters[reading, k - PARAMETERS]
     if parameter >= 0 and model.parameter_factors[parameter].count == 0:

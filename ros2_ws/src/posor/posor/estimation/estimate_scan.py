@@ -144,7 +144,7 @@ def _flagged(scan: Any) -> int:
 
 @inlined
 def activate_rows(model: Model) -> None:
-    """Copy the selected rows of the pool into the workspace, unless they are there; make them ready for a new scan."""
+    """Copy the selected reading rows into the workspace, unless they are there; make them ready for a new scan."""
     workspace = model.workspace[0]
     same = workspace.rows_active == 1
     for r in range(workspace.reading_count):
@@ -165,7 +165,7 @@ def _copy_selected_rows(model: Model) -> None:
         if workspace.active_rows[r] != workspace.selected_rows[r]:
             changed = 1
         workspace.active_rows[r] = workspace.selected_rows[r]
-        workspace.rows[r] = model.pool[workspace.selected_rows[r]]
+        workspace.rows[r] = model.reading_rows[workspace.selected_rows[r]]
         prepare_row(workspace.rows[r])
     pair_spots(workspace.rows, workspace.reading_count)
     find_contributions(model)

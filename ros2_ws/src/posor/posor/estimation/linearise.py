@@ -1,4 +1,4 @@
-"""From raw readings of a scan to linearised readings and the pool rows that they belong to, sensor by sensor.
+"""From raw readings of a scan to linearised readings and the reading rows that they belong to, sensor by sensor.
 
 Supply voltage and temperature: a calibration states the range in which it is valid. A supply or temperature that is not
 measured deviates from the reference by an unknown amount, the same for all probes. With the sensitivities s of the
@@ -73,11 +73,11 @@ def add_unmeasured(workspace: Any) -> None:
 
 @inlined
 def _select_probe_rows(model: Model, sensor: Any, scan: Any) -> int:
-    """Write the pool rows of gap or ring probes; return VALID or a code."""
+    """Write the reading rows of gap or ring probes; return VALID or a code."""
     if (scan.gap_count if sensor.source == GAP_VOLTAGES else scan.ring_count) != sensor.count:
         return WRONG_COUNT
     for i in range(sensor.count):
-        model.workspace[0].selected_rows[sensor.first_reading + i] = sensor.first_pool_row + i
+        model.workspace[0].selected_rows[sensor.first_reading + i] = sensor.first_reading_row + i
     return VALID
 
 
@@ -103,7 +103,7 @@ def _linearise_voltages(model: Model, sensor: Any, scan: Any) -> int:
 
 @inlined
 def _select_spot_rows(model: Model, sensor: Any, scan: Any) -> int:
-    """Write the pool rows of the light sources lit; return VALID or a code."""
+    """Write the reading rows of the light sources lit; return VALID or a code."""
     workspace = model.workspace[0]
     if scan.current_count != CONTACTS * sensor.count:
         return WRONG_COUNT
@@ -114,7 +114,7 @@ def _select_spot_rows(model: Model, sensor: Any, scan: Any) -> int:
         if lit < 0 or lit >= sensor.light_sources:
             return WRONG_SOURCE - i
         for axis in range(2):
-            row = sensor.first_pool_row + 2 * (i * sensor.light_sources + lit) + axis
+            row = sensor.first_reading_row + 2 * (i * sensor.light_sources + lit) + axis
             workspace.selected_rows[sensor.first_reading + 2 * i + axis] = row
     return VALID
 
@@ -176,7 +176,7 @@ def linearise_scans(
     selected: IntArray,
     codes: IntArray,
 ) -> None:
-    """Linearise many scans (n,): readings [m], variances [m^2] and pool rows (n, m), and each sensor's code (n, s).
+    """Linearise many scans (n,): readings [m], variances [m^2] and reading rows (n, m), and each sensor's code (n, s).
 
     Pool rows are also written for scans with invalid readings; they are -1 where the lit sources are unknown.
     """

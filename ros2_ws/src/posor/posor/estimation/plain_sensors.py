@@ -138,9 +138,9 @@ class PlainSensors:
         return left
 
     def _activate_rows(self, workspace: Any, m: int) -> NDArray[np.void]:
-        """Copy the selected rows of the pool into the workspace; all systematic covariance will come from outside."""
+        """Copy the selected reading rows into the workspace; all systematic covariance will come from outside."""
         selected = workspace["selected_rows"][:m]
-        workspace["rows"][:m] = np.asarray(self._stack.pool)[selected]
+        workspace["rows"][:m] = np.asarray(self._stack.reading_rows)[selected]
         workspace["row_changes"] += bool((workspace["active_rows"][:m] != selected).any())
         workspace["active_rows"][:m], workspace["rows_active"] = selected, 0
         workspace["alone_count"] = workspace["contribution_count"] = workspace["block_count"] = 0

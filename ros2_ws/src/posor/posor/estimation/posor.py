@@ -361,7 +361,7 @@ class Posor:
         self._linearise(scans, estimates, n)
         workspace, m = self.model.workspace[0], self.stack.readings
         rows, values, variances = workspace["rows"], workspace["values"][:m], workspace["variances"][:m]
-        selected = self.stack.pool[workspace["selected_rows"][:m]]
+        selected = self.stack.reading_rows[workspace["selected_rows"][:m]]
         pose = workspace["pose"]
         bump, known = float(self.settings["bump_angle"]), self._known_theta
         guesses = [(known or 0.0) + bump * (i / PHASE_GUESSES - 0.5) for i in range(PHASE_GUESSES)]

@@ -49,9 +49,9 @@ class Stack:
         first_readings: First reading of each sensor.
         first_parameters: First parameter of each sensor.
         parameters: Number of parameters of all sensors.
-        pool: All rows that any scan can read, shape (K,), dtype ROW; plain sensors have one affine row for each
+        reading_rows: All rows that any scan can read, shape (K,), dtype ROW; plain sensors have one affine row for each
             reading.
-        pool_parameters: Where each row parameter stands in the parameter vector, negative for none, (K, PARAMETERS).
+        row_parameters: Where each row parameter stands in the parameter vector, negative for none, (K, PARAMETERS).
 
     Raises:
         CalibrationError: The sensors have more readings than the estimator has capacity for, or two of them read the
@@ -76,13 +76,13 @@ class Stack:
             sensor.rows if isinstance(sensor, RowSensor) else _affine_rows(count)
             for sensor, count in zip(self.sensors, counts, strict=True)
         ]
-        self.pool = _joined(rows, ROW)
-        self._first_pool_rows = _starts([len(own) for own in rows])
-        self.pool_parameters: IntArray = np.full((len(self.pool), PARAMETERS), -1, dtype=np.int64)
-        for sensor, row, parameter in zip(self.sensors, self._first_pool_rows, self.first_parameters, strict=True):
+        self.reading_rows = _joined(rows, ROW)
+        self._first_reading_rows = _starts([len(own) for own in rows])
+        self.row_parameters: IntArray = np.full((len(self.reading_rows), PARAMETERS), -1, dtype=np.int64)
+        for sensor, row, parameter in zip(self.sensors, self._first_reading_rows, self.first_parameters, strict=True):
             if isinstance(sensor, RowSensor):
                 own = sensor.row_parameters
-                self.pool_parameters[row : row + len(own)] = np.where(own >= 0, own + parameter, -1)
+                self.row_parameters[row : row + len(own)] = np.where(own >= 0, own + parameter, -1)
 
     @property
     def reading_names(self) -> tuple[str, ...]:
@@ -134,7 +134,7 @@ class Stack:
                 ids = np.where(own >= 0, own + first, -1)
                 (channels if sensor.reading_source.channels.size else maps).append(ids)
         tables = (
-            (self.pool["parameters"], self.pool_parameters),
+            (self.reading_rows["parameters"], self.row_parameters),
             (model.channels["parameters"], np.concatenate(channels)),
             (model.map_parameters, np.concatenate([_padded(ids, model.map_parameters.shape[1], -1) for ids in maps])),
         )
@@ -154,8 +154,8 @@ class Stack:
         ]
 
     def affine_rows(self, number: int) -> IntArray:
-        """Return the pool rows of a plain sensor, given its number among the sensors."""
-        return self._first_pool_rows[number] + np.arange(len(self.sensors[number].reading_names))
+        """Return the reading rows of a plain sensor, given its number among the sensors."""
+        return self._first_reading_rows[number] + np.arange(len(self.sensors[number].reading_names))
 
     @cached_property
     def _linearising_model(self) -> Model:
@@ -195,8 +195,8 @@ class Stack:
     def evaluate(
         self, selected: IntArray, rotation: FloatArray, translation: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Return what selected pool rows (m,) read at ``T_R_T`` [m] and their tangent derivatives, (m,), (m, 6)."""
-        rows = self.pool[selected]
+        """Return what selected reading rows (m,) read at ``T_R_T`` [m] and their tangent derivatives, (m,), (m, 6)."""
+        rows = self.reading_rows[selected]
         self.expand_plain_rows(rows, rotation, translation)
         return evaluate_rows(rows, rotation, translation)
 
@@ -207,7 +207,7 @@ class Stack:
         """
         workspace, m = self._linearising_model.workspace[0], self.readings
         rows, pose = workspace["rows"][:m], workspace["pose"]
-        rows[:] = self.pool[readings.selected[n]]
+        rows[:] = self.reading_rows[readings.selected[n]]
         self.expand_plain_rows(rows, rotation, translation)
         workspace["values"][:m], workspace["variances"][:m] = readings.values[n], readings.variances[n]
         pose["rotation"], pose["translation"] = rotation, translation
@@ -236,7 +236,7 @@ class Stack:
         parameters = np.zeros(self.parameters, dtype=PARAMETER_FACTORS)
         if square_root is not None:
             parameters["first_factor"], parameters["count"], parameters["begin"] = square_root.spans.T
-        most = _most_coefficients(parameters["count"], self.pool_parameters, linearisation, m)
+        most = _most_coefficients(parameters["count"], self.row_parameters, linearisation, m)
         workspace = np.zeros(1, dtype=WORKSPACE)
         workspace["reading_count"], workspace["redundant_count"] = m, max(m - 6, 0)
         workspace["active_rows"] = -1
@@ -244,8 +244,8 @@ class Stack:
         return Model(
             workspace=record_view(workspace),
             sensors=record_view(records),
-            pool=record_view(self.pool),
-            pool_parameters=self.pool_parameters,
+            reading_rows=record_view(self.reading_rows),
+            row_parameters=self.row_parameters,
             channels=record_view(_joined([source.channels for source in present], CHANNEL)),
             diodes=record_view(_joined([source.diodes for source in present], DIODE)),
             map_parameters=np.concatenate(
@@ -274,7 +274,7 @@ class Stack:
         channels = diodes = 0
         for number, (record, source) in enumerate(zip(records, sources, strict=True)):
             first = self.first_readings[number]
-            record["first_reading"], record["first_pool_row"] = first, self._first_pool_rows[number]
+            record["first_reading"], record["first_reading_row"] = first, self._first_reading_rows[number]
             record["source"] = PYTHON
             if source is None:
                 continue
@@ -320,7 +320,7 @@ def _channel_derivatives(by_linearisation: FloatArray) -> NDArray[np.void]:
     return out
 
 
-def _most_coefficients(counts: IntArray, of_pool: IntArray, of_linearisation: IntArray, readings: int) -> int:
+def _most_coefficients(counts: IntArray, of_reading_rows: IntArray, of_linearisation: IntArray, readings: int) -> int:
     """Return how many coefficients the parameters of the readings of one scan have at most."""
     counts = np.append(counts, 0)  # the last one for no parameter, -1
-    return readings * int(counts[of_pool].sum(axis=1).max(initial=0)) + int(counts[of_linearisation].sum())
+    return readings * int(counts[of_reading_rows].sum(axis=1).max(initial=0)) + int(counts[of_linearisation].sum())

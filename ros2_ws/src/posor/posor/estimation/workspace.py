@@ -1,7 +1,7 @@
 """What the compiled estimator works on: the model of one POSOR, its tracker, and memory for one scan, by name.
 
 ``WORKSPACE`` describes memory of fixed capacity, bounded by ``posor_msgs/RawScan``. ``Model`` groups it with the arrays
-whose size depends on the calibration; kernels take one ``Model`` and read ``model.pool`` or ``workspace.jacobian``.
+whose size depends on the calibration; kernels take one ``Model`` and read ``model.channels`` or ``workspace.jacobian``.
 """
 
 from __future__ import annotations
@@ -110,7 +110,7 @@ WORKSPACE = np.dtype(  # memory of fixed capacity for one POSOR
         ("variances", "f8", (ROWS,)),  # of the noise [m^2]
         ("weights", "f8", (ROWS,)),
         ("residuals", "f8", (ROWS,)),
-        ("selected_rows", "i8", (READINGS,)),  # row of the pool of each reading of this scan
+        ("selected_rows", "i8", (READINGS,)),  # reading row of each reading of this scan
         ("active_rows", "i8", (READINGS,)),  # those of the last scan that was solved; -1: none
         ("rows_active", "i8"),  # whether ``rows`` hold the ``active_rows``
         ("row_changes", "i8"),  # how often ``active_rows`` have changed
@@ -144,7 +144,7 @@ SENSOR = np.dtype(  # where a sensor's readings come from and where they go
         ("first_reading", "i8"),
         ("first_channel", "i8"),  # or first diode
         ("count", "i8"),  # of channels or diodes
-        ("first_pool_row", "i8"),
+        ("first_reading_row", "i8"),
         ("light_sources", "i8"),  # that each diode can see
     ],
     align=True,
@@ -172,12 +172,12 @@ FACTOR_USE = np.dtype([("uses", "i8"), ("column", "i8"), ("last_reading", "i8")]
 
 
 class Model(NamedTuple):
-    """One POSOR for the kernels. K pool rows, C channels, D diodes, m readings, P parameters, F factors."""
+    """One POSOR for the kernels. K reading rows, C channels, D diodes, m readings, P parameters, F factors."""
 
     workspace: NDArray[np.void]  # memory of fixed capacity, shape (1,), dtype WORKSPACE
     sensors: NDArray[np.void]  # shape (sensors,), dtype SENSOR
-    pool: NDArray[np.void]  # every row that a scan can read, shape (K,), dtype ROW
-    pool_parameters: IntArray  # which parameter each entry of a pool row is, negative: none, shape (K, PARAMETERS)
+    reading_rows: NDArray[np.void]  # every row that a scan can read, shape (K,), dtype ROW
+    row_parameters: IntArray  # which parameter each entry of a reading row is, negative: none, shape (K, PARAMETERS)
     channels: NDArray[np.void]  # shape (C,), dtype CHANNEL
     diodes: NDArray[np.void]  # shape (D,), dtype DIODE
     map_parameters: FloatArray  # of each diode's map, shape (D, longest)

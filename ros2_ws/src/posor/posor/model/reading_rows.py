@@ -224,18 +224,18 @@ def _differentiate(rows: NDArray[np.void], pose: NDArray[np.void], derivatives: 
 
 @in_place
 def _evaluate_poses(
-    pool: NDArray[np.void],
+    reading_rows: NDArray[np.void],
     selected: IntArray,
     poses: NDArray[np.void],
     step_sum: FloatArray,
     jacobian: FloatArray,
     out: FloatArray,
 ) -> None:
-    prepare_rows(pool)
+    prepare_rows(reading_rows)
     for n in range(selected.shape[0]):
         for r in range(selected.shape[1]):
             k = selected[n, r]
-            predict_readings(pool[k : k + 1], 1, poses[n], step_sum, out[n, r : r + 1], jacobian)
+            predict_readings(reading_rows[k : k + 1], 1, poses[n], step_sum, out[n, r : r + 1], jacobian)
 
 
 def make_poses(rotations: FloatArray, translations: FloatArray) -> NDArray[np.void]:
@@ -266,12 +266,17 @@ def differentiate_rows(rows: NDArray[np.void], rotation: FloatArray, translation
 
 
 def evaluate_poses(
-    pool: NDArray[np.void], selected: IntArray, rotations: FloatArray, translations: FloatArray
+    reading_rows: NDArray[np.void], selected: IntArray, rotations: FloatArray, translations: FloatArray
 ) -> FloatArray:
-    """Return what the selected rows (n, m) of a pool read at n poses, (n, m) [m]; no affine rows."""
+    """Return what the selected rows (n, m) read at n poses, (n, m) [m]; no affine rows."""
     out = np.empty(selected.shape)
     poses = make_poses(rotations, translations)
     _evaluate_poses(
-        record_view(pool.copy()), np.ascontiguousarray(selected), record_view(poses), np.zeros(6), np.empty((1, 6)), out
+        record_view(reading_rows.copy()),
+        np.ascontiguousarray(selected),
+        record_view(poses),
+        np.zeros(6),
+        np.empty((1, 6)),
+        out,
     )
     return out

@@ -64,7 +64,7 @@ class Linearised:
 
     values: FloatArray  # readings on the model's scale [m], shape (n, m)
     variances: FloatArray  # their variances from the noise of the electronics [m^2], shape (n, m)
-    selected: IntArray  # which row of the stack's pool each reading is, shape (n, m)
+    selected: IntArray  # which reading row of the stack each reading is, shape (n, m)
     # code of the first sensor with invalid readings, shape (n, sensors); zero for the others, also for those behind it,
     # which are not checked
     codes: IntArray

@@ -246,7 +246,7 @@ class Diodes(RowSensor):
         )
 
     def _rows_of(self, lit: IntArray) -> IntArray:
-        """Return the pool's rows for lit sources (n, diodes), shape (n, 2 diodes)."""
+        """Return the reading rows for lit sources (n, diodes), shape (n, 2 diodes)."""
         rows = np.empty((len(lit), 2 * len(self._names)), dtype=np.int64)
         rows[:, 0::2] = 2 * (self._first_pairs + lit)
         rows[:, 1::2] = rows[:, 0::2] + 1

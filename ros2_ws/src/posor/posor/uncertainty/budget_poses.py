@@ -101,7 +101,7 @@ def middle_pose(posor: Posor) -> pin.SE3:
         selected = _selected_rows(posor, pose)
         predicted, jacobian = posor.stack.evaluate(selected, rotation, translation)
         residuals = values - predicted
-        weights = np.isin(posor.stack.pool["kind"][selected], (GAP, SPOT_X, SPOT_Y)) / READING_TOLERANCE**2
+        weights = np.isin(posor.stack.reading_rows["kind"][selected], (GAP, SPOT_X, SPOT_Y)) / READING_TOLERANCE**2
         offset = np.concatenate([translation, pin.log3(rotation)])
         normal = jacobian.T @ (weights[:, None] * jacobian) + prior
         step = np.linalg.solve(normal, jacobian.T @ (weights * residuals) - prior @ offset)

@@ -90,9 +90,10 @@ class Outputs:
         self._rows["kind"] = GAP
         self._rows["tip"][:, :2] = np.reshape([(point.x, point.y) for point in points], (-1, 2))
         self._rows["axis"] = 0.0, 0.0, 1.0
-        gap_rows = np.flatnonzero(stack.pool["kind"] == GAP)
+        gap_rows = np.flatnonzero(stack.reading_rows["kind"] == GAP)
         if gap_rows.size:
-            probe, probe_ids = stack.pool[gap_rows[0]], stack.pool_parameters[gap_rows[0]].view(ROW_PARAMETER_IDS)[0]
+            probe = stack.reading_rows[gap_rows[0]]
+            probe_ids = stack.row_parameters[gap_rows[0]].view(ROW_PARAMETER_IDS)[0]
             for field in ("plane_point", "tilt"):
                 self._rows[field], ids[field] = probe[field], probe_ids[field]
         self._ids = ids["parameters"]
