@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from array import array
 from time import time_ns
 from typing import TYPE_CHECKING
 
 import numpy as np
+from posor.numerics.stamps import NEVER_NS, NS, TimestampLog
 from posor.numerics.summary_statistics import FIGURES, figures_of
 from rclpy.clock import ROSClock
 
@@ -22,45 +22,7 @@ if TYPE_CHECKING:
     from posor_ros.diagnostics import Status, Value
 
 TIMING_STATUS = "timing"  # name of the status line
-NS_PER_S = 1_000_000_000
-NEVER_NS = 2**63 - 1
-CAPACITY = 1 << 14  # number of times that a ``TimestampLog`` holds
-MAX_LATENCY_NS = 10 * NS_PER_S  # a stamp further than this from the present belongs to a recording and has no latency
-
-
-class TimestampLog:
-    """Ring buffer of reference times, such as stamps, each with the time of its recording [ns].
-
-    One thread records, another drains. Nothing is allocated or locked: a pair counts once both times are written. If
-    more than ``CAPACITY`` pairs are recorded between two drains, the last ones are kept. ``now_ns`` is the clock; it
-    may be replaced.
-    """
-
-    __slots__ = ("_arrays", "_drained", "_recorded", "_recording_times", "_reference_times", "now_ns")
-
-    def __init__(self, now_ns: Callable[[], int] = time_ns) -> None:
-        self.now_ns = now_ns
-        self._reference_times = array("q", bytes(8 * CAPACITY))
-        self._recording_times = array("q", bytes(8 * CAPACITY))
-        self._arrays = np.frombuffer(self._reference_times, np.int64), np.frombuffer(self._recording_times, np.int64)
-        self._recorded = self._drained = 0
-
-    def record(self, reference_ns: int) -> None:
-        """Store a reference time and the present time."""
-        number = self._recorded
-        index = number & (CAPACITY - 1)
-        self._reference_times[index] = reference_ns
-        self._recording_times[index] = self.now_ns()
-        self._recorded = number + 1
-
-    def drain(self) -> tuple[IntArray, IntArray]:
-        """Return the reference times and the recording times since the last call, (n,) each [ns]."""
-        end = self._recorded
-        begin = max(self._drained, end - CAPACITY)
-        self._drained = end
-        indices = np.arange(begin, end) & (CAPACITY - 1)
-        reference_times, recording_times = self._arrays
-        return reference_times[indices], recording_times[indices]
+MAX_LATENCY_NS = 10 * NS  # a stamp further than this from the present belongs to a recording and has no latency
 
 
 def time_statistics(name: str, times_ns: IntArray, limit_ns: int = NEVER_NS) -> dict[str, float]:

@@ -10,8 +10,9 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 from posor.node_parameters import LimitParameters
+from posor.numerics.stamps import NS
 from posor_ros.diagnostics import Level
-from posor_ros.publication_timing import CAPACITY, NS_PER_S, TimestampLog, Timing, time_statistics
+from posor_ros.publication_timing import Timing, time_statistics
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.time import Time
@@ -47,21 +48,10 @@ class TimedNode:
         return values
 
 
-def test_a_full_log_keeps_the_last_times() -> None:
-    times = iter(range(10 + CAPACITY + 3))
-    log = TimestampLog(lambda: next(times))
-    for reference in range(10 + CAPACITY + 3):
-        log.record(-reference)
-    references, recordings = log.drain()
-    assert np.array_equal(recordings, np.arange(13, 13 + CAPACITY))
-    assert np.array_equal(references, -recordings)
-    assert [drained.size for drained in log.drain()] == [0, 0]
-
-
 def test_statistics_equal_the_textbook_formulas() -> None:
     values = np.random.default_rng(5).integers(1, 10**9, 50)
     figures = {"mean": values.mean(), "sd": values.std(ddof=1), "min": values.min(), "max": values.max()}
-    expected = {f"period_{key}": figure / NS_PER_S for key, figure in figures.items()}
+    expected = {f"period_{key}": figure / NS for key, figure in figures.items()}
     assert time_statistics("period", values) == pytest.approx(expected)
     assert time_statistics("x", np.array([7]))["x_sd"] == 0.0
 
@@ -69,7 +59,7 @@ def test_statistics_equal_the_textbook_formulas() -> None:
 def test_latency_and_period_in_simulated_time_warn_beyond_their_limits() -> None:
     node = TimedNode(simulated_clock(), latency=0.5, jitter=0.2)
     for second in (100, 101, 102):
-        node.publish(second * NS_PER_S + NS_PER_S // 4, second * NS_PER_S)
+        node.publish(second * NS + NS // 4, second * NS)
     assert node.report() == (Level.OK, "in time")
     assert node.values == {
         **{f"latency_{key}": 0.25 for key in ("mean", "min", "max")},
@@ -77,11 +67,11 @@ def test_latency_and_period_in_simulated_time_warn_beyond_their_limits() -> None
         "latency_sd": 0.0,
         "period_sd": 0.0,
     }
-    node.publish(103 * NS_PER_S + NS_PER_S * 3 // 4, 103 * NS_PER_S)
+    node.publish(103 * NS + NS * 3 // 4, 103 * NS)
     assert node.report() == (Level.WARN, "latency above 0.5 s")
     assert node.values["period_mean"] == 1.5
     for quarter in (4, 8, 9):
-        now_ns = 104 * NS_PER_S + quarter * NS_PER_S // 4
+        now_ns = 104 * NS + quarter * NS // 4
         node.publish(now_ns, now_ns)
     assert node.report() == (Level.WARN, "period off its mean by more than 0.2 s")
     assert node.report() == (Level.OK, "nothing was published")
@@ -92,14 +82,14 @@ def test_system_time_is_used_without_simulated_time() -> None:
     before = time_ns()
     node.timing.record(before)
     node.report()
-    assert 0.0 <= node.values["latency_max"] <= (time_ns() - before) / NS_PER_S
+    assert 0.0 <= node.values["latency_max"] <= (time_ns() - before) / NS
     assert "period_mean" not in node.values
 
 
 def test_a_stamp_of_a_recording_has_no_latency() -> None:
     node = TimedNode(Clock(clock_type=ClockType.ROS_TIME), latency=1e-3)
     for _ in range(2):
-        node.timing.record(478_000_000 * NS_PER_S)  # February 1985
+        node.timing.record(478_000_000 * NS)  # February 1985
     assert node.report() == (Level.OK, "in time")
     assert not any(name.startswith("latency") for name in node.values)
     assert node.values["period_mean"] > 0.0
@@ -107,11 +97,11 @@ def test_a_stamp_of_a_recording_has_no_latency() -> None:
 
 def test_the_pause_before_a_restart_is_no_period() -> None:
     node = TimedNode(simulated_clock())
-    node.publish(NS_PER_S, NS_PER_S)
+    node.publish(NS, NS)
     node.timing.restart()
     node.status.report.assert_called_with(Level.OK, "nothing was published")
     for second in (1000, 1001):
-        node.publish(second * NS_PER_S, second * NS_PER_S)
+        node.publish(second * NS, second * NS)
     node.report()
     assert node.values["period_max"] == 1.0
 

@@ -1,15 +1,25 @@
-"""Stamps of messages as times, and the scan clock: tick k is at k / rate seconds of the ROS clock on every host."""
+"""Stamps of messages as times, and a log of them.
+
+The scan clock: tick k is at k / rate seconds of the ROS clock on every host.
+"""
 
 from __future__ import annotations
 
-from typing import TypeVar
+import time
+from array import array
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
 from posor.numerics.array_types import IntArray
 from posor.numerics.compiled import inlined
 
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
 NS = 1_000_000_000
+NEVER_NS = 2**63 - 1
+CAPACITY = 1 << 14  # number of times that a ``TimestampLog`` holds
 NO_TIME = "is zero, or its nanoseconds are a second or more"  # why a stamp is invalid
 TickT = TypeVar("TickT", int, IntArray)
 
@@ -53,3 +63,38 @@ def span_text(stamps_ns: IntArray) -> str:
     """Return the time from the first to the last valid stamp [ns], (n,), for a ``repr``: `` over 1.250 s``."""
     valid = stamps_ns[stamps_ns != 0]
     return f" over {(int(valid.max()) - int(valid.min())) / NS:.3f} s" if len(valid) else ""
+
+
+class TimestampLog:
+    """Ring buffer of reference times, such as stamps, each with the time of its recording [ns].
+
+    One thread records, another drains. Nothing is allocated or locked: a pair counts once both times are written. If
+    more than ``CAPACITY`` pairs are recorded between two drains, the last ones are kept. ``now_ns`` is the clock; it
+    may be replaced.
+    """
+
+    __slots__ = ("_arrays", "_drained", "_recorded", "_recording_times", "_reference_times", "now_ns")
+
+    def __init__(self, now_ns: Callable[[], int] = time.time_ns) -> None:
+        self.now_ns = now_ns
+        self._reference_times = array("q", bytes(8 * CAPACITY))
+        self._recording_times = array("q", bytes(8 * CAPACITY))
+        self._arrays = np.frombuffer(self._reference_times, np.int64), np.frombuffer(self._recording_times, np.int64)
+        self._recorded = self._drained = 0
+
+    def record(self, reference_ns: int) -> None:
+        """Store a reference time and the present time."""
+        number = self._recorded
+        index = number & (CAPACITY - 1)
+        self._reference_times[index] = reference_ns
+        self._recording_times[index] = self.now_ns()
+        self._recorded = number + 1
+
+    def drain(self) -> tuple[IntArray, IntArray]:
+        """Return the reference times and the recording times since the last call, (n,) each [ns]."""
+        end = self._recorded
+        begin = max(self._drained, end - CAPACITY)
+        self._drained = end
+        indices = np.arange(begin, end) & (CAPACITY - 1)
+        reference_times, recording_times = self._arrays
+        return reference_times[indices], recording_times[indices]
