@@ -14,9 +14,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from posor.model.gap import gap, gap_parameters, prepare_gap
+from posor.model.gap import MAX_HARMONICS, gap, gap_parameters, prepare_gap, ring_gap, ring_parameters
 from posor.model.light_spot import find_spot, prepare_spot, spot_parameters, spot_tangent
-from posor.model.ring import MAX_HARMONICS, ring_gap, ring_parameters
 from posor.numerics.compiled import in_place, inlined, record_view
 
 if TYPE_CHECKING:

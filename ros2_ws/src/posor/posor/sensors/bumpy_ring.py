@@ -17,9 +17,9 @@ from pydantic import Field, model_validator
 
 from posor.calibration.file_model import EntryError, FrozenModel
 from posor.calibration.quantity import ANY, Quantity, measured
+from posor.model.gap import MAX_HARMONICS
 from posor.model.reading_rows import RING, ROW, evaluate_rows
 from posor.model.readings import RING_VOLTAGES
-from posor.model.ring import MAX_HARMONICS
 from posor.sensors.base import SensorCalibration, no_parameters
 from posor.sensors.probe import ProbeCalibration, ProbeSensor
 

@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pinocchio as pin
 import pytest
+from posor.model.gap import MAX_HARMONICS, multiple_angle
 from posor.model.reading_rows import RING
-from posor.model.ring import MAX_HARMONICS, multiple_angle
 from posor_lab.harness.row_builder import read_row
 
 
