@@ -17,8 +17,9 @@ from posor.calibration.designs import BUMPS, DesignName, design
 from posor.estimation.forward import scans_at
 from posor.estimation.posor import Posor
 from posor.model.fault import State
-from posor.model.native_coordinates import rotation_from_native, thetas_of
+from posor.model.native_coordinates import rotation_from_native
 from posor.model.reading_rows import GAP, RING, SPOT_X
+from posor.numerics.vector import thetas_of
 from scipy.stats import chi2
 
 from posor_lab.harness.random_poses import errors_in_parent, readable_poses

@@ -19,7 +19,7 @@ from posor.chain.kinematic_chain import Chain
 from posor.errors import ParameterError
 from posor.estimation.posor import Posor
 from posor.model.fault import State
-from posor.model.native_coordinates import thetas_of
+from posor.numerics.vector import thetas_of
 from posor_drivers.simulator.arm_truth import true_cycle
 from posor_drivers.simulator.electronics import JointElectronics
 from posor_drivers.simulator.imperfections import Imperfections

@@ -19,8 +19,8 @@ from posor.errors import PosorError
 from posor.estimation.forward import scans_at
 from posor.estimation.posor import Posor
 from posor.model.fault import USABLE_STATES, Fault, State
-from posor.model.native_coordinates import thetas_of
 from posor.numerics.stamps import NS
+from posor.numerics.vector import thetas_of
 from posor.sensors.diodes import DiodesCalibration
 from posor.uncertainty.protection_level import endpoint_effects, endpoint_protection_level, expansion_shifts
 from posor.uncertainty.reliability import joint_reliability

@@ -23,9 +23,9 @@ from posor.estimation.estimate import ESTIMATE, Estimates
 from posor.estimation.forward import scans_at
 from posor.estimation.posor import Posor
 from posor.model.fault import USABLE_STATES, Fault, State
-from posor.model.native_coordinates import thetas_of
 from posor.model.scan import HOME_BUMP, Scans
 from posor.numerics.stamps import NS
+from posor.numerics.vector import thetas_of
 from posor.sensors.diodes import DiodesCalibration
 from posor.uncertainty.protection_level import endpoint_protection_level
 from posor.uncertainty.reliability import joint_reliability

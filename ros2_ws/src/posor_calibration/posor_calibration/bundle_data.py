@@ -10,8 +10,9 @@ from posor.bags.recording import POSE, unpack_poses
 from posor.errors import FitError
 from posor.estimation.posor import Posor
 from posor.model.fault import USABLE_STATES, State
-from posor.model.native_coordinates import native_from_rotation, thetas_of
+from posor.model.native_coordinates import native_from_rotation
 from posor.numerics.stamps import NS
+from posor.numerics.vector import thetas_of
 from pydantic import Field
 
 from posor_calibration.bundle_problem import BundleData, PoseReference

@@ -17,19 +17,26 @@ from posor.chain.beam_acceleration import append_centres, estimate_accelerations
 from posor.chain.joint_measurements import ENDPOINT_NOT_FINITE, measurement_fault, read_row
 from posor.model.fault import USABLE_STATES
 from posor.numerics.compiled import in_place, inlined
-from posor.numerics.matrix import (
+from posor.numerics.vector import (
     ZERO_MATRIX,
     Matrix,
+    Vector,
     applied,
+    at,
+    cross,
     matrix,
+    minus,
+    plus,
     product,
+    put,
     rotation_of_pose,
     row_times,
+    times,
     transposed,
     turned_by,
+    within,
     write_pose,
 )
-from posor.numerics.vector import Vector, at, cross, minus, plus, put, times, within
 
 if TYPE_CHECKING:
     from posor.chain.arm_geometry import ArmGeometry

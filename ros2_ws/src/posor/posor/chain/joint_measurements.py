@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from posor.numerics.compiled import inlined
-from posor.numerics.matrix import rotation_of_pose
+from posor.numerics.vector import rotation_of_pose
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

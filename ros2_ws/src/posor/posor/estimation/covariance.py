@@ -21,23 +21,20 @@ from typing import TYPE_CHECKING, Any
 from posor.model.reading_rows import PARAMETERS
 from posor.numerics.compiled import in_place, inlined
 from posor.numerics.matrix import (
-    ZERO_MATRIX,
-    ZERO_VECTOR,
     add_outer,
     fill_upper_triangle,
     invert,
     load_factors,
-    matrix,
     multiply_vector,
     product_transposed,
-    row_times,
 )
-from posor.numerics.vector import plus, put, times, within
+from posor.numerics.vector import ZERO_MATRIX, ZERO_VECTOR, matrix, plus, put, row_times, times, within
 
 if TYPE_CHECKING:
     from posor.estimation.workspace import Model
     from posor.numerics.array_types import FloatArray
-    from posor.numerics.matrix import Matrix, Symmetric
+    from posor.numerics.matrix import Symmetric
+    from posor.numerics.vector import Matrix
 
 
 @inlined

@@ -37,12 +37,10 @@ from posor.estimation.tracking import (
     write_start,
 )
 from posor.model.fault import Fault, State
-from posor.model.native_coordinates import theta_in_kernel
 from posor.model.reading_rows import begin_scan, differentiate_by_parameters, pair_spots, prepare_row, turn_row
 from posor.model.scan import DIODES_ESTIMATED, PROBES_ESTIMATED, SATURATED
 from posor.numerics.compiled import in_place, inlined, without_lock
-from posor.numerics.matrix import matrix, write_pose
-from posor.numerics.vector import at, store, wrapped
+from posor.numerics.vector import at, matrix, store, theta_in_kernel, wrapped, write_pose
 
 if TYPE_CHECKING:
     import numpy as np

@@ -16,11 +16,10 @@ from posor.estimation.linearise import linearise_scan
 from posor.estimation.solver import ITERATIONS, LENGTH, TOLERANCE
 from posor.estimation.tracking import turn_about_z
 from posor.model.fault import Fault, State
-from posor.model.native_coordinates import theta_in_kernel
 from posor.model.reading_rows import AFFINE, prepare_rows, turn_rows
 from posor.model.scan import Scans
 from posor.numerics.compiled import record_view
-from posor.numerics.vector import wrapped
+from posor.numerics.vector import theta_in_kernel, wrapped
 
 if TYPE_CHECKING:
     import pinocchio as pin

@@ -21,11 +21,10 @@ from typing import TYPE_CHECKING, Any
 
 from posor.estimation.tracking import LONGEST_GAP, copy_pose, turn_about_z
 from posor.model.fault import Fault
-from posor.model.native_coordinates import theta_in_kernel
 from posor.model.scan import STATED_HOME
 from posor.numerics.compiled import in_place, inlined
-from posor.numerics.matrix import ZERO_VECTOR, cholesky_factorise, solve_lower_triangular
-from posor.numerics.vector import dot, square, within, wrapped
+from posor.numerics.matrix import cholesky_factorise, solve_lower_triangular
+from posor.numerics.vector import ZERO_VECTOR, dot, square, theta_in_kernel, within, wrapped
 
 if TYPE_CHECKING:
     from posor.numerics.array_types import FloatArray

@@ -9,11 +9,10 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any
 
-from posor.model.native_coordinates import theta_in_kernel
 from posor.model.reading_rows import predict_readings, prepare_row, turn_row
 from posor.numerics.compiled import in_place, inlined
-from posor.numerics.matrix import ZERO_VECTOR, factorise, normal_matrix, solve, store_factors
-from posor.numerics.vector import dot, move, orthonormalise, plus, times, within, wrapped
+from posor.numerics.matrix import factorise, normal_matrix, solve, store_factors
+from posor.numerics.vector import ZERO_VECTOR, dot, move, orthonormalise, plus, theta_in_kernel, times, within, wrapped
 
 if TYPE_CHECKING:
     from posor.estimation.workspace import Model

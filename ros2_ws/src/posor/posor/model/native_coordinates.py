@@ -13,23 +13,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from posor.numerics.compiled import inlined
+from posor.numerics.vector import theta_of
 
 if TYPE_CHECKING:
     from posor.numerics.array_types import FloatArray
-
-
-def theta_of(rotation: FloatArray) -> float:
-    """Return theta [rad] of ``R_R_T``, in (-pi, pi]."""
-    return math.atan2(-rotation[0, 1], rotation[1, 1])
-
-
-theta_in_kernel = inlined(theta_of)  # the same, for kernels
-
-
-def thetas_of(rotations: FloatArray) -> FloatArray:
-    """Return theta [rad] of each ``R_R_T``, shape (n, 3, 3), in (-pi, pi], shape (n,)."""
-    return np.asarray(np.arctan2(-rotations[:, 0, 1], rotations[:, 1, 1]))
 
 
 def rotation_from_native(alpha: float, beta: float, theta: float) -> FloatArray:

@@ -1,9 +1,8 @@
-"""Small matrices for kernels: 3x3, symmetric 6x6 in 3x3 blocks, Cholesky factors, poses as messages hold them.
+"""Symmetric matrices for kernels: 6x6 in 3x3 blocks, and Cholesky factors of any size.
 
-A 3x3 matrix is a tuple of three row vectors, which compiled code keeps in registers. A symmetric matrix of the six
-unknowns of a pose (translation, rotation) is ``(A, B, D)`` for ``[[A, B'], [B, D]]``; of A and D only the lower
-triangles are read. It is factorised as ``L diag(pivots) L'`` with a unit diagonal of L: no square roots, six divisions.
-A pose is an array (7,): x, y, z [m] and the quaternion x, y, z, w.
+The symmetric matrix of the six unknowns of a pose (translation, rotation) is ``(A, B, D)`` for ``[[A, B'], [B, D]]``;
+of A and D only the lower triangles are read. It is factorised as ``L diag(pivots) L'`` with a unit diagonal of L: no
+square roots, six divisions.
 """
 
 from __future__ import annotations
@@ -12,56 +11,23 @@ import math
 from typing import TYPE_CHECKING, TypeAlias
 
 from posor.numerics.compiled import in_place, inlined
-from posor.numerics.vector import Vector, dot, exponential_coefficients, minus, plus, put, rotated_row, times, within
+from posor.numerics.vector import (
+    ZERO_MATRIX,
+    Matrix,
+    Vector,
+    applied,
+    dot,
+    minus,
+    plus,
+    put,
+    row_times,
+    times,
+    transposed,
+    within,
+)
 
 if TYPE_CHECKING:
     from posor.numerics.array_types import FloatArray
-
-
-Matrix: TypeAlias = tuple[Vector, Vector, Vector]
-
-
-@inlined
-def matrix(rows: FloatArray, r: int, start: int = 0) -> Matrix:
-    """Return the matrix that begins in row r of an array, at entry ``start`` of the row."""
-    return within(rows, r, start), within(rows, r + 1, start), within(rows, r + 2, start)
-
-
-@inlined
-def transposed(m: Matrix) -> Matrix:
-    """Return the transpose."""
-    a, b, c = m
-    return (a[0], b[0], c[0]), (a[1], b[1], c[1]), (a[2], b[2], c[2])
-
-
-@inlined
-def applied(m: Matrix, v: Vector) -> Vector:
-    """Return ``m @ v``."""
-    return dot(m[0], v), dot(m[1], v), dot(m[2], v)
-
-
-@inlined
-def row_times(v: Vector, m: Matrix) -> Vector:
-    """Return ``v @ m``."""
-    a, b, c = v
-    return (
-        a * m[0][0] + b * m[1][0] + c * m[2][0],
-        a * m[0][1] + b * m[1][1] + c * m[2][1],
-        a * m[0][2] + b * m[1][2] + c * m[2][2],
-    )
-
-
-@inlined
-def product(m: Matrix, n: Matrix) -> Matrix:
-    """Return ``m @ n``."""
-    return row_times(m[0], n), row_times(m[1], n), row_times(m[2], n)
-
-
-@inlined
-def turned_by(m: Matrix, w: Vector) -> Matrix:
-    """Return ``m @ exp3(w)``, w [rad] in the axes of m."""
-    s, c, _ = exponential_coefficients(dot(w, w))
-    return rotated_row(m[0], w, s, c), rotated_row(m[1], w, s, c), rotated_row(m[2], w, s, c)
 
 
 @in_place
@@ -100,9 +66,6 @@ Symmetric: TypeAlias = tuple[Matrix, Matrix, Matrix]
 Lower: TypeAlias = tuple[Vector, Vector]  # of three unknowns: entries 10, 20, 21 of L, and the reciprocal pivots
 Factors: TypeAlias = tuple[Lower, Matrix, Lower]
 """Of six unknowns: L of the translation, the rows of L that couple both, L of the rotation."""
-
-ZERO_VECTOR: Vector = (0.0, 0.0, 0.0)
-ZERO_MATRIX: Matrix = (ZERO_VECTOR, ZERO_VECTOR, ZERO_VECTOR)
 
 
 @inlined
@@ -265,43 +228,3 @@ def invert(factors: Factors) -> Symmetric:
 def multiply_vector(matrix: Symmetric, a: Vector, d: Vector) -> tuple[Vector, Vector]:
     """Return the product with the vector of parts ``a`` and ``d``; A and D must be whole."""
     return plus(applied(matrix[0], a), row_times(d, matrix[1])), plus(applied(matrix[1], a), applied(matrix[2], d))
-
-
-@inlined
-def rotation_of_pose(pose: FloatArray) -> Matrix:
-    """Return the rotation of a pose (7,), whose quaternion may have any length but zero."""
-    x, y, z, w = pose[3], pose[4], pose[5], pose[6]
-    scale = 2.0 / (x * x + y * y + z * z + w * w)
-    return (
-        (1.0 - scale * (y * y + z * z), scale * (x * y - w * z), scale * (x * z + w * y)),
-        (scale * (x * y + w * z), 1.0 - scale * (x * x + z * z), scale * (y * z - w * x)),
-        (scale * (x * z - w * y), scale * (y * z + w * x), 1.0 - scale * (x * x + y * y)),
-    )
-
-
-@inlined
-def write_pose(rotation: Matrix, translation: Vector, pose: FloatArray) -> None:
-    """Write a transform as a pose (7,) with a unit quaternion, whose sign is that of ``pinocchio.SE3ToXYZQUAT``."""
-    for i in range(3):
-        pose[i] = translation[i]
-    trace = rotation[0][0] + (rotation[1][1] + rotation[2][2])  # pinocchio's order of summation: same last bit
-    if trace > 0.0:
-        root = math.sqrt(trace + 1.0)
-        pose[6] = 0.5 * root
-        root = 0.5 / root
-        pose[3] = (rotation[2][1] - rotation[1][2]) * root
-        pose[4] = (rotation[0][2] - rotation[2][0]) * root
-        pose[5] = (rotation[1][0] - rotation[0][1]) * root
-        return
-    i = 0
-    if rotation[1][1] > rotation[0][0]:
-        i = 1
-    if rotation[2][2] > rotation[i][i]:
-        i = 2
-    j, k = (i + 1) % 3, (i + 2) % 3
-    root = math.sqrt(rotation[i][i] - rotation[j][j] - rotation[k][k] + 1.0)
-    pose[3 + i] = 0.5 * root
-    root = 0.5 / root
-    pose[6] = (rotation[k][j] - rotation[j][k]) * root
-    pose[3 + j] = (rotation[j][i] + rotation[i][j]) * root
-    pose[3 + k] = (rotation[k][i] + rotation[i][k]) * root

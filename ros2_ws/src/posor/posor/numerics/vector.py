@@ -1,6 +1,7 @@
-"""Three-vectors and rigid motions for kernels.
+"""Three-vectors, 3x3 matrices, angles and rigid motions for kernels.
 
-Vectors are tuples of three numbers: compiled code keeps them in registers, where an array would cost an allocation.
+A vector is a tuple of three numbers, a matrix a tuple of three row vectors: compiled code keeps them in registers,
+where an array would cost an allocation. A pose is an array (7,): x, y, z [m] and the quaternion x, y, z, w.
 """
 
 from __future__ import annotations
@@ -18,6 +19,9 @@ if TYPE_CHECKING:
 SERIES_BELOW = 0.02  # squared angle [rad^2] below which the exponential map is summed as a series
 
 Vector: TypeAlias = tuple[float, float, float]
+Matrix: TypeAlias = tuple[Vector, Vector, Vector]
+ZERO_VECTOR: Vector = (0.0, 0.0, 0.0)
+ZERO_MATRIX: Matrix = (ZERO_VECTOR, ZERO_VECTOR, ZERO_VECTOR)
 
 
 @inlined
@@ -85,6 +89,19 @@ def wrapped_angles(angles: FloatArray) -> FloatArray:
     return np.asarray(np.mod(angles + np.pi, 2.0 * np.pi) - np.pi)
 
 
+def theta_of(rotation: FloatArray) -> float:
+    """Return theta [rad] of ``R_R_T``, in (-pi, pi]."""
+    return math.atan2(-rotation[0, 1], rotation[1, 1])
+
+
+theta_in_kernel = inlined(theta_of)  # the same, for kernels
+
+
+def thetas_of(rotations: FloatArray) -> FloatArray:
+    """Return theta [rad] of each ``R_R_T``, shape (n, 3, 3), in (-pi, pi], shape (n,)."""
+    return np.asarray(np.arctan2(-rotations[:, 0, 1], rotations[:, 1, 1]))
+
+
 @inlined
 def dot(a: Vector, b: Vector) -> float:
     """Return the scalar product."""
@@ -95,6 +112,42 @@ def dot(a: Vector, b: Vector) -> float:
 def cross(a: Vector, b: Vector) -> Vector:
     """Return the vector product."""
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+@inlined
+def matrix(rows: FloatArray, r: int, start: int = 0) -> Matrix:
+    """Return the matrix that begins in row r of an array, at entry ``start`` of the row."""
+    return within(rows, r, start), within(rows, r + 1, start), within(rows, r + 2, start)
+
+
+@inlined
+def transposed(m: Matrix) -> Matrix:
+    """Return the transpose."""
+    a, b, c = m
+    return (a[0], b[0], c[0]), (a[1], b[1], c[1]), (a[2], b[2], c[2])
+
+
+@inlined
+def applied(m: Matrix, v: Vector) -> Vector:
+    """Return ``m @ v``."""
+    return dot(m[0], v), dot(m[1], v), dot(m[2], v)
+
+
+@inlined
+def row_times(v: Vector, m: Matrix) -> Vector:
+    """Return ``v @ m``."""
+    a, b, c = v
+    return (
+        a * m[0][0] + b * m[1][0] + c * m[2][0],
+        a * m[0][1] + b * m[1][1] + c * m[2][1],
+        a * m[0][2] + b * m[1][2] + c * m[2][2],
+    )
+
+
+@inlined
+def product(m: Matrix, n: Matrix) -> Matrix:
+    """Return ``m @ n``."""
+    return row_times(m[0], n), row_times(m[1], n), row_times(m[2], n)
 
 
 @in_place
@@ -164,6 +217,13 @@ def exponential_coefficients(x: float) -> Vector:
     return s, (1.0 - math.cos(angle)) / x, (1.0 - s) / x
 
 
+@inlined
+def turned_by(m: Matrix, w: Vector) -> Matrix:
+    """Return ``m @ exp3(w)``, w [rad] in the axes of m."""
+    s, c, _ = exponential_coefficients(dot(w, w))
+    return rotated_row(m[0], w, s, c), rotated_row(m[1], w, s, c), rotated_row(m[2], w, s, c)
+
+
 @in_place
 def orthonormalise(rotation: FloatArray) -> None:
     """Remove accumulated rounding: one Newton step toward the nearest rotation, in place."""
@@ -174,3 +234,43 @@ def orthonormalise(rotation: FloatArray) -> None:
         rotation[0, j] = aa * a[j] - ab * b[j] - ac * c[j]
         rotation[1, j] = bb * b[j] - ab * a[j] - bc * c[j]
         rotation[2, j] = cc * c[j] - ac * a[j] - bc * b[j]
+
+
+@inlined
+def rotation_of_pose(pose: FloatArray) -> Matrix:
+    """Return the rotation of a pose (7,), whose quaternion may have any length but zero."""
+    x, y, z, w = pose[3], pose[4], pose[5], pose[6]
+    scale = 2.0 / (x * x + y * y + z * z + w * w)
+    return (
+        (1.0 - scale * (y * y + z * z), scale * (x * y - w * z), scale * (x * z + w * y)),
+        (scale * (x * y + w * z), 1.0 - scale * (x * x + z * z), scale * (y * z - w * x)),
+        (scale * (x * z - w * y), scale * (y * z + w * x), 1.0 - scale * (x * x + y * y)),
+    )
+
+
+@inlined
+def write_pose(rotation: Matrix, translation: Vector, pose: FloatArray) -> None:
+    """Write a transform as a pose (7,) with a unit quaternion, whose sign is that of ``pinocchio.SE3ToXYZQUAT``."""
+    for i in range(3):
+        pose[i] = translation[i]
+    trace = rotation[0][0] + (rotation[1][1] + rotation[2][2])  # pinocchio's order of summation: same last bit
+    if trace > 0.0:
+        root = math.sqrt(trace + 1.0)
+        pose[6] = 0.5 * root
+        root = 0.5 / root
+        pose[3] = (rotation[2][1] - rotation[1][2]) * root
+        pose[4] = (rotation[0][2] - rotation[2][0]) * root
+        pose[5] = (rotation[1][0] - rotation[0][1]) * root
+        return
+    i = 0
+    if rotation[1][1] > rotation[0][0]:
+        i = 1
+    if rotation[2][2] > rotation[i][i]:
+        i = 2
+    j, k = (i + 1) % 3, (i + 2) % 3
+    root = math.sqrt(rotation[i][i] - rotation[j][j] - rotation[k][k] + 1.0)
+    pose[3 + i] = 0.5 * root
+    root = 0.5 / root
+    pose[6] = (rotation[k][j] - rotation[j][k]) * root
+    pose[3 + j] = (rotation[j][i] + rotation[i][j]) * root
+    pose[3 + k] = (rotation[k][i] + rotation[i][k]) * root

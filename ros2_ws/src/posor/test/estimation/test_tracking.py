@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from posor.estimation.tracking import LONGEST_GAP, predict, turn_about_z, update_tracker
 from posor.estimation.workspace import WORKSPACE
-from posor.model.native_coordinates import theta_of
 from posor.numerics.compiled import record_view
+from posor.numerics.vector import theta_of
 
 if TYPE_CHECKING:
     from posor.numerics.array_types import FloatArray

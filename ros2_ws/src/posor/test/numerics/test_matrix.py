@@ -10,8 +10,8 @@ from posor.numerics.matrix import cholesky_factorise, solve_lower_triangular
 
 if TYPE_CHECKING:
     from posor.numerics.array_types import FloatArray
-    from posor.numerics.matrix import Matrix, Symmetric
-    from posor.numerics.vector import Vector
+    from posor.numerics.matrix import Symmetric
+    from posor.numerics.vector import Matrix, Vector
 
 
 def vector(a: FloatArray) -> Vector:

@@ -8,10 +8,9 @@ import numpy as np
 from posor.errors import CalibrationError
 from posor.estimation.forward import scans_at
 from posor.estimation.sensor_stack import Stack
-from posor.model.native_coordinates import thetas_of
 from posor.model.scan import HOME_BUMP, SATURATED, SIMULATED
 from posor.numerics.stamps import NS, tick_stamp_ns
-from posor.numerics.vector import wrapped_angles
+from posor.numerics.vector import thetas_of, wrapped_angles
 from posor.sensors.base import RowSensor
 
 from posor_drivers.simulator.imperfections import RandomStream

@@ -12,8 +12,8 @@ import pytest
 from posor.chain.joint_measurements import MeasuredJoint
 from posor.estimation.posor import Posor
 from posor.model.fault import State
-from posor.model.native_coordinates import theta_of
 from posor.model.scan import SCAN_FIELDS
+from posor.numerics.vector import theta_of
 from posor_drivers.simulator.imperfections import Imperfections
 from posor_drivers.simulator.mechanics import LinkCompliance, bend_links
 from posor_drivers.simulator.nominal_arm import NominalArm
