@@ -1,43 +1,15 @@
-"""All calibration procedures by name. A new procedure is added to this list."""
+"""All calibration procedures by name, in this order: those of every module in ``procedures``."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from importlib import import_module
+from pkgutil import iter_modules
+from typing import Any
 
-from posor_calibration.procedures import (
-    beam_transform,
-    bundle,
-    diode_axes,
-    diode_map_fit,
-    gap_linearisation,
-    gap_repeatability,
-    light_sources,
-    probe_spacing,
-    ring_profile,
-    supply_sensitivity,
-    target_plane,
-    temperature_sensitivity,
-    zero_drift,
-)
+from posor_calibration import procedures
+from posor_calibration.procedure import Procedure
 
-if TYPE_CHECKING:
-    from posor_calibration.procedure import Procedure
+_MODULES = [import_module(f"{procedures.__name__}.{module.name}") for module in iter_modules(procedures.__path__)]
+_FOUND = {item.name: item for module in _MODULES for item in vars(module).values() if isinstance(item, Procedure)}
 
-PROCEDURES: dict[str, Procedure[Any]] = {
-    module.PROCEDURE.name: module.PROCEDURE
-    for module in (
-        beam_transform,
-        bundle,
-        diode_axes,
-        diode_map_fit,
-        gap_linearisation,
-        gap_repeatability,
-        light_sources,
-        probe_spacing,
-        ring_profile,
-        supply_sensitivity,
-        target_plane,
-        temperature_sensitivity,
-        zero_drift,
-    )
-}
+PROCEDURES: dict[str, Procedure[Any]] = dict(sorted(_FOUND.items()))

@@ -1,1 +1,1 @@
-"""The calibration procedures, one module each; ``procedure_registry`` lists them."""
+"""The calibration procedures, each a constant of a module; ``procedure_registry`` finds them."""

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from posor.calibration.quantity import Quantity
 from posor.errors import FitError
-from posor_calibration.procedures import supply_sensitivity, temperature_sensitivity
+from posor_calibration.procedures.environment_sensitivity import SUPPLY_SENSITIVITY, TEMPERATURE_SENSITIVITY
 from posor_lab.harness.simulated_recordings import PERIOD_NS, diode_calibration, dwell_path
 from scipy.stats import binomtest
 
@@ -64,7 +64,7 @@ def with_part(part: str, truth: FloatArray | None) -> Calibration:
 
 
 SUPPLY = Environment(
-    procedure=supply_sensitivity.PROCEDURE,
+    procedure=SUPPLY_SENSITIVITY,
     field="supply_voltages",
     part="supply",
     unit="V",
@@ -77,7 +77,7 @@ SUPPLY = Environment(
     least_span=0.2,
 )
 TEMPERATURE = Environment(
-    procedure=temperature_sensitivity.PROCEDURE,
+    procedure=TEMPERATURE_SENSITIVITY,
     field="temperatures",
     part="temperature",
     unit="K",

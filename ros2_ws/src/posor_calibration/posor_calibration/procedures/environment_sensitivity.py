@@ -1,6 +1,9 @@
 """Sensitivity of the gaps to supply voltage or temperature, from a recording in which it varies and the target rests.
 
-Each level of the quantity is a dwell. A slow drift counts as many short dwells.
+Each level of the quantity is a dwell. A slow drift counts as many short dwells. Source of the procedure for the supply:
+thesis 7.5.3, table 7.11. For the temperature of a room or chamber the target rests on a spacer, as in the cap test of
+the thesis (7.5.3, which names the temperature as a cause of drift). The growth of the spacer counts as sensitivity of
+the probe; a spacer of a material that hardly grows avoids this.
 """
 
 from __future__ import annotations
@@ -232,3 +235,38 @@ def _tabulate(
         ("", f"µm/{unit}", f"µm/{unit}", "µm"),
         tuple(rows),
     )
+
+
+SUPPLY_SENSITIVITY = make_procedure(
+    Environment(
+        procedure="supply_sensitivity",
+        summary="change of the gaps with the supply voltage, from a supply that is varied while the target rests",
+        title="supply voltage",
+        short_title="supply",
+        field="supply_voltages",
+        part="supply",
+        unit="V",
+        source="table 7.11",
+        still=0.01,
+        least_dwell=0.2,
+        span=0.2,
+        variation=0.1,
+    )
+)
+TEMPERATURE_SENSITIVITY = make_procedure(
+    Environment(
+        procedure="temperature_sensitivity",
+        summary="change of the gaps with the temperature of the plate, from a temperature that varies while the target "
+        "rests",
+        title="temperature of the plate",
+        short_title="temperature",
+        field="temperatures",
+        part="temperature",
+        unit="K",
+        source="7.5.3",
+        still=0.1,
+        least_dwell=60.0,
+        span=2.0,
+        variation=1.0,
+    )
+)
