@@ -29,7 +29,7 @@ from scipy.constants import inch
 from posor_lab.thesis_budgets.chapter5 import root_sum_square
 from posor_lab.thesis_data import data_path, last_digit, parse_number, read_table
 from posor_lab.thesis_table.row_file import RowFile
-from posor_lab.thesis_table.thesis_row import ROUNDING_MARGIN, Agreement, ThesisRow
+from posor_lab.thesis_table.thesis_row import Agreement, ThesisRow, agrees_within
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -79,9 +79,9 @@ class BudgetCell:
         printed, unit = self.printed_number, self.last_digit
         if math.isnan(printed):
             return Agreement.NOT_LEGIBLE
-        if abs(self.computed - printed) <= (0.5 * unit + self.input_rounding) * ROUNDING_MARGIN:
+        if agrees_within(0.5 * unit + self.input_rounding, self.computed, printed):
             return Agreement.AGREES
-        explained = abs(self.gives - printed) <= (unit + self.input_rounding) * ROUNDING_MARGIN
+        explained = agrees_within(unit + self.input_rounding, self.gives, printed)
         return Agreement.EXPLAINED if explained else Agreement.DIFFERS
 
     @property

@@ -9,7 +9,12 @@ from posor_lab.thesis_data import last_digit
 
 RELATIVE_TOLERANCE = 0.02
 """A computed number agrees within this share of the printed one, or within the rounding of the printed one."""
-ROUNDING_MARGIN = 1.0 + 1e-9  # factor of a tolerance that allows for the rounding of a binary number
+_BINARY_ROUNDING = 1.0 + 1e-9  # factor of a tolerance that allows for the rounding of a binary number
+
+
+def agrees_within(tolerance: float, computed: float, printed: float) -> bool:
+    """Return whether a computed number is within a tolerance of a printed one."""
+    return abs(computed - printed) <= _BINARY_ROUNDING * tolerance
 
 
 class Agreement(Enum):
@@ -62,9 +67,10 @@ class ThesisRow:
     @property
     def verdict(self) -> Agreement:
         """Agreement within 2 % of the printed number, or within the rounding of this number and of a printed input."""
-        if self.difference is None:
+        if self.printed_number is None:
             return Agreement.NOT_LEGIBLE
-        agrees = self._within_share or abs(self.difference) <= ROUNDING_MARGIN * (self.rounding + self.input_rounding)
+        rounding = self.rounding + self.input_rounding
+        agrees = self._within_share or agrees_within(rounding, self.computed, self.printed_number)
         return Agreement.AGREES if agrees else Agreement.DIFFERS
 
     @property
@@ -78,6 +84,4 @@ class ThesisRow:
     @property
     def _within_share(self) -> bool:
         printed = self.printed_number
-        return printed is not None and abs(self.computed - printed) <= ROUNDING_MARGIN * RELATIVE_TOLERANCE * abs(
-            printed
-        )
+        return printed is not None and agrees_within(RELATIVE_TOLERANCE * abs(printed), self.computed, printed)
