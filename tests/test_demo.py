@@ -148,7 +148,7 @@ def test_an_interrupted_demo_ends_all_programs(demo: Demo, tmp_path: Path) -> No
     process.send_signal(signal.SIGTERM)
     _, err = process.communicate()
     assert process.returncode == 130
-    assert err == "replay: interrupted.\n"
+    assert err == "demo: interrupted.\n"
     bag = read_bag_messages(tmp_path / "report" / "ymo_printed" / "bag")
     assert bag[TOPICS[0]]
     assert (tmp_path / "report" / "ymo_printed" / "bag" / "metadata.yaml").is_file()

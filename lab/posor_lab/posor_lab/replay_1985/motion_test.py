@@ -80,11 +80,11 @@ class MotionTest:
         """Refuse steps without a reference."""
         if len(self.steps) < _MINIMUM_STEPS:
             expected = f"at least {_MINIMUM_STEPS}"
-            raise PosorError(f"{len(self.steps)} steps were received", where="replay", expected=expected)
+            raise PosorError(f"{len(self.steps)} steps were received", where="demo", expected=expected)
         first = self.steps[0]
         if not first.has_pose:
             expected = "a pose at the first step, the reference of all others"
-            raise PosorError(f"step {first.number} gave no pose ({first.status})", where="replay", expected=expected)
+            raise PosorError(f"step {first.number} gave no pose ({first.status})", where="demo", expected=expected)
 
     @cached_property
     def numbers(self) -> list[int]:

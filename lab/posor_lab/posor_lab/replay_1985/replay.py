@@ -159,7 +159,7 @@ class Replay:
         def on_received() -> None:
             on_steps(collector.complete_steps())
 
-        self._watch = GraphWatch(supervisor, collector, "replay", on_received=on_received, interrupted=interrupted)
+        self._watch = GraphWatch(supervisor, collector, "demo", on_received=on_received, interrupted=interrupted)
 
     def start(self) -> None:
         """Start and configure all programs, and wait until all subscriptions exist."""
