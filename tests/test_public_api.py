@@ -17,6 +17,7 @@ import posor
 import posor_calibration
 import pytest
 from geometry_msgs.msg import PoseStamped
+from posor.bags.recording import Recording
 from posor.calibration.designs import design
 from posor.model.fault import State
 from posor.model.native_coordinates import rotation_from_native
@@ -314,6 +315,7 @@ REFUSED: list[tuple[str, Callable[[], Any], str, str]] = [
     ("slice", lambda: scans_of_three()[0:2], "slice(0, 2, None)", ".part(begin, end)"),
     ("text as index", lambda: scans_of_three()["x"], "'x'", "an integer"),
     ("empty data", lambda: fit(ANY.Scans.of([])), "no scans", "at least one"),
+    ("empty recording", lambda: fit(Recording(posor.Scans.of([]), {}, "")), "no scans", "at least one"),
     ("references", lambda: fit(references=[1]), "list", "Mapping"),
     ("reference", lambda: fit(references={"/cmm": "abc"}), "str", "real numbers"),
     ("uncertainties", lambda: fit(uncertainties=[1.0]), "list", "Mapping"),
@@ -337,6 +339,12 @@ REFUSED: list[tuple[str, Callable[[], Any], str, str]] = [
     ("theta None", lambda: ANY.Posor(CALIBRATION).confirm_theta(None, 1e-6), "theta None", "finite numbers"),
     ("covariance", lambda: ANY.load_arm(find_arm("five_axis")).estimate(BAG, covariance=["total"]), "total", "random"),
     ("null character", lambda: posor.load_calibration("a\0b"), "null character", "calibration file"),
+    (
+        "null character in fit",
+        lambda: posor_calibration.fit("bundle", "a\0b", BAG),
+        "null character",
+        "calibration file",
+    ),
 ]
 
 

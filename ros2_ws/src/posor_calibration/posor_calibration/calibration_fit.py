@@ -22,7 +22,7 @@ from posor.calibration.file_model import first_problem
 from posor.calibration.fit_record import Instrument
 from posor.calibration.save import save_calibration
 from posor.calibration.yaml_document import read_text
-from posor.errors import BagError, ParameterError, ShapeError, check_type, similar_name
+from posor.errors import BagError, ParameterError, ShapeError, check_type, checked_path, similar_name
 from posor.model.scan import Scans
 from posor.numerics.array_types import freeze_arrays
 from pydantic import ValidationError
@@ -143,7 +143,8 @@ def fit(
     settings = check_options(selected.options, options, lambda name: f"fit, option {name}")
     text, source = "", ""
     if isinstance(calibration, str | Path):
-        text, source = read_text(Path(calibration), FILE_KIND), str(calibration)
+        file = checked_path(calibration, "fit, calibration", "the path of a calibration file")
+        text, source = read_text(file, FILE_KIND), str(file)
         calibration = parse_calibration(text, source)
     check_type(calibration, Calibration, "fit, calibration")
     for name, given in (("references", references), ("uncertainties", uncertainties), ("instruments", instruments)):
@@ -162,6 +163,8 @@ def fit(
         recording, found = read_recording(Path(data), calibration, sigmas, names, topic=topic, reference=wanted)
     else:
         recording = data if isinstance(data, Recording) else _recording_of(data, references or {})
+        if len(recording.scans) == 0:
+            raise ParameterError("no scans", where="fit, data", expected="at least one")
         recording, found = _with_uncertainties(recording, sigmas, names, list(recording.tracks), "fit, {}")
     return fit_recording(selected, calibration, recording, found, settings, options, text=text, source=source)
 
@@ -319,8 +322,6 @@ def _numbers(given: ArrayLike, where: str) -> FloatArray:
 def _recording_of(scans: Scans, references: Mapping[str, ArrayLike | Track]) -> Recording:
     """Return a recording of scans and of references at their stamps."""
     check_type(scans, Scans, "fit, data")
-    if len(scans) == 0:
-        raise ParameterError("no scans", where="fit, data", expected="at least one")
     tracks = {}
     for name, given in references.items():
         if isinstance(given, Track):
