@@ -27,7 +27,6 @@ from posor.messages.raw_scan import scan_of
 from posor.model.fault import Fault, State
 from posor.model.scan import Scans
 from posor.node_parameters import PosorParameters
-from posor.numerics.stamps import time_ns
 from posor.ros_names import RAW_TOPIC, RELIABILITY_TOPIC, TRANSFORM_TOPIC
 from posor.uncertainty.reading_sensitivity import EstimateMatrices
 from posor_msgs.msg import JointReliability, JointTransform, RawScan
@@ -38,10 +37,10 @@ from posor_ros.intra_process import IntraProcessPublisher, IntraProcessSubscript
 from posor_ros.lifecycle_node import PosorNode
 from posor_ros.message_classes import schema_of_class
 from posor_ros.node_program import run_node
-from posor_ros.qos import RELIABLE_QOS, input_qos, sensor_publisher_qos, sensor_subscription_qos
-from sensor_msgs.msg import JointState
+from posor_ros.qos import RELIABLE_QOS, sensor_publisher_qos, sensor_subscription_qos
 
 from posor_estimator.alarm_rate import AlarmRate
+from posor_estimator.encoder_subscription import subscribe_to_encoder
 from posor_estimator.endpoint_verdict import NOT_COUNTED, waits_to_be_counted
 from posor_estimator.reliability_message import has_reliability, reliability_fields
 
@@ -109,9 +108,7 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
         qos = sensor_subscription_qos(self.parameters)
         self._inputs.add(IntraProcessSubscription(self, RawScan, RAW_TOPIC, qos, self._on_raw_scan))
         if self.parameters.encoder.sigma:
-            topic = self.parameters.encoder.topic
-            encoder = self.create_subscription(JointState, topic, self._on_encoder, input_qos(self.parameters))
-            self.add_cleanup(self.destroy_subscription, encoder)
+            subscribe_to_encoder(self, self._inputs, self._confirm_theta)
         services = {
             "reload": self._reload_calibration,
             "home": self._count_from_home,
@@ -241,31 +238,9 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
             was_latched = self._posor.acknowledge()
         return "the fault is released; the next scan starts anew" if was_latched else "there is no latched fault"
 
-    def _on_encoder(self, message: JointState) -> None:
-        """Confirm theta of the next scan by the encoder; a message that cannot be used is reported."""
-        if not self.may_publish:
-            return
-        try:
-            theta = self._encoder_position(message)
-            stamp = message.header.stamp
-            if fault := self._inputs.stamp_limits.fault(time_ns(stamp.sec, stamp.nanosec)):
-                raise TopicError(fault)
-            with self._lock:
-                self._posor.confirm_theta(theta, self.parameters.encoder.sigma)
-        except PosorError as error:
-            self._inputs.note("encoder", f"{self.parameters.encoder.topic}: {error}")
-
-    def _encoder_position(self, message: JointState) -> float:
-        """Return the position of the encoder's joint [rad]. Raises TopicError: the message does not hold it."""
-        names, joint = list(message.name), self.parameters.encoder.joint
-        if joint and joint not in names:
-            raise TopicError(f"no joint '{joint}' among {', '.join(names)}")
-        if not joint and len(message.position) != 1:
-            raise TopicError(f"{len(message.position)} positions", expected="one, or the parameter 'encoder.joint'")
-        index = names.index(joint) if joint else 0
-        if index >= len(message.position):
-            raise TopicError(f"no position of joint '{joint}'")
-        return float(message.position[index])
+    def _confirm_theta(self, theta: float) -> None:
+        with self._lock:
+            self._posor.confirm_theta(theta, self.parameters.encoder.sigma)
 
     def _on_raw_scan(self, data: bytes) -> None:
         with self._lock:
