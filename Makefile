@@ -1,7 +1,7 @@
 # POSOR for ROS 2. Every target sets the workspace up first; this takes a fraction of a second if nothing has changed.
 
 .DEFAULT_GOAL := help
-.PHONY: help setup audit bounds demo arm calibrate-demo faults fuzz instruments soak test test-long coverage accuracy budgets thesis bench bench-core data docs lint words lines rooms lock clean
+.PHONY: help setup environment audit bounds demo arm calibrate-demo faults fuzz instruments soak test test-long coverage accuracy budgets thesis bench bench-core data docs lint words lines rooms lock clean
 
 BAG ?= ymo
 CAL ?= printed
@@ -47,6 +47,9 @@ help:
 setup:
 	@tools/python.sh tools/setup_workspace.py
 
+environment:
+	@tools/python.sh tools/setup_workspace.py --without-build
+
 audit: setup
 	@.venv/bin/python -E -s tools/audit_requirements.py
 
@@ -74,10 +77,10 @@ instruments:
 soak:
 	@./run posor_lab soak $(SOAK)
 
-test: setup
+test: environment  # tools/run_tests.py builds
 	@.venv/bin/python -E tools/run_tests.py $(TESTS)
 
-test-long: setup
+test-long: environment
 	@.venv/bin/python -E tools/run_tests.py --long $(TESTS)
 
 coverage: setup
@@ -110,7 +113,7 @@ docs: setup
 	@$(IN_WORKSPACE) -m sphinx -q -W --keep-going -d build/docs/.doctrees docs build/docs
 	@echo "build/docs/index.html"
 
-lint: setup
+lint: environment
 	@.venv/bin/python -I -m ruff check
 	@.venv/bin/python -I -m ruff format --check
 	@if [ -x .venv/bin/mypy ]; then .venv/bin/python -I -m mypy; \

@@ -3,8 +3,9 @@
 A test file that may use ROS has a pytest process of its own, so that no ROS context leaks from one file into another;
 two such processes run at a time. A folder whose tests make no ROS context has one process, which saves seconds of
 imports for each file. These and the linters run at low priority in the processor time that the nodes of the other tests
-leave while they wait. Every process uses one thread of linear algebra, because threads of small matrices wait for each
-other. The output ends with every skipped or failed test and its reason, and ``N passed, N failed, N skipped``.
+leave while they wait; a process that has no such job left runs tests that may use ROS. The linters need no build and
+start before it. Every process uses one thread of linear algebra, because threads of small matrices wait for each other.
+The output ends with every skipped or failed test and its reason, and ``N passed, N failed, N skipped``.
 Arguments: paths of tests; without paths, the linters and all tests run. Tests with the marker ``long`` are left out;
 with the option ``--long`` they alone run.
 """
@@ -17,13 +18,16 @@ import os
 import signal
 import subprocess
 import textwrap
+import threading
 import time
+from collections import deque
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass, field
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
 from environment import THIS, SetupError, exit_with, workspace_environment
+from setup_workspace import set_up
 
 PROCESSES = min(2, os.cpu_count() or 1)  # of each priority
 LOW_PRIORITY = 4  # nice value
@@ -129,35 +133,52 @@ def make_test_jobs(files: list[Path], marked: str = "not long") -> list[Job]:
 
 
 class Runner:
-    """Runs jobs and terminates all running processes after an interruption.
+    """Sets the workspace up, runs jobs and terminates all running processes after an interruption."""
 
-    Args:
-        environ: Environment of the sourced workspace.
-
-    """
-
-    def __init__(self, environ: dict[str, str]) -> None:
-        self.environ = SINGLE_THREAD | environ
+    def __init__(self) -> None:
+        self.environ = SINGLE_THREAD | os.environ
         self.running: set[subprocess.Popen[str]] = set()
+        self.printing = threading.Lock()
+        self.finished = 0
+        self.interrupted = False
 
-    def run_jobs(self, jobs: list[Job]) -> None:
-        """Run the jobs and print a line for each when it ends."""
-        with ThreadPoolExecutor(PROCESSES) as normal, ThreadPoolExecutor(PROCESSES) as low:
-            futures = [(low if job.low_priority else normal).submit(self.run_job, job) for job in jobs]
+    def run_all(self, linters: list[Job], tests: list[Job]) -> None:
+        """Run the linters during the build, then the tests, and print a line for each job when it ends."""
+        early = deque(linters)
+        normal, low = (deque(job for job in tests if job.low_priority == priority) for priority in (False, True))
+        count = len(linters) + len(tests)
+        with ThreadPoolExecutor(2 * PROCESSES) as pool:
             try:
-                for number, future in enumerate(as_completed(futures), start=1):
-                    job = future.result()
-                    print(f"[{number}/{len(jobs)}] {job.format_line()}", flush=True)
-                    if job.failed:
-                        print(job.output, flush=True)
-            except KeyboardInterrupt:
-                for pool in (normal, low):
-                    pool.shutdown(wait=False, cancel_futures=True)
+                workers = [pool.submit(self.run_jobs, count, early)] if early else []
+                with self.printing:
+                    set_up(THIS, os.environ)
+                self.environ = SINGLE_THREAD | workspace_environment()
+                order = [(normal, low)] * PROCESSES + [(low, normal)] + [(low,)] * (PROCESSES - 1)
+                workers += [pool.submit(self.run_jobs, count, *queues) for queues in order]
+                for worker in as_completed(workers):
+                    worker.result()
+            except BaseException:
+                self.interrupted = True
+                for queue in (early, normal, low):
+                    queue.clear()
                 for process in list(self.running):
                     interrupt_process(process)
                 raise
 
-    def run_job(self, job: Job) -> Job:
+    def run_jobs(self, count: int, *queues: deque[Job]) -> None:
+        """Run the jobs of one queue after the other and print a line for each of ``count`` jobs of all queues."""
+        for queue in queues:
+            while job := pop_left(queue):
+                self.run_job(job)
+                with self.printing:
+                    if self.interrupted:
+                        return
+                    self.finished += 1
+                    print(f"[{self.finished}/{count}] {job.format_line()}", flush=True)
+                    if job.failed:
+                        print(job.output, flush=True)
+
+    def run_job(self, job: Job) -> None:
         """Run a job in a process group of its own and store its results."""
         if job.report:
             job.report.unlink(missing_ok=True)
@@ -187,12 +208,19 @@ class Runner:
         job.seconds = time.monotonic() - start
         job.read_report()
         if process.returncode == NO_TESTS and " deselected" in job.output:
-            return job
+            return
         if process.returncode and not job.failed:
             job.failed = 1
             job.output += f"{ending}\n"
             job.failures = [job.output[-FAILURE_LENGTH:]]
-        return job
+
+
+def pop_left(queue: deque[Job]) -> Job | None:
+    """Take the first job from a queue that other threads empty too."""
+    try:
+        return queue.popleft()
+    except IndexError:
+        return None
 
 
 def lower_priority(process: subprocess.Popen[str]) -> None:
@@ -232,11 +260,12 @@ def main() -> int:
     parser.add_argument("--long", action="store_true", help="only the tests that are left out otherwise")
     parser.add_argument("paths", nargs="*", help="files or folders; default: all tests, and the linters")
     options = parser.parse_args()
-    jobs = make_test_jobs(find_test_files(options.paths), "long" if options.long else "not long")
-    if not options.paths and not options.long:
-        jobs.insert(0, Job("make lint", ["make", "--no-print-directory", "lint"], low_priority=True))
+    tests = make_test_jobs(find_test_files(options.paths), "long" if options.long else "not long")
+    linters = [Job("make lint", ["make", "--no-print-directory", "lint"], low_priority=True)]
+    linters = [] if options.paths or options.long else linters
     REPORTS.mkdir(parents=True, exist_ok=True)
-    Runner(workspace_environment()).run_jobs(jobs)
+    Runner().run_all(linters, tests)
+    jobs = [*linters, *tests]
     print_summary(jobs)
     return 0 if jobs and not any(job.failed for job in jobs) else 1
 

@@ -235,31 +235,33 @@ def setup_lock(workspace: Workspace) -> Iterator[int]:
         yield lock.fileno()
 
 
-def set_up(workspace: Workspace, environ: Mapping[str, str]) -> None:
-    """Make the missing and outdated parts of the workspace.
+def set_up(workspace: Workspace, environ: Mapping[str, str], *, without_build: bool = False) -> None:
+    """Make the missing and outdated parts of the workspace, or only its virtual environment.
 
     Raises:
         SetupError: A requirement is missing or a step failed.
 
     """
     official = is_official_ros_sourced(environ)
-    if not any(reasons_to_set_up(workspace, environ, official=official)):
+    environment_reason, build_reason = reasons_to_set_up(workspace, environ, official=official)
+    if not environment_reason and (without_build or not build_reason):
         return
     with setup_lock(workspace) as lock:
         environment_reason, build_reason = reasons_to_set_up(workspace, environ, official=official)
-        if not environment_reason and not build_reason:
+        if not environment_reason and (without_build or not build_reason):
             return
         check_machine(workspace, environ, official=official)
         setup = Setup(workspace, environ, SetupReport(workspace, lock), official=official)
         if environment_reason:
             setup.make_environment(environment_reason)
-        setup.build(build_reason)
+        if not without_build:
+            setup.build(build_reason)
 
 
 def main() -> int:
-    """Set up this checkout and return the exit code."""
+    """Set up this checkout, with ``--without-build`` only its virtual environment, and return the exit code."""
     try:
-        set_up(THIS, os.environ)
+        set_up(THIS, os.environ, without_build="--without-build" in sys.argv[1:])
     except SetupError as error:
         sys.stderr.write(f"posor set-up: {error}\n")
         return 1
