@@ -275,8 +275,8 @@ def test_cmake_path_of_another_kind_is_refused(tmp_path: Path) -> None:
 
 
 def test_an_interrupted_tool_ends_what_it_started() -> None:
-    main = "lambda: run_command(['sh', '-c', 'sleep 300 & echo $!; wait'])"
-    code = f"from environment import exit_with, run_command; exit_with('tool', {main})"
+    main = "lambda: run_commands(['sh', '-c', 'sleep 300 & echo $!; wait'])"
+    code = f"from environment import exit_with, run_commands; exit_with('tool', {main})"
     with Program([sys.executable, "-c", code], {"PYTHONPATH": str(THIS.root / "tools")}) as running:
         command = Path("/proc", running.wait_for_line("").strip(), "cmdline")
         assert running.end(signal.SIGTERM) == 130

@@ -11,6 +11,7 @@ import os
 import signal
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -172,22 +173,26 @@ def with_variables(environ: Mapping[str, str], added: Mapping[str, Any]) -> dict
     return result
 
 
-def run_command(command: Sequence[str | Path], **options: Any) -> int:
-    """Run a command with options of Popen and return its exit code.
+def run_commands(*commands: Sequence[str | Path], **options: Any) -> int:
+    """Run commands at the same time, with options of Popen; return the first exit code that is not 0, or 0.
 
-    The command has a session of its own. An interruption of the tool ends all processes of the session, by SIGTERM,
+    Each command has a session of its own. An interruption of the tool ends all processes of the sessions, by SIGTERM,
     after ``END_S`` by SIGKILL.
     """
-    with subprocess.Popen(command, start_new_session=True, **options) as process:
+    with contextlib.ExitStack() as stack:
+        start = partial(subprocess.Popen, start_new_session=True, **options)
+        processes = [stack.enter_context(start(command)) for command in commands]
         try:
-            return process.wait()
+            return next(filter(None, [process.wait() for process in processes]), 0)
         except KeyboardInterrupt:
-            with contextlib.suppress(ProcessLookupError):
-                os.killpg(process.pid, signal.SIGTERM)
-            try:
-                process.wait(END_S)
-            except subprocess.TimeoutExpired:
-                os.killpg(process.pid, signal.SIGKILL)
+            for process in processes:
+                with contextlib.suppress(ProcessLookupError):
+                    os.killpg(process.pid, signal.SIGTERM)
+            for process in processes:
+                try:
+                    process.wait(END_S)
+                except subprocess.TimeoutExpired:
+                    os.killpg(process.pid, signal.SIGKILL)
             raise
 
 

@@ -17,7 +17,7 @@ from environment import (
     SetupError,
     exit_with,
     is_official_ros_sourced,
-    run_command,
+    run_commands,
     split_paths,
     workspace_environment,
 )
@@ -76,7 +76,7 @@ def main() -> int:
         if any(reasons_to_set_up(THIS, os.environ, official=is_official_ros_sourced(os.environ))):
             tools = Path(__file__).parent
             command = [tools / "python.sh", tools / "setup_workspace.py"]
-            code = run_command(command, stdout=sys.stderr)
+            code = run_commands(command, stdout=sys.stderr)
             if code:
                 return code
         environ = workspace_environment()

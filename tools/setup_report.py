@@ -9,7 +9,7 @@ import sys
 import time
 from typing import TYPE_CHECKING
 
-from environment import SetupError, Workspace, run_command
+from environment import SetupError, Workspace, run_commands
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -58,23 +58,23 @@ class SetupReport:
             raise
         print(f"{time.monotonic() - start:.1f} s", flush=True)
 
-    def run(self, command: Sequence[str | Path], environ: Mapping[str, str], failure: str) -> None:
-        """Run a command of the current step.
+    def run(self, *commands: Sequence[str | Path], environ: Mapping[str, str], failure: str) -> None:
+        """Run commands of the current step at the same time.
 
         Args:
-            command: Program and arguments.
-            environ: Environment of the command.
+            commands: Program and arguments of each.
+            environ: Environment of the commands.
             failure: Error message without a full stop.
 
         Raises:
-            SetupError: The command failed.
+            SetupError: A command failed.
 
         """
         with self.log.open("ab") as log:
-            log.write(f"$ {' '.join(map(str, command))}\n".encode())
+            log.writelines(f"$ {' '.join(map(str, command))}\n".encode() for command in commands)
             log.flush()
-            code = run_command(
-                command,
+            code = run_commands(
+                *commands,
                 env=dict(environ),
                 cwd=self.workspace.root,
                 stdin=subprocess.DEVNULL,

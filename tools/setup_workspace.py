@@ -16,6 +16,7 @@ import shutil
 import subprocess
 import sys
 import sysconfig
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -93,7 +94,7 @@ class Setup:
             (venv / VENV_MARKER).touch()
             options = ["--system-site-packages"] if self.official else []
             command = [sys.executable, "-I", "-m", "venv", *options, str(venv)]
-            self.report.run(command, self.environ, "the virtual environment cannot be made")
+            self.report.run(command, environ=self.environ, failure="the virtual environment cannot be made")
         if self.official:
             with self.report.step("Python libraries that are missing in the installed Jazzy", "pip.log"):
                 self.install_missing()
@@ -106,11 +107,17 @@ class Setup:
         write_stamp(workspace.environment_stamp, stamp)
 
     def install(self, locks: list[Path]) -> None:
-        """Install the libraries of lock files, which name every dependency; their first import compiles them."""
+        """Install the libraries of lock files, which name every dependency; their first import compiles them.
+
+        Two processes install one half each. The locks share libraries, so a half is every other pin of all locks.
+        """
         options = ["--no-deps", "--no-compile", "--no-input", "--disable-pip-version-check", "--progress-bar=off"]
-        command = [str(self.workspace.python), "-I", "-m", "pip", "install", *options]
-        command += [f"--requirement={lock}" for lock in locks]
-        self.report.run(command, self.environ, "pip could not install the pinned libraries")
+        pip = [str(self.workspace.python), "-I", "-m", "pip", "install", *options]
+        texts = (lock.read_text(encoding="utf-8") for lock in locks)
+        pins = sorted({line for text in texts for line in text.splitlines() if line and not line.startswith("#")})
+        halves = [half for half in (pins[::2], pins[1::2]) if half]
+        commands = [[*pip, *half] for half in halves]
+        self.report.run(*commands, environ=self.environ, failure="pip could not install the pinned libraries")
 
     def install_missing(self) -> None:
         """Install the locked libraries that the installed Jazzy and its system lack, until none is missing."""
@@ -118,10 +125,12 @@ class Setup:
         lists = [self.workspace.root / "requirements" / name for name in NAMED_LISTS + NAMED_LOCKS]
         script = Path(__file__).with_name("missing_requirements.py")
         command = [str(part) for part in (self.workspace.python, "-I", script, missing, *lists)]
-        self.report.run(command, self.environ, "the installed libraries cannot be listed")
+        failure = "the installed libraries cannot be listed"
+        list_missing = partial(self.report.run, command, environ=self.environ, failure=failure)
+        list_missing()
         while missing.read_text(encoding="utf-8"):
             self.install([missing])
-            self.report.run(command, self.environ, "the installed libraries cannot be listed")
+            list_missing()
 
     def build(self, reason: str) -> None:
         """Build and install the packages with colcon, compile the kernels and record the resulting environment.
@@ -152,13 +161,13 @@ class Setup:
             ]
             environ = ros_environment(workspace, self.environ, official=self.official)
             environ["COLCON_DEFAULTS_FILE"] = os.devnull
-            self.report.run(command, environ, "colcon could not build ros2_ws")
+            self.report.run(command, environ=environ, failure="colcon could not build ros2_ws")
             variables = self.read_added_variables()
         if kernel_files(workspace):
             with self.report.step("compile the kernels of the measurement model", "kernels.log"):
                 command = [str(workspace.python), "-m", "posor.warm_up"]
-                failure = "the kernels cannot be compiled"
-                self.report.run(command, with_variables(self.environ, variables), failure)
+                environ = with_variables(self.environ, variables)
+                self.report.run(command, environ=environ, failure="the kernels cannot be compiled")
         environment = read_stamp(workspace.environment_stamp)["inputs"]
         write_stamp(workspace.build_stamp, {"environment": environment, "inputs": inputs, **variables})
 
