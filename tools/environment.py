@@ -37,7 +37,8 @@ OTHER_ROS_VARIABLES = (
 END_S = 20.0  # time that a command has to end after an interruption of its tool [s]
 
 NO_BYTECODE = "PYTHONDONTWRITEBYTECODE"
-"""The set-up leaves the bytecode of the libraries to their first import. A start without it takes twice as long."""
+"""The set-up leaves the bytecode of the libraries to their first import. A start without it takes twice as long, and so
+do the many programs of the colcon build: the set-up and all programs of the workspace ignore this variable."""
 
 
 class SetupError(Exception):

@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from environment import (
+    NO_BYTECODE,
     THIS,
     VENV_MARKER,
     SetupError,
@@ -71,7 +72,8 @@ class Setup:
         self, workspace: Workspace, environ: Mapping[str, str], report: SetupReport, *, official: bool
     ) -> None:
         self.workspace = workspace
-        self.environ = {**environ, "PIP_USER": "0"}  # pip must not install into the user's own site
+        kept = {name: value for name, value in environ.items() if name != NO_BYTECODE}
+        self.environ = {**kept, "PIP_USER": "0"}  # pip must not install into the user's own site
         self.report = report
         self.official = official
 
