@@ -15,7 +15,7 @@ from posor_lab.benchmark.offline_benchmark import repeat_bag
 from posor_lab.harness.program import Program, installed, wait_until
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
 BAG = Path(__file__).resolve().parents[1] / "bags" / "five_axis"
 ARM = ["--arm", str(find_arm("five_axis"))]
@@ -42,7 +42,6 @@ def bags(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def program(bags: Path, names: tuple[str, ...], output: Path) -> Program:
-    """Start the program on some bags, two at a time."""
     given = [*(str(bags / name) for name in names), *ARM, "--output", str(output), "--jobs", "2"]
     return Program(["setsid", *installed("posor", "reprocess"), *given])
 
@@ -110,16 +109,20 @@ def test_an_interrupt_during_the_start_ends_all(bags: Path, tmp_path: Path, numb
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.long
-def test_repeated_interrupts_do_not_disturb_the_clean_up(bags: Path, tmp_path: Path) -> None:
-    output = tmp_path / "out"
-    with program(bags, LONG, output) as run:
+@pytest.fixture
+def started(bags: Path, tmp_path: Path) -> Iterator[Program]:
+    with program(bags, LONG, tmp_path / "out") as run:
         until(lambda: len(at_work(run)) == 2, "two bags in the making")
-        for _ in range(5):
-            send(run, signal.SIGINT, "group")
-        assert run.wait() == 130
-        assert run.stderr == [INTERRUPTED]
-    assert there(output) == []
+        yield run
+    assert there(tmp_path / "out") == []
+
+
+@pytest.mark.long
+def test_repeated_interrupts_do_not_disturb_the_clean_up(started: Program) -> None:
+    for _ in range(5):
+        send(started, signal.SIGINT, "group")
+    assert started.wait() == 130
+    assert started.stderr == [INTERRUPTED]
 
 
 def test_an_interrupt_of_one_bag_leaves_nothing(bags: Path, tmp_path: Path) -> None:
@@ -132,15 +135,11 @@ def test_an_interrupt_of_one_bag_leaves_nothing(bags: Path, tmp_path: Path) -> N
 
 
 @pytest.mark.long
-def test_a_killed_process_is_reported_with_the_unfinished_bags(bags: Path, tmp_path: Path) -> None:
-    output = tmp_path / "out"
-    with program(bags, LONG, output) as run:
-        until(lambda: len(at_work(run)) == 2, "two bags in the making")
-        os.kill(at_work(run)[0], signal.SIGKILL)
-        assert run.wait() == 1
-        (said,) = run.stderr
-        assert not any("written to" in line for line in run.stdout)
-    assert there(output) == []
+def test_a_killed_process_is_reported_with_the_unfinished_bags(bags: Path, started: Program) -> None:
+    os.kill(at_work(started)[0], signal.SIGKILL)
+    assert started.wait() == 1
+    assert not any("written to" in line for line in started.stdout)
+    (said,) = started.stderr
     assert said == (
         f"{bags / 'b'}, {bags / 'c'}, {bags / 'd'}: not finished, since a process of the program was ended by "
         "signal 9, Killed; expected memory for as many bags at a time, or a smaller --jobs."
@@ -148,14 +147,10 @@ def test_a_killed_process_is_reported_with_the_unfinished_bags(bags: Path, tmp_p
 
 
 @pytest.mark.long
-def test_processes_end_when_the_program_is_killed(bags: Path, tmp_path: Path) -> None:
-    output = tmp_path / "out"
-    with program(bags, LONG, output) as run:
-        until(lambda: len(at_work(run)) == 2, "two bags in the making")
-        pids = workers(run)
-        send(run, signal.SIGKILL, "parent")
-        assert run.wait() == -signal.SIGKILL
-        until(lambda: not any(Path(f"/proc/{pid}").exists() for pid in pids), "the end of all processes")
-        # Python's own resource tracker reports the semaphores of the killed program; the workers say nothing.
-        assert all("resource_tracker" in line or line.startswith("  warnings.warn") for line in run.stderr)
-    assert there(output) == []
+def test_processes_end_when_the_program_is_killed(started: Program) -> None:
+    pids = workers(started)
+    send(started, signal.SIGKILL, "parent")
+    assert started.wait() == -signal.SIGKILL
+    until(lambda: not any(Path(f"/proc/{pid}").exists() for pid in pids), "the end of all processes")
+    # Python's own resource tracker reports the semaphores of the killed program; the workers say nothing.
+    assert all("resource_tracker" in line or line.startswith("  warnings.warn") for line in started.stderr)

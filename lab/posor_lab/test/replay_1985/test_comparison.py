@@ -70,15 +70,13 @@ def test_a_step_with_an_estimated_reading_is_not_judged(compare: Compare) -> Non
     assert probes.verdict is Verdict.FAILS
 
 
-def test_a_test_without_judged_steps_fails(compare: Compare) -> None:
-    comparison = compare(statuses={1: DIODES_ESTIMATED})
-    assert finding(comparison, "theta: POSOR - printed").verdict is Verdict.FAILS
-    assert not comparison.holds
-
-
-def test_a_missing_step_fails(compare: Compare) -> None:
-    comparison = compare(count=14)
-    assert finding(comparison, "steps received").verdict is Verdict.FAILS
+@pytest.mark.parametrize(
+    ("change", "name"),
+    [({"statuses": {1: DIODES_ESTIMATED}}, "theta: POSOR - printed"), ({"count": 14}, "steps received")],
+)
+def test_no_judged_step_or_a_missing_one_fails(compare: Compare, change: dict[str, Any], name: str) -> None:
+    comparison = compare(**change)
+    assert finding(comparison, name).verdict is Verdict.FAILS
     assert not comparison.holds
 
 

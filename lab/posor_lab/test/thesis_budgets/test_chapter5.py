@@ -32,7 +32,6 @@ STEP = 1e-6
 WORST = Slopes(PROBE_RANGE, PROBE_RANGE)
 GAPS = np.array([PROBE_RANGE + WORST.along, PROBE_RANGE - WORST.across / 2.0, PROBE_RANGE + WORST.across / 2.0])
 LEVERS = np.array([1.5, 1.5, 3.0])
-SIZED = {"sigma_a": 0, "sigma_b": 1, "sigma_c": 2}
 
 
 def thesis(gaps: FloatArray, levers: FloatArray) -> dict[str, float]:
@@ -48,16 +47,6 @@ def thesis(gaps: FloatArray, levers: FloatArray) -> dict[str, float]:
     return {"alpha": alpha, "beta": beta, "l_0_0": distance(0.0, 0.0), "l_m1_1p5": distance(-1.0, 1.5)}
 
 
-def by_lever(output: str, which: int) -> float:
-    step = STEP * np.eye(3)[which]
-    return (thesis(GAPS, LEVERS + step)[output] - thesis(GAPS, LEVERS - step)[output]) / (2.0 * STEP)
-
-
-def by_gap(output: str, which: int) -> float:
-    step = STEP * np.eye(3)[which]
-    return (thesis(GAPS + step, LEVERS)[output] - thesis(GAPS - step, LEVERS)[output]) / (2.0 * STEP)
-
-
 def test_the_plate_is_inclined_by_the_range_of_the_probes() -> None:
     np.testing.assert_allclose(Chapter5(WORST).gaps, GAPS, atol=1e-5)
     np.testing.assert_allclose(Chapter5(Slopes()).gaps, PROBE_RANGE, rtol=1e-12)
@@ -65,10 +54,15 @@ def test_the_plate_is_inclined_by_the_range_of_the_probes() -> None:
 
 @pytest.mark.parametrize("output", ["l_0_0", "l_m1_1p5", "alpha", "beta"])
 def test_factors_of_the_probes_are_the_derivatives_of_the_closed_forms(output: str) -> None:
-    expected = root_sum_square(*(by_gap(output, i) for i in range(3)))
+    def derivative(gaps_step: FloatArray, levers_step: FloatArray) -> float:
+        above, below = (thesis(GAPS + s * gaps_step, LEVERS + s * levers_step)[output] for s in (STEP, -STEP))
+        return (above - below) / (2.0 * STEP)
+
+    expected = root_sum_square(*(derivative(step, np.zeros(3)) for step in np.eye(3)))
     assert gaps_effect(output) == pytest.approx(expected, rel=1e-3)
-    for row, which in SIZED.items():
-        assert abs(lever_effect(output, row)) == pytest.approx(abs(by_lever(output, which)), rel=2e-3, abs=5e-6), row
+    for row, step in zip(("sigma_a", "sigma_b", "sigma_c"), np.eye(3), strict=True):
+        by_lever = abs(derivative(np.zeros(3), step))
+        assert abs(lever_effect(output, row)) == pytest.approx(by_lever, rel=2e-3, abs=5e-6), row
     # A probe axis that leans by e measures 1 / cos e of the gap.
     for axis in "xy":
         assert leans_effect(output, axis) == pytest.approx(expected * PROBE_RANGE / 2.0, rel=1e-3)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import pytest
 from posor.bags.reprocess_command import parser, tasks_of
 from posor.chain.arm_file import load_arm_file
-from posor.errors import CalibrationError, ChainError, NodeError, ParameterError
+from posor.errors import CalibrationError, ChainError, NodeError, ParameterError, PosorError
 from posor.node_parameters import RECORDING
 from posor_bringup.arm_programs import arm_programs
 from posor_bringup.arms import find_arm, installed_arms, load_checked_arm
@@ -28,7 +28,6 @@ PARAMETERS = """  source: bag
 
 @pytest.fixture
 def rig_copy(tmp_path: Path) -> Path:
-    """Return the folder of a copy of the test rig."""
     folder = tmp_path / "own"
     shutil.copytree(share() / "arms" / "test_rig", folder)
     return folder
@@ -171,12 +170,6 @@ def test_arm_is_found_by_name_file_or_folder(rig_copy: Path) -> None:
         find_arm("six_fingers")
 
 
-def test_joint_missing_in_the_urdf_is_named(rig_copy: Path) -> None:
-    change(rig_copy, "^  joint1:", "  joint7:")
-    with pytest.raises(ChainError, match=r"arm\.yaml: joints joint7; expected joint1, the floating joints of .*urdf"):
-        load_checked_arm(str(rig_copy))
-
-
 @pytest.mark.parametrize("file", ["test_rig.urdf", "beams.yaml", "calibrations/joint1.yaml", "scenario.yaml"])
 def test_missing_file_is_named(rig_copy: Path, file: str) -> None:
     (rig_copy / file).unlink()
@@ -184,19 +177,22 @@ def test_missing_file_is_named(rig_copy: Path, file: str) -> None:
         load_checked_arm(str(rig_copy))
 
 
+NO_JOINT7 = r"arm\.yaml: joints joint7; expected joint1, the floating joints of .*urdf"
+OTHER_JOINT = "measures 'joint1_target' in 'joint2_receiving'; expected 'joint1_target' in"
+
+
 @pytest.mark.parametrize(
-    ("pattern", "replacement", "says"),
-    [("^seed: .*$", "sead: 1", "unknown key 'sead'"), ("^  joint1:", "  joint9:", "expected one of joint9")],
+    ("file", "pattern", "replacement", "kind", "says"),
+    [
+        ("arm.yaml", "^  joint1:", "  joint7:", ChainError, NO_JOINT7),
+        ("scenario.yaml", "^seed: .*$", "sead: 1", CalibrationError, "unknown key 'sead'"),
+        ("scenario.yaml", "^  joint1:", "  joint9:", CalibrationError, "expected one of joint9"),
+        ("calibrations/joint1.yaml", "joint1_receiving", "joint2_receiving", ChainError, OTHER_JOINT),
+    ],
 )
-def test_a_scenario_that_does_not_fit_is_refused(rig_copy: Path, pattern: str, replacement: str, says: str) -> None:
-    change(rig_copy, pattern, replacement, "scenario.yaml")
-    with pytest.raises(CalibrationError, match=says):
-        load_checked_arm(str(rig_copy))
-
-
-def test_calibration_of_another_joint_is_refused(rig_copy: Path) -> None:
-    change(rig_copy, "joint1_receiving", "joint2_receiving", "calibrations/joint1.yaml")
-    with pytest.raises(
-        ChainError, match=r"measures 'joint1_target' in 'joint2_receiving'; expected 'joint1_target' in"
-    ):
+def test_a_file_that_does_not_fit_is_refused(
+    rig_copy: Path, file: str, pattern: str, replacement: str, kind: type[PosorError], says: str
+) -> None:
+    change(rig_copy, pattern, replacement, file)
+    with pytest.raises(kind, match=says):
         load_checked_arm(str(rig_copy))

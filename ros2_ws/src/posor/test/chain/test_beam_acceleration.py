@@ -73,17 +73,13 @@ def test_too_few_scans_give_zero() -> None:
     assert np.all(motion.accelerations() != 0.0)
 
 
-def test_scans_before_the_window_are_forgotten() -> None:
-    motion = BeamMotion(0.02, 1)
-    for n in range(MINIMUM_SCANS):
+@pytest.mark.parametrize(
+    ("window_s", "scans", "last"),
+    [(0.02, range(MINIMUM_SCANS), 200), (0.05, range(10, 20), 0)],
+    ids=["scans before the window", "stamps that go back"],
+)
+def test_old_scans_are_forgotten(window_s: float, scans: range, last: int) -> None:
+    motion = BeamMotion(window_s, 1)
+    for n in (*scans, last):
         motion.append(n * PERIOD_NS, centre(n)[None])
-    motion.append(1_000_000_000, centre(200)[None])
-    np.testing.assert_array_equal(motion.accelerations(), NONE)
-
-
-def test_stamps_that_go_back_empty_the_history() -> None:
-    motion = BeamMotion(0.05, 1)
-    for n in range(10, 20):
-        motion.append(n * PERIOD_NS, centre(n)[None])
-    motion.append(0, centre(0)[None])
     np.testing.assert_array_equal(motion.accelerations(), NONE)

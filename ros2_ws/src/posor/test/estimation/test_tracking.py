@@ -53,15 +53,11 @@ def test_a_start_moves_on_as_the_target_has_moved(workspace: Any, scans: float) 
     np.testing.assert_allclose(moved, scans * MOVED)
 
 
-def test_motion_before_a_long_gap_is_not_extrapolated(workspace: Any) -> None:
-    turned, moved = predicted(workspace, 1.01 * LONGEST_GAP * ELAPSED)
-    assert turned == pytest.approx(0.0, abs=1e-15)
-    assert not moved.any()
-
-
-def test_the_motion_to_a_given_start_is_unknown(workspace: Any) -> None:
-    update_tracker(workspace["tracker"], workspace["pose"], 2.0, 0.201, math.nan)
-    turned, moved = predicted(workspace, ELAPSED)
+@pytest.mark.parametrize("start_is_given", [False, True])
+def test_motion_before_a_long_gap_or_to_a_given_start_is_unknown(workspace: Any, *, start_is_given: bool) -> None:
+    if start_is_given:
+        update_tracker(workspace["tracker"], workspace["pose"], 2.0, 0.201, math.nan)
+    turned, moved = predicted(workspace, ELAPSED if start_is_given else 1.01 * LONGEST_GAP * ELAPSED)
     assert turned == pytest.approx(0.0, abs=1e-15)
     assert not moved.any()
 

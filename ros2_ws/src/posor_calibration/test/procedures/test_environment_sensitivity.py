@@ -23,8 +23,6 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Environment:
-    """A procedure, its quantity, and the levels of a recording."""
-
     procedure: Procedure[Any]
     field: str
     part: str
