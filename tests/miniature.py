@@ -86,7 +86,6 @@ class Miniature(Workspace):
     """A checkout in an empty folder whose set-up needs no network."""
 
     def fill(self) -> None:
-        """Write the files of the checkout; a wheel refers to the libraries of this checkout."""
         ignored = shutil.ignore_patterns("__pycache__", "wheel_packages")
         shutil.copytree(THIS.root / "tools", self.root / "tools", ignore=ignored)
         shutil.copy(THIS.root / "run", self.root / "run")
@@ -112,7 +111,6 @@ class Miniature(Workspace):
         self.write(f"{package}/miniature/programs.py", PROGRAMS)
 
     def write(self, name: str, text: str) -> Path:
-        """Write a file of the checkout."""
         path = self.root / name
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(dedent(text), encoding="utf-8")
@@ -123,24 +121,20 @@ class Miniature(Workspace):
         return clean_environ(**{"PIP_NO_INDEX": "1", "PIP_FIND_LINKS": str(self.root / "wheels"), **extra})
 
     def start(self, *command: str | Path, **extra: str) -> subprocess.Popen[str]:
-        """Start a program of the checkout in a session of its own."""
         pipe = subprocess.PIPE
         return subprocess.Popen(
             command, env=self.environ(**extra), stdout=pipe, stderr=pipe, text=True, start_new_session=True
         )
 
     def start_set_up(self, **extra: str) -> subprocess.Popen[str]:
-        """Start the set-up with the Python of this test."""
         tools = self.root / "tools"
         return self.start(tools / "python.sh", tools / "setup_workspace.py", **{"PYTHON": str(BASE_PYTHON), **extra})
 
     def set_up(self, **extra: str) -> subprocess.CompletedProcess[str]:
-        """Run the set-up to the end."""
         process = self.start_set_up(**extra)
         out, err = process.communicate()
         return subprocess.CompletedProcess(process.args, process.returncode, out, err)
 
     def run(self, *arguments: str, **extra: str) -> subprocess.CompletedProcess[str]:
-        """Run the ``./run`` of the checkout."""
         command = [str(self.root / "run"), *arguments]
         return subprocess.run(command, env=self.environ(**extra), capture_output=True, text=True, check=False)

@@ -50,7 +50,6 @@ def open_replay(plan: ReplayPlan) -> Iterator[Replay]:
 
 
 def run_replay(plan: ReplayPlan) -> StepCollector:
-    """Replay a plan to its end and return the collector with the messages."""
     with open_replay(plan) as replay:
         replay.start()
         replay.activate_driver()
@@ -60,7 +59,6 @@ def run_replay(plan: ReplayPlan) -> StepCollector:
 
 
 def read_bag_messages(bag: Path) -> dict[str, list[bytes]]:
-    """Return the serialised messages of a bag by topic."""
     messages: dict[str, list[bytes]] = {}
     with Reader(bag) as reader:
         for connection, _, data in reader.messages():
@@ -105,5 +103,4 @@ def message_bits(message: Any) -> object:
 
 
 def all_message_bits(kind: type[Any], messages: Sequence[bytes]) -> list[object]:
-    """Return the fields of serialised messages, see ``message_bits``."""
     return [message_bits(deserialize_message(data, kind)) for data in messages]

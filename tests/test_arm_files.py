@@ -33,7 +33,6 @@ def arm_of(name: str) -> ArmFile:
 
 
 def outside_diameter(calibration: dict[str, Any]) -> float:
-    """Return the outside diameter [m] of a POSOR; the circle of its triad is 1 in smaller."""
     tips = np.array([probe["tip"]["value"] for probe in calibration["sensors"][0]["probes"]])
     return float(2.0 * np.linalg.norm(tips, axis=1).mean() + INCH)
 

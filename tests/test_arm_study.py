@@ -58,7 +58,6 @@ def run_arm(output: Path, *arguments: str) -> Iterator[Program]:
 
 
 def exit_code(program: Program) -> int:
-    """Wait for the end of the program."""
     program.process.wait(TIMEOUT_S)
     return program.wait()
 

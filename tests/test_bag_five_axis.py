@@ -61,14 +61,12 @@ def messages(bag: Path) -> dict[str, list[Any]]:
 
 
 def leaves(message: Any) -> list[Any]:
-    """Return a message's numbers and texts, in order."""
     if hasattr(message, "get_fields_and_field_types"):
         return [leaf for name in message.get_fields_and_field_types() for leaf in leaves(getattr(message, name))]
     return [message] if isinstance(message, int | float | str) else list(message)
 
 
 def parts(messages_: list[Any]) -> tuple[list[str], FloatArray]:
-    """Return all texts and all numbers of messages."""
     every = [leaf for message in messages_ for leaf in leaves(message)]
     return [leaf for leaf in every if isinstance(leaf, str)], np.array([x for x in every if not isinstance(x, str)])
 

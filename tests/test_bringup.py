@@ -48,7 +48,6 @@ def start(tmp_path: Path, *arguments: object) -> Program:
 
 
 def processes(program: Program, count: int) -> dict[str, int]:
-    """Return the process of each node after the start of all."""
     assert f" {count} nodes started, " in program.wait_for_line("nodes started")
     found = (re.fullmatch(r"(\S+): process (\d+)", line) for line in program.stdout)
     return {match[1]: int(match[2]) for match in found if match}

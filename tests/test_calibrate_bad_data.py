@@ -46,7 +46,6 @@ def plant(name: PosorName) -> GroundTruth:
 
 @cache
 def recorded(step: str) -> tuple[GroundTruth, CampaignStep, Recording]:
-    """Return a step of a campaign and what is recorded in it."""
     own = plant("triad_bumpy_ring" if step == "4_ring" else "triad_diodes")
     [found] = [one for one in campaign_steps(own.name) if one.name == step]
     return own, found, found.record(own)
@@ -90,8 +89,6 @@ def exchanged(track: Track) -> Track:
 
 
 def begin(share: float) -> Callable[[Recording], Recording]:
-    """Only the beginning of the recording."""
-
     def cut(taken: Recording) -> Recording:
         count = int(share * len(taken.scans))
         assert taken.statuses is not None

@@ -45,7 +45,6 @@ class Bench:
         self.file.write_text(f"# the designer's own file\n{text}", encoding="utf-8")
 
     def with_pose_stamped(self) -> Path:
-        """Return the bag with the reference as PoseStamped."""
         converted = []
         for topic, kind, time_ns, message in entries(self.drawn.recording()):
             if kind == TRANSFORM_STAMPED:
@@ -86,7 +85,6 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Bench:
 
 @pytest.fixture(scope="module")
 def fitted(bench: Bench) -> Path:
-    """The result of a bundle fit."""
     output = bench.folder / "fitted.yaml"
     done = bench.fit(output, "--loss", "linear")
     assert (done.returncode, done.stderr.strip()) == (0, ""), done.stderr

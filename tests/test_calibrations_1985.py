@@ -28,7 +28,6 @@ LEAN_ABOUT_Y_DEG = {"slocum1985_printed": 0.318, "slocum1985_section84": 3.18}
 
 @pytest.fixture(scope="module")
 def dimensions() -> dict[str, float]:
-    """The rig's dimensions [inch]."""
     return {row["quantity"]: float(row["value"]) for row in read_table(DATA / "posor_dimensions.csv", ())}
 
 
@@ -37,7 +36,6 @@ def load(name: str) -> dict[str, Any]:
 
 
 def leans(calibration: dict[str, Any]) -> tuple[float, float]:
-    """Return by how much the target plane leans about X and Y [rad]."""
     [triad] = [sensor for sensor in calibration["sensors"] if sensor["type"] == "gap_probes"]
     about_x, about_y = triad["target_plane"]["tilt"]["value"]
     assert triad["target_plane"]["tilt"]["unit"] == "rad"

@@ -151,8 +151,6 @@ def test_the_chain_receives_the_reliability_of_a_joint_of_its_process(tmp_path: 
 
 
 class StoppedNode:
-    """A substitute for a node that logs its stop."""
-
     parameters = NodeParameters()
 
     def __init__(self, name: str, log: list[str]) -> None:

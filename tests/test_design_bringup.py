@@ -56,5 +56,4 @@ def test_a_designed_posor_runs(tmp_path: Path, kind: LayoutKind, rotation: float
 
 
 def usable(messages: list[Any]) -> list[Any]:
-    """Return the messages of state OK."""
     return [message for message in messages if message.state == JointTransform.STATE_OK]

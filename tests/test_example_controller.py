@@ -45,7 +45,6 @@ def controller(namespace: str, **parameters: object) -> Program:
 
 
 def status_message(graph: Graph, name: str) -> str:
-    """Return the newest message of a diagnostic status; empty if there is none."""
     return getattr(graph.latest(name), "message", "")
 
 
@@ -58,8 +57,6 @@ def point_of(message: Any) -> FloatArray:
 
 @dataclass
 class Scan:
-    """Inputs of one scan; valid by default."""
-
     measured: pin.SE3 = field(default_factory=lambda: pin.SE3(pin.exp3(np.array([0.3, -0.2, 0.9])), np.ones(3)))
     target: FloatArray = field(default_factory=lambda: np.array([1.0001, 1.0002, 0.9999]))
     stage: FloatArray = field(default_factory=lambda: np.array([1e-4, -5e-5, 2e-5]))
@@ -71,13 +68,10 @@ class Scan:
 
     @property
     def wanted(self) -> FloatArray:
-        """Position that the controller must command."""
         return np.asarray(self.measured.rotation.T @ (self.target - self.measured.translation) + self.stage)
 
 
 class ControllerInputs:
-    """The topics of the controller."""
-
     def __init__(self, graph: Graph) -> None:
         self.graph = graph
         self.commands: list[Any] = graph.collect(Vector3Stamped, "/arm/stage/command")
@@ -88,7 +82,6 @@ class ControllerInputs:
         wait_for_value(graph, "/arm/endpoint_controller: listeners", "stage/command", "1")
 
     def send(self, scan: Scan, *, measured: bool = True) -> int:
-        """Publish a scan, with or without the measured pose; return its time [ns]."""
         now_ns = int(self.graph.node.get_clock().now().nanoseconds)
         pose, target, stage = PoseWithCovarianceStamped(), PoseStamped(), Vector3Stamped()
         for message, frame, offset_ns in zip(
@@ -107,7 +100,6 @@ class ControllerInputs:
         return now_ns
 
     def wait_for_commands(self, count: int) -> None:
-        """Wait for a number of commands."""
         self.graph.wait_until(lambda: len(self.commands) == count, f"command {count}")
 
     def status(self, text: str) -> dict[str, str]:
@@ -245,11 +237,9 @@ class SteppedArm:
         return self
 
     def __exit__(self, *error: object) -> None:
-        """End the nodes."""
         self._stack.close()
 
     def kill_posor_node(self, joint: str) -> None:
-        """Kill the posor_node of a joint."""
         self._running[f"{joint}/posor_node"].process.kill()
         del self._transforms[joint]
         self._without_pose = True

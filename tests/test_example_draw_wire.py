@@ -49,17 +49,14 @@ class Overlay:
     install: Path
 
     def command(self, command: Sequence[str]) -> list[str]:
-        """Return a command that runs another one with the overlay sourced."""
         return ["/bin/sh", "-c", '. "$0" && exec "$@"', str(self.install / "local_setup.sh"), *command]
 
     @property
     def calibration(self) -> Path:
-        """The example's installed calibration file."""
         return self.install / "posor_draw_wire" / "share" / "posor_draw_wire" / "config" / "triad_draw_wire.yaml"
 
 
 def built(home: Path) -> Overlay:
-    """Build the example below a folder and install it there."""
     folders = {name: str(home / name) for name in ("build", "install", "log")}
     done = subprocess.run(
         [

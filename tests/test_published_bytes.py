@@ -79,7 +79,6 @@ class EveryTopic:
         self._graph = graph
 
     def discover(self) -> None:
-        """Subscribe to new topics."""
         for name, (kind, *_) in self._graph.node.get_topic_names_and_types():
             publishers = self._graph.node.get_publishers_info_by_topic(name)
             if name not in self.types and publishers and not kind.startswith(OF_RCL):
@@ -89,12 +88,10 @@ class EveryTopic:
                 self.messages = {**self.messages, name: self._graph.collect(message_class(kind), name, qos, raw=True)}
 
     def missing(self, topics: tuple[str, ...]) -> list[str]:
-        """Return the topics of which not enough messages have arrived."""
         least = {name: FEWER.get(name.rpartition("/")[2], LEAST) for name in topics}
         return [name for name in topics if len(self.messages.get(name, ())) < least[name]]
 
     def check(self) -> None:
-        """Read and write every message with rosbags."""
         store = typestore()
         for name, messages in self.messages.items():
             kind: Any = self.types[name]

@@ -49,8 +49,6 @@ ESTIMATED: dict[Bag, dict[int, int]] = {  # flags of steps whose readings are il
 
 @dataclass(frozen=True)
 class CompletedReplay:
-    """A completed replay."""
-
     bag: Bag
     calibration: CalibrationName
     plan: ReplayPlan
@@ -74,7 +72,6 @@ class CompletedReplay:
     ],
 )
 def replay(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> CompletedReplay:
-    """Replay one bag with one calibration, as fast as possible."""
     bag, calibration = request.param
     plan = make_plan(tmp_path_factory.mktemp(bag), bag, calibration)
     return CompletedReplay(bag, calibration, plan, MotionTest(tuple(run_replay(plan).complete_steps())))

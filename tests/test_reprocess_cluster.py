@@ -48,7 +48,6 @@ def address_of(scheduler: Program) -> str:
 
 
 def at_work(worker: Program) -> bool:
-    """Return whether a worker is writing results."""
     for entry in Path(f"/proc/{worker.process.pid}/fd").iterdir():
         try:
             if UNFINISHED in str(entry.readlink()):
@@ -98,7 +97,6 @@ def certificates(tmp_path: Path) -> Iterator[Path]:
 
 
 def said(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
-    """Return the sentence of a refused command line."""
     capsys.readouterr()
     assert main(arguments) == 2
     return capsys.readouterr().err.strip()

@@ -24,7 +24,6 @@ FORCE = pytest.mark.parametrize("force", [[], ["--force"]], ids=["", "force"])
 
 @pytest.fixture
 def bags(tmp_path: Path) -> Path:
-    """Return a folder of recordings."""
     for name in ("ymo", "zmo"):
         shutil.copytree(BAGS / name, tmp_path / "day" / name)
     return tmp_path / "day"

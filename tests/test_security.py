@@ -118,7 +118,6 @@ def allowed(policy: ET.Element) -> set[Entity]:
 
 
 def opened(observer: Node, name: str, namespace: str) -> set[Entity]:
-    """Return the topics and services of a node in the ROS graph."""
     queries = {
         "publish": observer.get_publisher_names_and_types_by_node,
         "subscribe": observer.get_subscriber_names_and_types_by_node,

@@ -21,7 +21,6 @@ EXAMPLE = ROOT / "examples" / "posor_draw_wire"
 
 
 def blocks(text: str, language: str) -> list[str]:
-    """Return the code blocks of a language."""
     return re.findall(rf"^```{language}\n(.*?)^```$", text, re.DOTALL | re.MULTILINE)
 
 

@@ -18,7 +18,6 @@ SETUP_PROGRAMS = ("cc", "c++", "cmake", "dirname", "make", "readlink", "sh")
 
 @pytest.fixture
 def checkout(tmp_path: Path) -> Miniature:
-    """A small checkout that is not set up."""
     miniature = Miniature(tmp_path / "checkout")
     miniature.fill()
     return miniature

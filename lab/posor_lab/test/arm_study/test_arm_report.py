@@ -171,7 +171,6 @@ def test_figures_of_the_json_file(outcome: ArmOutcome) -> None:
 
 
 def read_page(outcome: ArmOutcome, simulation: ArmSimulation) -> ReportPage:
-    """Return the page of an outcome, which has no problem."""
     reader = ReportPage(arm_page(simulation.arm, simulation.scenario, outcome, arm_findings(outcome)))
     assert reader.problems == []
     return reader

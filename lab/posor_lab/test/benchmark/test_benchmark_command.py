@@ -62,13 +62,11 @@ def test_small_run_gives_all_figures(tmp_path: Path) -> None:
 
 
 def start_benchmark(output: Path, *options: str) -> subprocess.Popen[str]:
-    """Start the program as `make bench` does."""
     command = [sys.executable, "-m", "posor_lab.benchmark.benchmark_command", "--output", str(output), *options]
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
 def run_benchmark(output: Path, *options: str) -> str:
-    """Run the program for a few seconds; return its output."""
     program = start_benchmark(output, "--quick", "--joints", "2", "--rate", "200", "--seconds", "1", *options)
     try:
         printed, complaints = program.communicate()

@@ -31,7 +31,6 @@ CELLS = st.one_of(NUMBERS.map(str), TEXTS)
 
 
 def places(content: Any) -> list[tuple[Any, Any]]:
-    """Return every entry of a document as its container and its key."""
     keys = content.keys() if isinstance(content, dict) else range(len(content)) if isinstance(content, list) else ()
     return [place for key in list(keys) for place in ((content, key), *places(content[key]))]
 

@@ -26,8 +26,6 @@ if TYPE_CHECKING:
 
 @pytest.fixture
 def changed_table(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[str, str, str], None]]:
-    """Return a function that replaces text of a table of the thesis."""
-
     def change(name: str, old: str, new: str) -> None:
         text = data_path(name).read_text(encoding="utf-8")
         assert old in text

@@ -44,7 +44,6 @@ figures:
 
 
 def load(folder: Path, old: str = "", new: str = "") -> RowFile:
-    """Return the file with a text replaced."""
     assert old in FILE
     path = folder / "rows.yaml"
     path.write_text(FILE.replace(old, new, 1), encoding="utf-8")

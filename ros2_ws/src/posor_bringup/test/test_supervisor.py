@@ -32,7 +32,6 @@ SCRIPTS = {
 
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Install the scripts; return the folder for logs."""
     marker = tmp_path / "share" / "ament_index" / "resource_index" / "packages" / "scripts"
     marker.parent.mkdir(parents=True)
     marker.touch()

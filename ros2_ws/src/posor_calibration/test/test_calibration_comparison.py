@@ -13,7 +13,6 @@ from posor_calibration.calibration_comparison import compare_calibrations
 
 
 def changed(**of_probe: Any) -> Calibration:
-    """Return the design with some entries of its second gap probe changed."""
     content = design("triad_diodes").model_dump(mode="json", exclude_none=True)
     content["sensors"][0]["probes"][1] |= of_probe
     return calibration_from(content)

@@ -17,7 +17,6 @@ if TYPE_CHECKING:
 
 
 def with_shift(calibration: Calibration, shift: float) -> Calibration:
-    """Return the calibration with the zero shift of one probe changed."""
     gap: Any = calibration.sensors[0]
     probe = gap.probes[1]
     moved = Quantity(value=probe.zero_shift.number + shift, sigma=probe.zero_shift.sigma, unit="V")

@@ -72,7 +72,6 @@ class ElementBeam:
         return np.ix_(kept, kept)
 
     def frequencies(self, count: int) -> FloatArray:
-        """Return the lowest ones [rad/s]."""
         squares = scipy.linalg.eigvalsh(self.K[self.free], self.M[self.free], subset_by_index=(0, count - 1))
         return np.sqrt(squares)
 

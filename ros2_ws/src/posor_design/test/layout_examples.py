@@ -38,18 +38,15 @@ def content(**changes: Any) -> dict[str, Any]:
 
 @cache
 def example() -> Requirement:
-    """Return the requirement of ``content``."""
     return Requirement.model_validate(content())
 
 
 @cache
 def candidate(kind: LayoutKind = RING_OF_LIGHTS) -> Candidate:
-    """Return a layout of a kind that meets the requirement."""
     layout = arrange(example(), kind, 0.08, Shares(1.0, 0.4))
     assert layout is not None
     return evaluate(example(), kind, layout, extreme_poses(example(), layout.gap))
 
 
 def result_of(requirement: Requirement, chosen: Candidate) -> SearchResult:
-    """Return the result of a search that found one layout."""
     return SearchResult(requirement, chosen, (chosen,), (chosen,), chosen, 1, "electronics")

@@ -29,7 +29,6 @@ def calibration(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def made(calibration: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The folder of one run."""
     folder = tmp_path_factory.mktemp("budget") / "deep" / "er"
     assert main([str(calibration), POSE, POINT, "--draws", "20000", "--output", str(folder)]) == 0
     return folder

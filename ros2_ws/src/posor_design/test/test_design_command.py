@@ -34,7 +34,6 @@ def signature_of(name: str) -> CalculatorSignature:
 
 
 def example_of(name: str) -> list[str]:
-    """Return the arguments of 'posor design' in the example of a calculator."""
     posor, design, *arguments = shlex.split(signature_of(name).example)
     assert (posor, design, arguments[0]) == ("posor", "design", name)
     return arguments

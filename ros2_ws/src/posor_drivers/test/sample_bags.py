@@ -20,8 +20,6 @@ SECOND = 1_000_000_000
 
 
 class Record(NamedTuple):
-    """One recorded message."""
-
     topic: str
     type_name: str
     time_ns: int
@@ -53,13 +51,11 @@ def point(time_ns: int, topic: str = "/truth/machining_centre") -> Record:
 
 
 def text(time_ns: int, topic: str = "/remarks") -> Record:
-    """Return a recorded message that has no header."""
     name = "std_msgs/msg/String"
     return Record(topic, name, time_ns, TYPES.serialize(TYPES.new(name, data="remark"), name))
 
 
 def write_bag(path: Path, records: Iterable[Record], *, sqlite: bool = False, type_hash: str | None = None) -> Path:
-    """Write a bag and return its path; ``type_hash`` replaces the hash of every type."""
     plugin = StoragePlugin.SQLITE3 if sqlite else StoragePlugin.MCAP
     with Writer(path, version=9, storage_plugin=plugin) as writer:
         connections = {}

@@ -17,7 +17,6 @@ ROWS = (
 
 
 def write_table(path: Path, *rows: str, header: str = HEADER) -> Path:
-    """Write a table of the given rows, two comment lines first; return its path."""
     lines = ["# a test", "# y_in, z_in, x_in: machining centre", header, *(rows or ROWS)]
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
     return path

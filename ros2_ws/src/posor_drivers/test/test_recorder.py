@@ -35,7 +35,6 @@ LATCHED = QoSProfile(depth=5, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
 def record(bag: Path, *topics: str) -> Program:
-    """Record the given topics, or all without any."""
     topic_options = ["--topics", *topics] if topics else ["--all"]
     return Program([*installed("posor_drivers", "record"), "--output", str(bag), *topic_options])
 

@@ -80,7 +80,6 @@ def _beams() -> dict[str, Any]:
 
 
 def scenario() -> dict[str, Any]:
-    """Return the scenario as its file has it, to be changed."""
     content: dict[str, Any] = yaml.load(SCENARIO.read_text(encoding="utf-8"), Loader=yaml.CSafeLoader)
     return content
 
@@ -93,7 +92,6 @@ def perfect(content: dict[str, Any]) -> dict[str, Any]:
 
 
 def write_arm(folder: Path, content: dict[str, Any] | None = None) -> Path:
-    """Write the arm with a scenario; return the arm file."""
     (folder / "arm.urdf").write_text(URDF, encoding="utf-8")
     for joint in JOINTS:
         frames = (f"{joint}_receiving", f"{joint}_target")
@@ -123,12 +121,10 @@ def _write(path: Path, content: object) -> None:
 def simulation(
     folder: Path, switches: Imperfections | None = None, content: dict[str, Any] | None = None
 ) -> ArmSimulation:
-    """Write the arm and simulate it."""
     return ArmSimulation(load_arm_file(write_arm(folder, content)), switches)
 
 
 def refused(folder: Path, content: dict[str, Any]) -> CalibrationError:
-    """Return why a scenario is refused."""
     with pytest.raises(CalibrationError) as error:
         simulation(folder, content=content)
     return error.value

@@ -25,8 +25,6 @@ class ExampleParameters(NodeParameters):
 
 
 class ExampleNode(PosorNode[ExampleParameters]):
-    """An example."""
-
     NAME = "example"
     Parameters = ExampleParameters
 

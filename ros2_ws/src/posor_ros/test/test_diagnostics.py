@@ -24,8 +24,6 @@ CHANGES = 1000
 
 
 class Observer:
-    """The diagnostics of a node and the messages received over DDS."""
-
     def __init__(self, graph: Graph, reporter: Graph) -> None:
         self.graph, self.reporter = graph, reporter
         self.diagnostics = Diagnostics(reporter.node)
@@ -48,7 +46,6 @@ def observer() -> Iterator[Observer]:
 
 
 def run_in_thread(work: Callable[[], None]) -> None:
-    """Run a function in a thread of its own, as raw scans arrive."""
     thread = Thread(target=work)
     thread.start()
     thread.join()

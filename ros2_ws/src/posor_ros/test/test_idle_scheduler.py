@@ -31,8 +31,6 @@ def schedule(monkeypatch: pytest.MonkeyPatch) -> Iterator[TickSchedule]:
 
 
 class ObservedEvent(Event):
-    """An event that counts the waits for it."""
-
     def __init__(self) -> None:
         super().__init__()
         self.waits = Semaphore(0)
@@ -43,8 +41,6 @@ class ObservedEvent(Event):
 
 
 class WaitingThread:
-    """A thread with deferrable work."""
-
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self._tick_ended = ObservedEvent()
         monkeypatch.setattr(idle_scheduler, "_tick_ended", self._tick_ended)

@@ -52,7 +52,6 @@ def publish_from(node: IdleNode, topic: str = TOPIC, **options: Any) -> IntraPro
 
 
 def subscribe(process: NodeProcess, callback: Callable[[bytes], None]) -> IntraProcessSubscription:
-    """Subscribe from a node of its own."""
     node = process.start(IdleNode, f"/subscriber{len(process.nodes)}")
     return IntraProcessSubscription(node, RawScan, TOPIC, KEEP_ALL_QOS, callback)
 

@@ -25,15 +25,12 @@ def simulated_clock() -> Any:
 
 
 class TimedNode:
-    """The timing of a node and the arguments of its last report."""
-
     def __init__(self, clock: Any, **limits: float) -> None:
         self.clock = clock
         self.status = Mock()
         self.timing = Timing(self.status, clock, lambda: LimitParameters(**limits))
 
     def publish(self, now_ns: int, stamp_ns: int) -> None:
-        """Record a publication at a simulated time."""
         self.clock.set_ros_time_override(Time(nanoseconds=now_ns, clock_type=ClockType.ROS_TIME))
         self.timing.record(stamp_ns)
 

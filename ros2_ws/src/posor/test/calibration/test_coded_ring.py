@@ -23,7 +23,6 @@ SIGMAS = 12.0
 
 
 def ring(diameter_in: float | None) -> Posor:
-    """Return the POSOR of an outside diameter, or of the 1985 size."""
     if diameter_in is None:
         return Posor(design("quad_light_ring"))
     frames = ("receiving", "target")

@@ -22,7 +22,6 @@ WINDOW_S = 0.01  # of the scans here, 20 periods
 
 
 def six_axis_chain() -> Chain:
-    """Return its chain: six joints, six beams of which five sag, none exact."""
     return load_arm_file(FOLDER / "arm.yaml").chain()
 
 

@@ -11,7 +11,6 @@ from posor_lab.harness.case_tables import cases, edited, refusal
 
 @pytest.fixture
 def path(tmp_path: Path) -> Path:
-    """An arm file, with its URDF beside it."""
     folder = shutil.copytree(Path(__file__).with_name("two_joints"), tmp_path / "arm")
     return folder / "arm.yaml"
 

@@ -30,7 +30,6 @@ def chain() -> Chain:
 
 @pytest.fixture(scope="module")
 def straight() -> Chain:
-    """The same arm with straight and exact beams."""
     return Chain((FOLDER / "six_axis.urdf").read_text(encoding="utf-8"), "endpoint")
 
 

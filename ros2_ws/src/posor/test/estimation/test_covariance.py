@@ -54,7 +54,6 @@ class Solved:
         workspace["end_correlated"][:m] = np.repeat(ends, [len(root) for root in roots])
 
     def covariances(self, rotation: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the covariances by the kernel."""
         workspace = self._memory[0]
         workspace["pose"]["rotation"] = rotation
         weights = np.ascontiguousarray(workspace["weights"])
@@ -65,7 +64,6 @@ class Solved:
         return random, systematic
 
     def chi_square(self) -> float:
-        """Return the chi-square by the kernel, after ``covariances``."""
         return chi_square_of_workspace(record_view(self._memory))
 
 

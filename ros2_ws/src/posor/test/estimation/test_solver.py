@@ -34,15 +34,12 @@ class Problem:
     weights: FloatArray
 
     def readings(self, pose: pin.SE3) -> FloatArray:
-        """Return what the seven rows read at a pose."""
         return evaluate_rows(self._records(), pose.rotation, pose.translation)[0]
 
     def jacobian(self, pose: pin.SE3) -> FloatArray:
-        """Return the derivatives of the seven readings at a pose."""
         return evaluate_rows(self._records(), pose.rotation, pose.translation)[1]
 
     def solve(self, values: FloatArray, start: pin.SE3) -> Solution:
-        """Run the solver from a start pose."""
         memory, m = np.zeros(1, dtype=WORKSPACE), len(values)
         workspace = memory[0]
         workspace["rows"][:m], workspace["values"][:m], workspace["weights"][:m] = self._records(), values, self.weights
@@ -60,8 +57,6 @@ class Problem:
 
 @dataclass(frozen=True)
 class Solution:
-    """Result of the solver."""
-
     outcome: int
     pose: pin.SE3
     jacobian: FloatArray

@@ -23,7 +23,6 @@ WHOLE_NUMBERS = {RING: (7, 8, 11, 14)}  # the number of harmonics, and each k: n
 
 
 def gaps(case: dict[str, Any]) -> list[tuple[int, list[float]]]:
-    """Return kind and parameters of the gap probes of a ray-traced case."""
     plane = case["target_plane"]
     normal = plane["normal"]  # unit, toward the probes
     tilt = math.atan2(normal[1], -normal[2]), -math.asin(normal[0])
@@ -31,7 +30,6 @@ def gaps(case: dict[str, Any]) -> list[tuple[int, list[float]]]:
 
 
 def ring_gaps(case: dict[str, Any]) -> list[tuple[int, list[float]]]:
-    """Return kind and parameters of the ring probes of a ray-traced case."""
     ring = case["ring"]
     orders = sorted({*ring["cos"], *ring["sin"]}, key=int)
     harmonics = [(float(k), ring["cos"].get(k, 0.0), ring["sin"].get(k, 0.0)) for k in orders]

@@ -60,7 +60,6 @@ def smooth_map() -> TensorMap:
 
 
 def diode_with(spot_map: CurvesMap | TensorMap) -> npt.NDArray[np.void]:
-    """Return a diode with a map, shape (1,)."""
     diode = np.zeros(1, dtype=DIODE)
     diode["domain"][0] = spot_map.domain.array
     diode["center"][0], diode["scale"][0] = spot_map.center_and_scale
@@ -69,7 +68,6 @@ def diode_with(spot_map: CurvesMap | TensorMap) -> npt.NDArray[np.void]:
 
 
 def find_position(spot_map: CurvesMap | TensorMap, pair: npt.ArrayLike) -> tuple[int, FloatArray]:
-    """Return the outcome and the position of a pair of ratios."""
     parameters, spot = spot_map.parameters[0], np.zeros(1, dtype=SPOT_POSITION)
     spot["ratios"][0] = pair
     work = np.zeros((2, parameters.size))

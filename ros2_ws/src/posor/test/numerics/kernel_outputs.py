@@ -41,7 +41,6 @@ HARMONICS = ((1.0, 1e-5), (36.0, 2e-4), (72.0, 1e-5))
 
 
 def random_pose(rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
-    """Return rotation and translation: any turn, small leans."""
     rotation, translation = np.eye(3), np.zeros(3)
     turn = np.array([0.0, 0.0, 0.0, 0.0, 0.0, rng.uniform(-math.pi, math.pi)])
     vector.apply_tangent(rotation, translation, turn)
@@ -146,7 +145,6 @@ def arm(rng: np.random.Generator) -> list[float]:
 
 
 def turning_scans(posor: Posor, noise: np.random.Generator | None = None) -> Scans:
-    """Return six scans of a target that turns."""
     rotations = np.array([rotation_from_native(1e-4, -2e-4, 2e-3 * n) for n in range(6)])
     stamps = np.arange(1, 7, dtype=np.int64) * 1_000_000
     return scans_at(posor.stack, rotations, np.tile([2e-5, 1e-5, 0.7e-3], (6, 1)), stamps, noise=noise)
@@ -191,7 +189,6 @@ def messages(name: DesignName) -> FloatArray:
 
 
 def main(file: Path) -> None:
-    """Save the outputs, and whether the kernels were compiled."""
     rng = np.random.default_rng(1985)
     outputs = {
         "rows": [kernel_values(rng) for _ in range(CASES)],

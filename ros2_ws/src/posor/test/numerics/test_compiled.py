@@ -21,7 +21,6 @@ NUMBA = importlib.util.find_spec("numba") is not None
 
 
 def run(folder: Path, *, compiled: bool) -> dict[str, FloatArray]:
-    """Return what the kernels give in a process of their own."""
     file = folder / f"compiled_{compiled}.npz"
     environ = os.environ | {"POSOR_COMPILE": str(int(compiled))}
     subprocess.run([sys.executable, "-W", "error", str(PROGRAM), str(file)], env=environ, check=True, timeout=110)

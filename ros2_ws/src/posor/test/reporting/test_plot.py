@@ -21,7 +21,6 @@ SIGMA = np.full(50, 0.5)
 
 
 def plots() -> list[Plot]:
-    """Return plots with every kind of series."""
     error = Plot("Error: x/y", "time [s]", "error [µm]")
     error.band("2 sigma", TIME_S, -2.0 * SIGMA, 2.0 * SIGMA, LIGHT_BLUE)
     error.zero()

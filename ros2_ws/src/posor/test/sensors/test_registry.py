@@ -44,7 +44,6 @@ def _fresh() -> Iterator[None]:
 
 
 def install(site: Path, package: str, entry_point: str, module: str = MODULE) -> None:
-    """Install a package of one module into a folder."""
     (site / f"{package}.py").write_text(module, encoding="utf-8")
     info = site / f"{package}-1.0.dist-info"
     info.mkdir()

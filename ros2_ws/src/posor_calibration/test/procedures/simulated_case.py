@@ -61,7 +61,6 @@ class SimulatedCase:
         return track
 
     def with_reference(self, **changes: Any) -> SimulatedCase:
-        """Return the case with fields of its reference changed."""
         [topic] = self.recording.tracks
         return self.with_recording(tracks={topic: replace(self.reference, **changes)})
 

@@ -198,7 +198,6 @@ def test_saturated_scans_are_not_used() -> None:
 
 
 def read_table(name: str) -> list[list[str]]:
-    """Return the rows of a table of 1985 without its head."""
     with (DATA / name).open(encoding="utf-8") as file:
         return list(csv.reader(line for line in file if not line.startswith("#")))[1:]
 
@@ -221,7 +220,6 @@ def test_coefficients_of_1985_are_recovered(rig_calibrations: dict[str, Path]) -
 
 
 def residuals_of_1985() -> FloatArray:
-    """Return the residuals of orders 3 to 9 of 45 curves, (45, 7)."""
     return np.array([row[2:] for row in read_table("linearization_residuals_tables_7_3_to_7_5.csv")], dtype=float)
 
 

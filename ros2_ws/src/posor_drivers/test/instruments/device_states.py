@@ -26,7 +26,6 @@ def running(device: Device[Any]) -> Iterator[DeviceReader]:
 
 
 def wait_for(condition: Callable[[], object], what: str) -> None:
-    """Look every 10 ms whether the condition holds."""
     wait_until(lambda: bool(condition()), what, lambda: time.sleep(0.01))
 
 
@@ -36,5 +35,4 @@ def wait_for_frames(reader: DeviceReader) -> None:
 
 
 def wait_for_fault(reader: DeviceReader, words: str = "") -> None:
-    """Wait until there is a fault with these words."""
     wait_for(lambda: reader.state.fault and words in reader.state.fault, f"fault with '{words}'")

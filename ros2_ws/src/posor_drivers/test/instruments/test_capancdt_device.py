@@ -67,7 +67,6 @@ def server() -> Iterator[CapaNcdtServer]:
 
 
 def read(device: CapaNcdtDevice, frames: int = 1) -> Frames:
-    """Return at least so many frames."""
     parts: list[Frames] = []
     while sum(len(part.counters) for part in parts) < frames:
         part = device.read(TIMEOUT_S)
@@ -85,7 +84,6 @@ def check_values(server: CapaNcdtServer, frames: Frames, first: int = 0) -> None
 
 
 def check_all(server: CapaNcdtServer, frames: Frames, first: int = 0) -> None:
-    """Check the values, and that no frame is missing."""
     np.testing.assert_array_equal(np.diff(frames.counters), 1)
     check_values(server, frames, first)
 
@@ -102,7 +100,6 @@ def read_to_gap(device: CapaNcdtDevice, frames: Frames) -> Frames:
 
 
 def error_of(device: CapaNcdtDevice) -> str:
-    """Return the error with which reading ends."""
     deadline_s = time.monotonic() + TIMEOUT_S
     with pytest.raises(DeviceError) as caught:  # noqa: PT012  frames may come before it
         while device.read(TIMEOUT_S) is not None:

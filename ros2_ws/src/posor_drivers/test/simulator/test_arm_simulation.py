@@ -33,7 +33,6 @@ READINGS = ("gap_voltages", "ring_voltages", "diode_currents")
 
 @pytest.fixture(scope="module")
 def everything(tmp_path_factory: pytest.TempPathFactory) -> ArmSimulation:
-    """The arm with all its imperfections."""
     return simulation(tmp_path_factory.mktemp("everything"))
 
 
@@ -243,7 +242,6 @@ def differing(one: Any, other: Any, names: Iterable[str]) -> set[str]:
 
 
 def changed(one: ArmSimulation, other: ArmSimulation, ticks: np.ndarray[Any, Any]) -> set[str]:
-    """Return what differs between two simulations of the arm."""
     out = set()
     truths = one.truth(ticks), other.truth(ticks)
     out |= differing(*truths, ("commanded", "encoder", "angles", "stage"))

@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 
 @pytest.fixture(scope="module")
 def clean(tmp_path_factory: pytest.TempPathFactory) -> ArmSimulation:
-    """The arm without any imperfection that a switch turns off."""
     return simulation(tmp_path_factory.mktemp("clean"), Imperfections.only())
 
 

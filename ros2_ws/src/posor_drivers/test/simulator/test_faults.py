@@ -36,7 +36,6 @@ def size(value: float, unit: str) -> dict[str, Any]:
 
 
 def channels(arm: ArmSimulation) -> tuple[str, str]:
-    """Return the names of a gap probe and a diode of the shoulder."""
     gap, diodes = arm.calibrations["shoulder"].sensors
     assert isinstance(gap, GapProbesCalibration)
     assert isinstance(diodes, DiodesCalibration)

@@ -144,7 +144,6 @@ def test_air_out_of_range_and_an_invalid_reading_are_named(
 
 
 def record(folder: Path, messages: Sequence[tuple[str, int, bytes]]) -> Path:
-    """Write a bag of serialised messages, by topic and time, as the recorder does."""
     path = folder / "bag"
     with BagWriter(path) as writer:
         for topic, time_ns, data in messages:

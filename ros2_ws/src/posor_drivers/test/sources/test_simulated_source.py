@@ -117,8 +117,6 @@ def test_drivers_of_one_arm_publish_one_truth(arm: Path) -> None:
 
 
 class SimulatedRun:
-    """A driver of the joint ``base`` in simulated time, and its scans."""
-
     def __init__(self, arm: Path, **parameters: object) -> None:
         self.now_ns = 1000 * NS  # the simulated time; each call of ``advance`` adds a fifth of a tick
         self.graph = Graph()
