@@ -13,6 +13,7 @@ from posor_bringup.arm_programs import arm_programs
 from posor_bringup.arms import find_arm, installed_arms, load_checked_arm
 from posor_bringup.bringup_options import parse_driver_parameters
 from posor_bringup.installed import share
+from posor_lab.harness.case_tables import refusal
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -98,9 +99,7 @@ def test_driver_parameters_of_a_launch_argument_go_to_all_drivers() -> None:
     programs = arm_programs(load_checked_arm("five_axis"), driver_parameters=parameters)
     assert [program.parameters["simulated.sag"] for program in programs if program.ends] == [False] * 5
     assert parse_driver_parameters("") == {}
-    with pytest.raises(ParameterError) as caught:
-        parse_driver_parameters("simulated.sag=false")
-    assert str(caught.value) == (
+    assert str(refusal(ParameterError, parse_driver_parameters, "simulated.sag=false")) == (
         "launch argument 'driver_parameters': 'simulated.sag=false' is not a parameter, name:=value."
     )
 
@@ -133,14 +132,13 @@ def test_unknown_parameter_of_chain_node_is_reported_with_its_line(rig_copy: Pat
     path = rig_copy / "arm.yaml"
     change(rig_copy, "^joints:", "chain:\n  parameters:\n    aceleration_window: 0.1\njoints:")
     line = path.read_text(encoding="utf-8").splitlines().index("    aceleration_window: 0.1") + 1
-    with pytest.raises(NodeError) as caught:
-        arm_programs(load_arm_file(path))
+    error = refusal(NodeError, arm_programs, load_arm_file(path))
     place = f"{path}, line {line}, key chain.parameters.aceleration_window"
-    assert str(caught.value) == (
+    assert str(error) == (
         f"{place}: node chain_node, parameter 'aceleration_window': there is no such parameter; "
         "expected perhaps 'acceleration_window'."
     )
-    assert caught.value.exit_code == 2
+    assert error.exit_code == 2
     with pytest.raises(NodeError, match=re.escape(place)):
         tasks_of(parser().parse_args(["bag", "--arm", str(path)]))
     change(rig_copy, "aceleration_window: 0.1", "use_sim_time: true")

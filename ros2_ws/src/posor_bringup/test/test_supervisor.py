@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import pytest
 from posor_bringup import supervisor as module
 from posor_bringup.supervisor import ProcessError, ProgramCommand, RunningProgram, Supervisor
+from posor_lab.harness.case_tables import refusal
 from posor_lab.harness.program import in_background
 
 if TYPE_CHECKING:
@@ -92,9 +93,7 @@ def test_check_reports_a_program_that_failed_or_ended_early(
 ) -> None:
     supervisor.start(started).process.wait()
     if message:
-        with pytest.raises(ProcessError) as caught:
-            supervisor.check()
-        assert str(caught.value) == message
+        assert str(refusal(ProcessError, supervisor.check)) == message
     else:
         supervisor.check()
     supervisor._running.clear()
@@ -141,9 +140,7 @@ def test_end_reports_a_program_that_does_not_end_well(
 ) -> None:
     monkeypatch.setattr(module, "END_TIMEOUT_S", 0.5)
     running = start(supervisor, name)
-    with pytest.raises(ProcessError) as caught:
-        supervisor.end([running])
-    assert str(caught.value) == message
+    assert str(refusal(ProcessError, supervisor.end, [running])) == message
     assert running.has_ended
 
 
@@ -223,6 +220,4 @@ def test_parameters_reach_ros_unchanged(supervisor: Supervisor) -> None:
     ],
 )
 def test_program_that_is_not_installed(supervisor: Supervisor, package: str, message: str) -> None:
-    with pytest.raises(ProcessError) as caught:
-        supervisor.start(ProgramCommand("ghost", package, "ghost"))
-    assert message in str(caught.value)
+    assert message in str(refusal(ProcessError, supervisor.start, ProgramCommand("ghost", package, "ghost")))

@@ -11,6 +11,7 @@ from posor.errors import BagError, ParameterError, PosorError
 from posor_drivers.conditioning import MAX_DARK_SCANS, condition_scans, stamp_ns
 from posor_drivers.driver_parameters import ConditioningParameters
 from posor_drivers.sources.source import SourceMessage
+from posor_lab.harness.case_tables import refusal
 from posor_msgs.msg import RawScan
 from rclpy.serialization import deserialize_message
 from scipy.stats import chi2
@@ -268,9 +269,7 @@ def test_dark_scans_are_averaged_without_background_subtraction() -> None:
 
 
 def test_record_without_lit_scans_is_refused() -> None:
-    with pytest.raises(ParameterError) as caught:
-        condition(pattern("DDD"), subtract_dark=True)
-    assert str(caught.value) == (
+    assert str(refusal(ParameterError, condition, pattern("DDD"), subtract_dark=True)) == (
         "parameter 'conditioning.subtract_dark': no light source was lit in any of the 3 scans; "
         "expected false, or lit scans among the dark ones."
     )
@@ -307,6 +306,4 @@ TOO_MANY = [item(4, samples=40_000), item(5, samples=40_000)]
     ],
 )
 def test_invalid_scans_are_refused(raw: list[SourceMessage], sentence: str) -> None:
-    with pytest.raises(PosorError) as caught:
-        condition(raw, samples=2)
-    assert str(caught.value) == sentence
+    assert str(refusal(PosorError, condition, raw, samples=2)) == sentence
