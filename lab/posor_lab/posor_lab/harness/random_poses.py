@@ -10,8 +10,11 @@ import pinocchio as pin
 from posor.calibration.designs import THETA_OF_TWO_SOURCES, DesignName
 from posor.estimation.forward import scans_at
 from posor.model.native_coordinates import rotation_from_native
+from posor.model.scan import STATED_HOME
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from posor.estimation.posor import Posor
     from posor.model.scan import Scans
     from posor.numerics.array_types import BoolArray, FloatArray
@@ -58,6 +61,22 @@ def readable_poses(
         rotations = np.concatenate([rotations, more_rotations[good]])
         translations = np.concatenate([translations, more_translations[good]])
     return rotations[:count], translations[:count]
+
+
+def turning_scans(
+    posor: Posor, thetas: FloatArray, seed: int | None = None, *, home: Iterable[int] = (), marks: Iterable[int] = ()
+) -> Scans:
+    """Return scans at 1 kHz of an inclined target that turns off the axis, with noise if there is a seed.
+
+    ``home``: scans that are stated to be at home. ``marks``: scans that see the home mark. The scans can be changed.
+    """
+    rotations = np.array([rotation_from_native(1e-4, -2e-4, theta) for theta in thetas])
+    translations = np.tile([2e-5, 1e-5, 0.7e-3], (len(thetas), 1))
+    stamps = np.arange(1, len(thetas) + 1, dtype=np.int64) * TICK_NS
+    noise = None if seed is None else np.random.default_rng(seed)
+    scans = scans_at(posor.stack, rotations, translations, stamps, noise=noise).editable()
+    scans.at_home[list(home)], scans.at_home[list(marks)] = STATED_HOME, 1
+    return scans
 
 
 def errors_in_parent(

@@ -8,14 +8,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 from posor.calibration.designs import BUMPS, design
-from posor.estimation.forward import scans_at
 from posor.estimation.posor import Posor
 from posor.estimation.scan_checks import MARKS
 from posor.model.fault import Fault, State
-from posor.model.native_coordinates import rotation_from_native
-from posor.model.scan import STATED_HOME
 from posor.sensors.bumpy_ring import BumpyRing
-from posor_lab.harness.random_poses import TICK_NS
+from posor_lab.harness.random_poses import turning_scans
 
 if TYPE_CHECKING:
     from posor.model.scan import Scans
@@ -24,21 +21,10 @@ if TYPE_CHECKING:
 BUMP = 2.0 * math.pi / BUMPS
 
 
-def turning(posor: Posor, thetas: FloatArray, home: tuple[int, ...] = (), marks: tuple[int, ...] = ()) -> Scans:
-    """Scans at 1 kHz of a target that turns; some are stated to be at home, the home mark is seen in others."""
-    rotations = np.array([rotation_from_native(1e-4, -2e-4, theta) for theta in thetas])
-    translations = np.tile([2e-5, 1e-5, 0.7e-3], (len(thetas), 1))
-    scans = scans_at(
-        posor.stack, rotations, translations, np.arange(1, len(thetas) + 1, dtype=np.int64) * TICK_NS
-    ).editable()
-    scans.at_home[list(home)], scans.at_home[list(marks)] = STATED_HOME, 1
-    return scans
-
-
 def test_uncounted_until_home_then_counted() -> None:
     posor = Posor(design("triad_bumpy_ring"))
     thetas = np.linspace(-3.5 * BUMP, 0.1 * BUMP, 200)
-    scans = turning(posor, thetas, marks=(*range(188, 188 + MARKS), 150))  # the one at 150 is spurious
+    scans = turning_scans(posor, thetas, marks=(*range(188, 188 + MARKS), 150))  # the one at 150 is spurious
     found = posor.estimate_all(scans)
     counted = 188 + MARKS - 1
     assert (found.states[:counted] == State.UNCOUNTED).all()
@@ -53,7 +39,7 @@ def test_reversals_and_many_turns_keep_the_count() -> None:
     posor = Posor(design("triad_bumpy_ring"))
     there = np.linspace(0.0, 6.7 * math.pi, 9000)
     thetas = np.concatenate([there, there[::-1], -there[:3000], -there[2999::-1]])
-    found = posor.estimate_all(turning(posor, thetas, home=(0,)))
+    found = posor.estimate_all(turning_scans(posor, thetas, home=(0,)))
     assert (found.states == State.OK).all()
     assert found.thetas == pytest.approx(thetas, abs=1e-9)
 
@@ -61,7 +47,7 @@ def test_reversals_and_many_turns_keep_the_count() -> None:
 def test_lost_scans_put_the_count_in_doubt_until_home() -> None:
     posor = Posor(design("triad_bumpy_ring"))
     thetas = np.linspace(0.0, 0.8, 401)
-    scans = turning(posor, thetas, home=(0,))
+    scans = turning_scans(posor, thetas, home=(0,))
     before = posor.estimate_all(scans.part(0, 100))
     assert (before.states == State.OK).all()
     estimate = posor.estimate(scans[200])
@@ -74,7 +60,7 @@ def slipping(posor: Posor) -> tuple[Scans, FloatArray, int]:
     """Scans with a slip by two whole bumps after the first one, which no phase can show, and a mark on the way back."""
     thetas = np.concatenate([[0.0], np.linspace(2.0 * BUMP, -0.2 * BUMP, 400)])
     at_mark = int(np.argmin(np.abs(thetas[1:]))) + 1
-    return turning(posor, thetas, home=(0,), marks=tuple(range(at_mark - 3, at_mark + 4))), thetas, at_mark
+    return turning_scans(posor, thetas, home=(0,), marks=tuple(range(at_mark - 3, at_mark + 4))), thetas, at_mark
 
 
 def test_a_home_mark_that_disagrees_is_latched_and_never_counted() -> None:
@@ -97,7 +83,7 @@ def test_a_home_mark_that_disagrees_is_latched_and_never_counted() -> None:
 def test_spurious_home_marks_cost_their_own_scans_only(marks: tuple[int, ...]) -> None:
     posor = Posor(design("triad_bumpy_ring", motion=True))
     thetas = np.linspace(0.0, 0.5, 400)
-    found = posor.estimate_all(turning(posor, thetas, home=(0,), marks=marks))
+    found = posor.estimate_all(turning_scans(posor, thetas, home=(0,), marks=marks))
     assert np.flatnonzero(found.states != State.OK).tolist() == list(marks)
     assert (found.faults[list(marks)] & Fault.COUNT).all()
     assert np.delete(found.thetas, marks) == pytest.approx(np.delete(thetas, marks), abs=1e-9)
@@ -106,7 +92,7 @@ def test_spurious_home_marks_cost_their_own_scans_only(marks: tuple[int, ...]) -
 def test_agreeing_marks_release_what_a_broken_mark_has_latched() -> None:
     posor = Posor(design("triad_bumpy_ring", motion=True))
     thetas = np.concatenate([np.linspace(0.0, 0.3, 200), np.linspace(0.3, 0.0, 200)])
-    found = posor.estimate_all(turning(posor, thetas, home=(0,), marks=(*range(100, 110), *range(390, 400))))
+    found = posor.estimate_all(turning_scans(posor, thetas, home=(0,), marks=(*range(100, 110), *range(390, 400))))
     assert (found.states[:100] == State.OK).all()
     assert (found.states[100 : 390 + MARKS - 1] == State.LOST).all()
     assert (found.states[390 + MARKS - 1 :] == State.OK).all()
@@ -130,7 +116,7 @@ def test_three_probes_are_carried_over_blind_phases_and_say_so() -> None:
     assert isinstance(ring, BumpyRing)
     thetas = np.linspace(0.0, 1.5 * BUMP, 1500)
     blind = ring.observability(thetas * BUMPS)
-    scans = turning(posor, thetas, home=(0,))
+    scans = turning_scans(posor, thetas, home=(0,))
     found = posor.estimate_all(scans)
     weak = int(np.argmin(blind[5:])) + 5
     assert found.states[weak] == State.DEGRADED

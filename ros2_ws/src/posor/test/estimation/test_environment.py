@@ -11,13 +11,11 @@ import pytest
 from posor.calibration.calibration_file import calibration_from
 from posor.calibration.designs import design, sized_design
 from posor.errors import CalibrationError, ParameterError, ShapeError
-from posor.estimation.forward import scans_at
 from posor.estimation.frozen import FROZEN_EVIDENCE, evidence_of_repetition
 from posor.estimation.posor import Posor
 from posor.model.fault import Fault, State
-from posor.model.native_coordinates import rotation_from_native
-from posor.model.scan import DIODES_ESTIMATED, HOME_BUMP, PROBES_ESTIMATED, SATURATED, STATED_HOME
-from posor_lab.harness.random_poses import STACKS, TICK_NS
+from posor.model.scan import DIODES_ESTIMATED, HOME_BUMP, PROBES_ESTIMATED, SATURATED
+from posor_lab.harness.random_poses import STACKS, turning_scans
 
 if TYPE_CHECKING:
     from posor.calibration.designs import DesignName
@@ -26,11 +24,7 @@ if TYPE_CHECKING:
 
 def resting(posor: Posor, count: int, seed: int | None = 3, *, rounded: bool = False) -> Scans:
     """Scans at 1 kHz of a target at rest, counted from the first on, rounded to the stated steps if asked."""
-    rotations = np.tile(rotation_from_native(1e-4, -2e-4, 0.02), (count, 1, 1))
-    translations = np.tile([2e-5, 1e-5, 0.7e-3], (count, 1))
-    noise = None if seed is None else np.random.default_rng(seed)
-    scans = scans_at(posor.stack, rotations, translations, np.arange(1, count + 1) * TICK_NS, noise=noise).editable()
-    scans.at_home[:1] = STATED_HOME
+    scans = turning_scans(posor, np.full(count, 0.02), seed, home=[0])
     scans.supply_voltages[:], scans.temperatures[:] = 15.0, 293.15
     converter = posor.calibration.converter
     if rounded and converter is not None:

@@ -16,7 +16,7 @@ from posor.estimation.scan_checks import RESIDUAL_RUN
 from posor.model.fault import Fault, State
 from posor.model.native_coordinates import rotation_from_native
 from posor.model.scan import NO_SOURCE, STATED_HOME
-from posor_lab.harness.random_poses import TICK_NS, errors_in_parent
+from posor_lab.harness.random_poses import TICK_NS, errors_in_parent, turning_scans
 
 if TYPE_CHECKING:
     from posor.estimation.estimate import Estimates
@@ -166,18 +166,10 @@ def even_ring(*, motion: bool = True) -> Posor:
     return Posor(calibration_from(content))
 
 
-def turned(posor: Posor, thetas: FloatArray) -> Scans:
-    rotations = np.array([rotation_from_native(1e-4, -2e-4, theta) for theta in thetas])
-    translations = np.tile([2e-5, 1e-5, 0.7e-3], (len(thetas), 1))
-    return scans_at(
-        posor.stack, rotations, translations, np.arange(1, len(thetas) + 1, dtype=np.int64) * TICK_NS
-    ).editable()
-
-
 def test_an_even_light_ring_is_uncounted_until_a_reference_confirms_it() -> None:
     posor = even_ring()
     thetas = np.linspace(0.1, 0.5, 400)
-    scans = turned(posor, thetas)
+    scans = turning_scans(posor, thetas)
     assert (posor.estimate_all(scans.part(0, 100)).states == State.UNCOUNTED).all()
     posor.confirm_theta(thetas[100], 0.01)
     found = posor.estimate_all(scans.part(100, 400))
@@ -188,7 +180,7 @@ def test_an_even_light_ring_is_uncounted_until_a_reference_confirms_it() -> None
 def test_an_even_light_ring_that_has_slipped_is_refused_by_the_encoder() -> None:
     posor = even_ring()
     thetas = np.linspace(0.1, 0.5, 400)
-    scans = turned(posor, thetas)
+    scans = turning_scans(posor, thetas)
     slipped = scans.with_fields({"lit_sources": (scans.lit_sources + 1) % 36})
     assert (posor.estimate_all(slipped.part(0, 100)).states == State.UNCOUNTED).all()
     posor.confirm_theta(thetas[100], 0.01)
@@ -205,7 +197,7 @@ def test_an_even_light_ring_that_has_slipped_is_refused_by_the_encoder() -> None
 def test_a_slip_after_counting_latches_until_the_encoder_agrees() -> None:
     posor = even_ring()
     thetas = np.linspace(0.1, 0.5, 400)
-    scans = turned(posor, thetas)
+    scans = turning_scans(posor, thetas)
     slipped = scans.with_fields({"lit_sources": (scans.lit_sources + 1) % 36})
     posor.confirm_theta(thetas[0], 0.01)
     assert (posor.estimate_all(scans.part(0, 100)).states == State.OK).all()
@@ -221,8 +213,7 @@ def test_a_slip_after_counting_latches_until_the_encoder_agrees() -> None:
 def test_an_encoder_that_disagrees_is_latched_until_it_agrees(name: str) -> None:
     posor = Posor(design(name, motion=True))  # type: ignore[arg-type]
     thetas = np.linspace(0.0, 0.05, 200)
-    scans = turned(posor, thetas)
-    scans.at_home[0] = STATED_HOME
+    scans = turning_scans(posor, thetas, home=[0])
     assert (posor.estimate_all(scans.part(0, 50)).states == State.OK).all()
     posor.confirm_theta(thetas[50] + 0.06, 0.01)
     lost = posor.estimate(scans[50])
@@ -238,7 +229,7 @@ def test_an_encoder_that_disagrees_is_latched_until_it_agrees(name: str) -> None
 def test_an_encoder_counts_a_bumpy_ring_modulo_whole_turns() -> None:
     posor = Posor(design("triad_bumpy_ring", motion=True))
     thetas = np.linspace(1.0, 1.1, 100)
-    scans = turned(posor, thetas)
+    scans = turning_scans(posor, thetas)
     assert (posor.estimate_all(scans.part(0, 50)).states == State.UNCOUNTED).all()
     posor.confirm_theta(thetas[50] + 0.02 - 4.0 * math.pi, 0.01)
     found = posor.estimate_all(scans.part(50, 100))
@@ -282,7 +273,7 @@ def test_a_lasting_contradiction_is_latched_until_it_has_passed_for_as_long() ->
 
 def test_without_limits_of_motion_nothing_is_latched() -> None:
     posor = Posor(design("triad_diodes"))
-    scans = turned(posor, np.linspace(0.0, 0.05, 100))
+    scans = turning_scans(posor, np.linspace(0.0, 0.05, 100))
     scans.gap_voltages[50:, 0] += 0.3
     lit = scans.lit_sources.copy()
     lit[20:30] = NO_SOURCE
@@ -297,7 +288,7 @@ def test_a_reference_judges_only_the_scan_it_was_given_for() -> None:
     second["origin"] = first["origin"]  # both diodes see the same spot: no reading is about theta
     content["sensors"][1]["light_sources"][1]["origin"] = content["sensors"][1]["light_sources"][0]["origin"]
     posor = Posor(calibration_from(content))
-    scans = turned(posor, np.array([0.0]))
+    scans = turning_scans(posor, np.array([0.0]))
     posor.confirm_theta(0.0, 0.01)
     assert posor.estimate(scans[0]).faults == Fault.ILL_CONDITIONED
     assert posor.tracker["reference_sigma"] == 0.0
@@ -377,7 +368,6 @@ def test_a_count_is_given_up_where_scans_are_missing_after_the_first() -> None:
 
 def test_without_limits_of_motion_a_gap_does_not_end_the_count() -> None:
     posor = Posor(design("triad_bumpy_ring"))
-    scans = turned(posor, np.full(100, 0.02))
-    scans.at_home[0] = STATED_HOME
+    scans = turning_scans(posor, np.full(100, 0.02), home=[0])
     kept = np.r_[0:20, 40:100]
     assert (posor.estimate_all(scans.select(kept)).states == State.OK).all()

@@ -14,15 +14,14 @@ from posor.estimation.forward import scans_at
 from posor.estimation.posor import Posor
 from posor.estimation.sensor_stack import Stack
 from posor.model.fault import Fault, State
-from posor.model.native_coordinates import rotation_from_native
 from posor.model.reading_rows import differentiate_rows, evaluate_rows
-from posor.model.scan import STATED_HOME, Scan, Scans
+from posor.model.scan import Scan, Scans
 from posor.sensors.base import PlainReadings, PlainSensor, RowSensor, SensorCalibration
 from posor.uncertainty.budget_poses import middle_pose, scan_at
 from posor.uncertainty.budget_quantities import PlatePoint
 from posor.uncertainty.first_order import error_budget
 from posor_design.monte_carlo import monte_carlo
-from posor_lab.harness.random_poses import TICK_NS, readable_poses
+from posor_lab.harness.random_poses import TICK_NS, readable_poses, turning_scans
 
 if TYPE_CHECKING:
     from posor.calibration.calibration_file import Calibration
@@ -107,21 +106,10 @@ def check_alike(rows: Posor, plain: Posor, scans: Scans) -> None:
         np.testing.assert_allclose(ours, theirs, rtol=1e-5, atol=1e-9 * np.nanmax(np.abs(theirs)))
 
 
-def turning(posor: Posor, thetas: FloatArray, home: tuple[int, ...] = (), noise: int | None = None) -> Scans:
-    """Scans at 1 kHz of a target that turns; the home mark is seen in some of them."""
-    rotations = np.array([rotation_from_native(1e-4, -2e-4, theta) for theta in thetas])
-    translations = np.tile([2e-5, 1e-5, 0.7e-3], (len(thetas), 1))
-    stamps = np.arange(1, len(thetas) + 1, dtype=np.int64) * TICK_NS
-    random = None if noise is None else np.random.default_rng(noise)
-    scans = scans_at(posor.stack, rotations, translations, stamps, noise=random).editable()
-    scans.at_home[list(home)] = STATED_HOME
-    return scans
-
-
 @pytest.mark.parametrize("plain", [(0,), (1,), (0, 1)])
 def test_noisy_scans_one_after_the_other(plain: tuple[int, ...]) -> None:
     rows, twin = twins(design("triad_diodes"), plain)
-    check_alike(rows, twin, turning(rows, 0.05 * np.sin(np.arange(40) * 0.3), noise=2))
+    check_alike(rows, twin, turning_scans(rows, 0.05 * np.sin(np.arange(40) * 0.3), seed=2))
 
 
 def test_poses_that_have_nothing_to_do_with_one_another() -> None:
@@ -136,7 +124,7 @@ def test_poses_that_have_nothing_to_do_with_one_another() -> None:
 def test_faults_and_limits_of_motion() -> None:
     rows, twin = twins(design("triad_diodes", motion=True), (1,))
     thetas = np.concatenate([np.arange(20) * 1e-4, 0.05 + np.arange(20) * 1e-4])  # a jump by 48 mrad in a millisecond
-    scans = turning(rows, thetas, noise=6)
+    scans = turning_scans(rows, thetas, seed=6)
     scans.diode_currents[7] = np.nan
     scans.diode_currents[9, 0, :2] *= 1.01
     expected = rows.estimate_all(scans)
@@ -151,26 +139,26 @@ def test_tilts_at_the_theta_of_the_scan_before() -> None:
     """Gaps lag, ring readings never do: so the ring may be plain."""
     calibration = design("triad_bumpy_ring").model_copy(update={"tilt_angle": TiltAngle.PREVIOUS_SCAN})
     rows, twin = twins(calibration, (1,))
-    check_alike(rows, twin, turning(rows, 1e-3 * np.arange(30.0), home=(0,), noise=9))
+    check_alike(rows, twin, turning_scans(rows, 1e-3 * np.arange(30.0), home=(0,), seed=9))
 
 
 def test_time_that_goes_back_starts_over() -> None:
     rows, twin = twins(design("triad_diodes", motion=True), (1,))
-    scans = turning(rows, np.concatenate([np.arange(10) * 1e-4, 0.05 + np.arange(10) * 1e-4]))
+    scans = turning_scans(rows, np.concatenate([np.arange(10) * 1e-4, 0.05 + np.arange(10) * 1e-4]))
     scans = scans.with_fields({"stamps_ns": np.tile(np.arange(1, 11), 2) * TICK_NS})
     check_alike(rows, twin, scans)
 
 
 def test_counting_and_the_home_mark() -> None:
     rows, twin = twins(design("triad_bumpy_ring", motion=True), (1,))
-    check_alike(rows, twin, turning(rows, np.linspace(-1.5 * BUMP, 0.1 * BUMP, 160), home=(150,)))
+    check_alike(rows, twin, turning_scans(rows, np.linspace(-1.5 * BUMP, 0.1 * BUMP, 160), home=(150,)))
 
 
 def test_home_marks_that_disagree() -> None:
     rows, twin = twins(design("triad_bumpy_ring"), (1,))
     thetas = np.concatenate([[0.0], np.linspace(2.0 * BUMP, -0.2 * BUMP, 100)])
     at_mark = int(np.argmin(np.abs(thetas[1:]))) + 1
-    scans = turning(rows, thetas, home=(0,))
+    scans = turning_scans(rows, thetas, home=(0,))
     scans.at_home[at_mark : at_mark + 5] = 1
     assert rows.estimate_all(scans).faults[at_mark] == Fault.COUNT
     rows.reset()
@@ -181,7 +169,7 @@ def test_tilts_lag_the_scan_before_across_a_correction_at_home() -> None:
     calibration = design("triad_bumpy_ring", motion=True).model_copy(update={"tilt_angle": TiltAngle.PREVIOUS_SCAN})
     rows, twin = twins(calibration, (1,))
     thetas = np.linspace(0.0, 2.7e-3 * 119, 120)
-    scans = turning(rows, thetas, home=(0, 117))
+    scans = turning_scans(rows, thetas, home=(0, 117))
     expected, found = rows.estimate_all(scans), twin.estimate_all(scans)
     assert abs(found.thetas[117]) < 0.5 * BUMP < abs(found.thetas[116])
     np.testing.assert_array_equal(found.states, expected.states)
@@ -190,7 +178,7 @@ def test_tilts_lag_the_scan_before_across_a_correction_at_home() -> None:
 
 def test_a_count_in_doubt() -> None:
     rows, twin = twins(design("triad_bumpy_ring"), (1,))
-    scans = turning(rows, 2e-3 * np.arange(120.0), home=(0,))
+    scans = turning_scans(rows, 2e-3 * np.arange(120.0), home=(0,))
     gap = scans.with_fields({})
     gap.ring_voltages[40:105] = np.nan
     check_alike(rows, twin, gap)
@@ -198,7 +186,7 @@ def test_a_count_in_doubt() -> None:
 
 def test_blind_phases_are_carried_over() -> None:
     rows, twin = twins(design("triad_bumpy_ring", ring_probes=3, motion=True), (1,))
-    scans = turning(rows, 3.5e-4 * np.arange(300.0), home=(0,))
+    scans = turning_scans(rows, 3.5e-4 * np.arange(300.0), home=(0,))
     expected = rows.estimate_all(scans)
     assert (expected.faults == Fault.ILL_CONDITIONED).any()
     rows.reset()
@@ -210,7 +198,7 @@ def test_blind_phases_with_noise() -> None:
     """Which scan counts as blind depends on the way to its solution; the stated uncertainty holds all the same."""
     thetas = BUMP * np.linspace(0.1, 0.45, 300)
     rows, twin = twins(design("triad_bumpy_ring", ring_probes=3, motion=True), (1,))
-    found = twin.estimate_all(turning(rows, thetas, home=(0,), noise=7))
+    found = twin.estimate_all(turning_scans(rows, thetas, home=(0,), seed=7))
     usable = found.states != State.LOST
     assert (found.faults[usable] == Fault.ILL_CONDITIONED).any()
     lost = found.faults[~usable]  # without redundancy a solution beside the right one ends in the latch

@@ -12,34 +12,23 @@ import pytest
 from posor.calibration.calibration_file import calibration_from
 from posor.calibration.designs import design
 from posor.errors import ParameterError, ScanError, ShapeError
-from posor.estimation.forward import scans_at
 from posor.estimation.posor import Posor
 from posor.model.fault import Fault, State
 from posor.model.native_coordinates import rotation_from_native
-from posor.model.scan import NO_SOURCE, STATED_HOME, Scan
-from posor_lab.harness.random_poses import STACKS, TICK_NS
+from posor.model.scan import NO_SOURCE, Scan
+from posor_lab.harness.random_poses import STACKS, turning_scans
 
 if TYPE_CHECKING:
     from posor.calibration.designs import DesignName
-    from posor.model.scan import Scans
-    from posor.numerics.array_types import FloatArray
 
 SEED = 7
-
-
-def sweep(posor: Posor, thetas: FloatArray, noise: np.random.Generator | None = None) -> tuple[Scans, FloatArray]:
-    """Scans at 1 kHz of a target that turns, and the rotations."""
-    rotations = np.array([rotation_from_native(1e-4, -2e-4, theta) for theta in thetas])
-    translations = np.tile([2e-5, 1e-5, 0.7e-3], (len(thetas), 1))
-    stamps = np.arange(1, len(thetas) + 1, dtype=np.int64) * TICK_NS
-    return scans_at(posor.stack, rotations, translations, stamps, noise=noise).editable(), rotations
 
 
 @pytest.mark.parametrize("stack", STACKS)
 def test_a_pose_is_the_same_wherever_the_solver_came_from(stack: DesignName) -> None:
     """Noise contradicts itself, and a bumpy ring is far from linear: there each step leaves a share of itself."""
     posor = Posor(design(stack))
-    scans, _ = sweep(posor, np.linspace(0.05, 0.208, 80), np.random.default_rng(4))
+    scans = turning_scans(posor, np.linspace(0.05, 0.208, 80), 4)
     every, others = posor.estimate_all(scans), [np.arange(0, 80, 2), np.arange(0, 80, 7)]
     for some in others:
         posor.reset()
@@ -60,9 +49,8 @@ def test_a_pose_is_the_same_wherever_the_solver_came_from(stack: DesignName) -> 
 @pytest.mark.parametrize("stack", STACKS)
 def test_one_by_one_and_all_at_once_are_the_same(stack: DesignName) -> None:
     posor = Posor(design(stack))
-    scans, _ = sweep(posor, np.linspace(0.0, 0.08, 40), np.random.default_rng(SEED))
+    scans = turning_scans(posor, np.linspace(0.0, 0.08, 40), SEED, home=[3])
     scans.gap_voltages[17, 1] = math.nan
-    scans.at_home[3] = STATED_HOME
     together = posor.estimate_all(scans)
     assert together.states[17] == State.LOST
     posor.reset()
@@ -86,7 +74,7 @@ def test_noise_and_calibration_are_kept_apart() -> None:
     for diode in content["sensors"][1]["diodes"]:
         diode["noise"]["value"] = [2.0 * value for value in diode["noise"]["value"]]
     loud = calibration_from(content)
-    scans, _ = sweep(Posor(calm), np.zeros(1))
+    scans = turning_scans(Posor(calm), np.zeros(1))
     one, two = Posor(calm).estimate(scans[0]), Posor(loud).estimate(scans[0])
     assert two.covariance_random == pytest.approx(4.0 * one.covariance_random, rel=1e-9)
     assert two.covariance_systematic == pytest.approx(one.covariance_systematic, rel=1e-9)
@@ -96,7 +84,8 @@ def test_noise_and_calibration_are_kept_apart() -> None:
 def test_light_ring_is_handed_over_all_around(direction: float) -> None:
     posor = Posor(design("triad_light_ring"))
     thetas = direction * np.linspace(0.0, 4.2 * math.pi, 3000)
-    scans, rotations = sweep(posor, thetas)
+    scans = turning_scans(posor, thetas)
+    rotations = np.array([rotation_from_native(1e-4, -2e-4, theta) for theta in thetas])
     found = posor.estimate_all(scans)
     assert (found.states == State.OK).all()
     assert found.rotations == pytest.approx(rotations, abs=1e-10)
@@ -106,12 +95,12 @@ def test_light_ring_is_handed_over_all_around(direction: float) -> None:
 
 def test_comes_back_after_a_long_silence() -> None:
     posor = Posor(design("triad_light_ring"))
-    scans, rotations = sweep(posor, np.array([0.0, 2.5]))
+    scans = turning_scans(posor, np.array([0.0, 2.5]))
     assert posor.estimate(scans[0]).state is State.OK
     estimate = posor.estimate(scans[1])
     assert estimate.state is State.OK
     assert estimate.T_R_T is not None
-    assert estimate.T_R_T.rotation == pytest.approx(rotations[1], abs=1e-10)
+    assert estimate.T_R_T.rotation == pytest.approx(rotation_from_native(1e-4, -2e-4, 2.5), abs=1e-10)
 
 
 def spoiled(scan: Scan, **fields_: object) -> Scan:
@@ -137,7 +126,7 @@ BAD_SCANS = {
 def test_bad_scans_are_lost_and_say_why(name: str) -> None:
     spoil, fault, sentence = BAD_SCANS[name]
     posor = Posor(design("triad_diodes"))
-    scans, _ = sweep(posor, np.zeros(2))
+    scans = turning_scans(posor, np.zeros(2))
     assert posor.estimate(scans[0]).state is State.OK
     estimate = posor.estimate(spoiled(scans[1], **spoil(scans[1])))
     assert estimate.state is State.LOST
@@ -151,7 +140,7 @@ def test_bad_scans_are_lost_and_say_why(name: str) -> None:
 
 def test_a_jump_faster_than_the_target_moves_is_a_fault() -> None:
     posor = Posor(design("triad_diodes", motion=True))
-    scans, _ = sweep(posor, np.array([0.0, 0.05, 1e-4]))
+    scans = turning_scans(posor, np.array([0.0, 0.05, 1e-4]))
     assert posor.estimate(scans[0]).state is State.OK
     estimate = posor.estimate(scans[1])
     assert (estimate.state, estimate.faults) == (State.LOST, Fault.INNOVATION)
@@ -167,7 +156,7 @@ def test_a_false_alarm_that_is_no_probability_is_refused(value: float) -> None:
 @pytest.mark.parametrize("stack", STACKS)
 def test_a_copy_goes_on_by_itself(stack: DesignName) -> None:
     posor = Posor(design(stack))
-    scans, _ = sweep(posor, np.linspace(0.0, 0.02, 4))
+    scans = turning_scans(posor, np.linspace(0.0, 0.02, 4))
     posor.estimate(scans[0])
     other = copy.deepcopy(posor)
     expected = [posor.estimate(scans[n]).native for n in range(1, 4)]
@@ -176,7 +165,7 @@ def test_a_copy_goes_on_by_itself(stack: DesignName) -> None:
 
 def test_thetas_of_another_length_are_refused_and_leave_nothing_behind() -> None:
     posor = Posor(design("triad_bumpy_ring"))
-    scans, _ = sweep(posor, np.linspace(0.0, 0.02, 4))
+    scans = turning_scans(posor, np.linspace(0.0, 0.02, 4))
     expected = posor.estimate_all(scans).states
     posor.reset()
     with pytest.raises(ShapeError, match=r"thetas has shape \(1,\); expected \(4,\)"):
@@ -185,7 +174,7 @@ def test_thetas_of_another_length_are_refused_and_leave_nothing_behind() -> None
 
 
 def test_a_scan_that_does_not_exist_is_refused() -> None:
-    scans, _ = sweep(Posor(design("triad_diodes")), np.zeros(3))
+    scans = turning_scans(Posor(design("triad_diodes")), np.zeros(3))
     assert scans[-1].stamp_ns == scans[2].stamp_ns
     for index in (3, -4):
         with pytest.raises(IndexError, match=f"scan {index} of 3; expected -3 to 2"):
@@ -194,7 +183,7 @@ def test_a_scan_that_does_not_exist_is_refused() -> None:
 
 def test_prediction_needs_the_lit_sources() -> None:
     posor = Posor(design("triad_diodes"))
-    scan = sweep(posor, np.zeros(1))[0][0]
+    scan = turning_scans(posor, np.zeros(1))[0]
     pose = posor.estimate(scan).T_R_T
     assert pose is not None
     dark = replace(scan, lit_sources=(NO_SOURCE,) * len(scan.lit_sources))
@@ -207,14 +196,13 @@ def test_prediction_needs_the_lit_sources() -> None:
 @pytest.mark.parametrize("stack", STACKS)
 def test_an_impossible_temperature_never_raises(stack: DesignName) -> None:
     posor = Posor(design(stack))
-    scan = replace(sweep(posor, np.zeros(1))[0][0], temperature=1e300)
+    scan = replace(turning_scans(posor, np.zeros(1))[0], temperature=1e300)
     assert posor.estimate(scan).state == State.LOST
 
 
 def test_a_prediction_does_not_depend_on_former_predictions() -> None:
     calibration = design("triad_bumpy_ring")
     posor, fresh = Posor(calibration), Posor(calibration)
-    sweep(posor, np.linspace(0.0, 0.3, 7))
-    np.testing.assert_array_equal(
-        sweep(posor, np.array([0.1]))[0].ring_voltages, sweep(fresh, np.array([0.1]))[0].ring_voltages
-    )
+    turning_scans(posor, np.linspace(0.0, 0.3, 7))
+    after, alone = (turning_scans(each, np.array([0.1])).ring_voltages for each in (posor, fresh))
+    np.testing.assert_array_equal(after, alone)

@@ -10,12 +10,10 @@ import pinocchio as pin
 import pytest
 from posor.calibration.designs import design
 from posor.errors import ShapeError
-from posor.estimation.forward import scans_at
 from posor.estimation.posor import Posor
 from posor.model.fault import Fault, State
-from posor.model.native_coordinates import rotation_from_native
-from posor.model.scan import STATED_HOME, Scans
-from posor_lab.harness.random_poses import STACKS, TICK_NS
+from posor.model.scan import Scans
+from posor_lab.harness.random_poses import STACKS, turning_scans
 
 if TYPE_CHECKING:
     from posor.calibration.designs import DesignName
@@ -25,11 +23,7 @@ COUNT = 40
 
 def moving(posor: Posor) -> Scans:
     """Noisy scans of a target that turns, one of them unfit, one contradictory."""
-    rotations = np.array([rotation_from_native(1e-4, -2e-4, 0.05 + 2e-3 * n) for n in range(COUNT)])
-    translations = np.tile([2e-5, 1e-5, 0.7e-3], (COUNT, 1))
-    stamps = np.arange(1, COUNT + 1, dtype=np.int64) * TICK_NS
-    scans = scans_at(posor.stack, rotations, translations, stamps, noise=np.random.default_rng(4)).editable()
-    scans.at_home[2] = STATED_HOME
+    scans = turning_scans(posor, 0.05 + 2e-3 * np.arange(float(COUNT)), 4, home=[2])
     scans.gap_voltages[17, 1] = np.nan
     for spoiled in (scans.ring_voltages, scans.diode_currents[:, :, 0]):
         spoiled[25:26, 0:1] *= 1.05

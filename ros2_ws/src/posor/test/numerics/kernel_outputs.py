@@ -17,26 +17,24 @@ from posor.chain.beam_acceleration import BeamHistory
 from posor.chain.forward_kinematics import Endpoints, estimate_endpoints
 from posor.chain.joint_measurements import JointMeasurements
 from posor.estimation import solver
-from posor.estimation.forward import scans_at
 from posor.estimation.posor import Posor
 from posor.estimation.workspace import WORKSPACE
 from posor.messages.message_stream import MessageEstimator
-from posor.model.native_coordinates import rotation_from_native
 from posor.model.reading_rows import GAP, RING, SPOT_X, SPOT_Y, differentiate_rows, evaluate_rows
-from posor.model.scan import STATED_HOME
 from posor.numerics import compiled, vector
 from posor.numerics import matrix as matrices
 from posor.numerics.compiled import in_place, record_view
 from posor.numerics.summary_statistics import FIGURES, figures_of
 from posor.warm_up import example_stream
+from posor_lab.harness.random_poses import turning_scans
 from posor_lab.harness.row_builder import make_rows
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
-    from posor.model.scan import Scans
     from posor.numerics.array_types import FloatArray
 
 CASES = 100
+THETAS = 2e-3 * np.arange(6.0)
 HARMONICS = ((1.0, 1e-5), (36.0, 2e-4), (72.0, 1e-5))
 
 
@@ -144,17 +142,10 @@ def arm(rng: np.random.Generator) -> list[float]:
     return [number for each in outputs for number in each.ravel().tolist()]
 
 
-def turning_scans(posor: Posor, noise: np.random.Generator | None = None) -> Scans:
-    rotations = np.array([rotation_from_native(1e-4, -2e-4, 2e-3 * n) for n in range(6)])
-    stamps = np.arange(1, 7, dtype=np.int64) * 1_000_000
-    return scans_at(posor.stack, rotations, np.tile([2e-5, 1e-5, 0.7e-3], (6, 1)), stamps, noise=noise)
-
-
 def raw_scans(name: DesignName) -> FloatArray:
     """Return all that is made of noisy raw scans of a design, from voltages and currents to covariances."""
     posor = Posor(design(name, motion=True))
-    scans = turning_scans(posor, np.random.default_rng(8)).editable()
-    scans.at_home[0] = STATED_HOME
+    scans = turning_scans(posor, THETAS, 8, home=[0])
     found = posor.estimate_all(scans)
     arrays = (found.rotations, found.covariances_random, found.covariances_systematic)
     others = (found.poses, found.natives, found.residuals)
@@ -164,7 +155,7 @@ def raw_scans(name: DesignName) -> FloatArray:
 def messages(name: DesignName) -> FloatArray:
     """Return the transforms of serialised raw scans, and the summary of their times."""
     posor = Posor(design(name, motion=True))
-    scans = turning_scans(posor)
+    scans = turning_scans(posor, THETAS)
     count, stamps = len(scans), scans.stamps_ns
     stream = example_stream(count)
     layout, raw = stream.raw_layout[0], stream.raw

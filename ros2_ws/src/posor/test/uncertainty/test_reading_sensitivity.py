@@ -11,33 +11,24 @@ import pinocchio as pin
 import pytest
 from posor.calibration.designs import design
 from posor.errors import ScanError
-from posor.estimation.forward import scans_at
 from posor.estimation.posor import Posor
 from posor.model.native_coordinates import rotation_from_native
 from posor.model.scan import NO_SOURCE
 from posor.uncertainty.reading_sensitivity import EstimateMatrices, sensitivity_at
 from posor_lab.harness.case_tables import refusal
-from posor_lab.harness.random_poses import STACKS, TICK_NS
+from posor_lab.harness.random_poses import STACKS, turning_scans
 
 if TYPE_CHECKING:
     from posor.calibration.designs import DesignName
-    from posor.model.scan import Scans
 
 THETAS = np.linspace(0.05, 0.06, 5)
-TRANSLATION = np.array([2e-5, 1e-5, 0.7e-3])
-
-
-def turning(posor: Posor) -> Scans:
-    rotations = np.array([rotation_from_native(1e-4, -2e-4, theta) for theta in THETAS])
-    translations = np.tile(TRANSLATION, (len(THETAS), 1))
-    return scans_at(posor.stack, rotations, translations, np.arange(1, len(THETAS) + 1) * TICK_NS)
 
 
 @pytest.mark.parametrize("temperature", [math.nan, 293.15])
 @pytest.mark.parametrize("stack", STACKS)
 def test_the_sensitivity_of_the_last_estimate_is_that_at_its_pose(stack: DesignName, temperature: float) -> None:
     posor = Posor(design(stack))
-    scans = turning(posor)
+    scans = turning_scans(posor, THETAS)
     for n in range(len(scans)):
         scan = replace(scans[n], temperature=temperature)
         pose = posor.estimate(scan).T_R_T
@@ -49,8 +40,8 @@ def test_the_sensitivity_of_the_last_estimate_is_that_at_its_pose(stack: DesignN
 
 def test_sensitivity_needs_valid_readings() -> None:
     posor = Posor(design("triad_diodes"))
-    scan = turning(posor)[0]
-    pose = pin.SE3(rotation_from_native(1e-4, -2e-4, THETAS[0]), TRANSLATION)
+    scan = turning_scans(posor, THETAS)[0]
+    pose = pin.SE3(rotation_from_native(1e-4, -2e-4, THETAS[0]), np.array([2e-5, 1e-5, 0.7e-3]))
     dark = replace(scan, lit_sources=(NO_SOURCE,) * len(scan.lit_sources))
     without_voltage = replace(scan, gap_voltages=np.full_like(scan.gap_voltages, np.nan))
     for invalid in (dark, without_voltage):
