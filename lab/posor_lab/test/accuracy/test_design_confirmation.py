@@ -10,7 +10,7 @@ from posor_design.layout_evaluation import evaluate, extreme_poses
 from posor_design.layout_geometry import LayoutKind, Shares, arrange
 from posor_design.layout_search import SearchResult
 from posor_design.posor_output import REQUIREMENT, output_files, requirement_text, write_files
-from posor_design.requirement import Requirement
+from posor_design.requirement import Requirement, requirement_content
 from posor_lab.accuracy.accuracy_command import confirm_design, main
 
 if TYPE_CHECKING:
@@ -20,30 +20,12 @@ DRAWS = 400
 KIND = LayoutKind("light_ring", 3, 4, gap_outside=True)
 
 
-def quantity(value: float, unit: str) -> dict[str, Any]:
-    return {"value": value, "unit": unit}
-
-
 @pytest.fixture
 def requirement() -> Requirement:
-    lengths = {name: quantity(1e-6, "m") for name in ("x", "y", "gap")}
-    angles = {name: quantity(8e-6, "rad") for name in ("alpha", "beta", "theta")}
-    return Requirement.model_validate(
-        {
-            "format": "posor_requirement",
-            "version": 1,
-            "name": "confirmed",
-            "uncertainty": {**lengths, **angles},
-            "range": {
-                **{name: quantity(1e-4, "m") for name in ("gap", "runout")},
-                "tilt": quantity(1e-3, "rad"),
-                "rotation": quantity(3.14, "rad"),
-            },
-            "outside_diameter": quantity(0.08, "m"),
-            "scan_rate": quantity(1000.0, "Hz"),
-            "speed": quantity(1.0, "rad/s"),
-        }
-    )
+    limits = dict.fromkeys(("x", "y", "gap"), 1e-6) | dict.fromkeys(("alpha", "beta", "theta"), 8e-6)
+    motion = {"range.gap": 1e-4, "range.runout": 1e-4, "range.tilt": 1e-3, "range.rotation": 3.14}
+    values = {**motion, "outside_diameter": 0.08, "scan_rate": 1000.0, "speed": 1.0}
+    return Requirement.model_validate(requirement_content("confirmed", limits, 1.0, values))
 
 
 @pytest.fixture

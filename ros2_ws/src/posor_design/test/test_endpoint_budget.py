@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
 import pytest
 from posor.calibration.designs import design, sized_design
-from posor.chain.beams_file import BeamsFile
 from posor.chain.kinematic_chain import Chain
 from posor.errors import ChainError
 from posor.uncertainty.budget_poses import model_covariances
 from posor_design.endpoint_budget import BEAMS, Spread, configurations, disturbed, endpoint_budget, monte_carlo
+from posor_lab.harness.beams import beams_file, quantity, tube, uncertainty
+
+if TYPE_CHECKING:
+    from posor.chain.beams_file import BeamsFile
 
 INCH = 0.0254
 DRAWS = 4_000
@@ -28,37 +32,14 @@ TWO_JOINTS = """<robot name="two">
   <joint name="hand" type="fixed"><parent link="lift_t"/><child link="tip"/><origin xyz="0.5 0 0"/></joint>
 </robot>
 """
-BEND = {
-    "tube": {
-        "outer_diameter": {"value": 0.05, "unit": "m"},
-        "inner_diameter": {"value": 0.04, "unit": "m"},
-        "modulus": {"value": 69e9, "unit": "Pa"},
-        "density": {"value": 2700.0, "unit": "kg/m^3"},
-    },
-    "gimbals": {"value": [0.3, 1.2], "unit": "m"},
-    "uncertainty": {"value": 0.3, "unit": "1"},
-}
+BEND = {"tube": tube(0.05, 0.04), "gimbals": quantity([0.3, 1.2], "m"), "uncertainty": quantity(0.3, "1")}
 BEAM_SIGMA, BEAM_LEAN = 2e-6, 3e-6
 STILL = {"turn": 0.0, "lift": 0.0}
 
 
 def beams(*, bend: bool) -> BeamsFile:
-    exact = {
-        "position": {"value": [BEAM_SIGMA] * 3, "unit": "m"},
-        "orientation": {"value": [BEAM_LEAN] * 3, "unit": "rad"},
-    }
-    return BeamsFile.model_validate(
-        {
-            "format": "posor_beams",
-            "version": 1,
-            "name": "two",
-            "provenance": {"source": "assumed", "method": "by hand", "date": "none"},
-            "beams": [
-                {"joint": "beam", "uncertainty": exact, **({"sag": BEND} if bend else {})},
-                {"joint": "hand", "uncertainty": exact},
-            ],
-        }
-    )
+    known = {"uncertainty": uncertainty([BEAM_SIGMA] * 3, [BEAM_LEAN] * 3)}
+    return beams_file({"joint": "beam", **known, **({"sag": BEND} if bend else {})}, {"joint": "hand", **known})
 
 
 @pytest.fixture

@@ -7,12 +7,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pytest
 import yaml
 from posor.calibration.designs import SizedDesignName, sized_design
 from posor.chain.arm_file import load_arm_file
 from posor.errors import CalibrationError
 from posor_drivers.simulator.arm_simulation import ArmSimulation
+from posor_lab.harness.beams import beams_content, plate, quantity, tube, uncertainty
+from posor_lab.harness.case_tables import refusal
 
 if TYPE_CHECKING:
     from posor_drivers.simulator.imperfections import Imperfections
@@ -56,27 +57,23 @@ URDF = "\n".join(
 )
 
 
-def _quantity(value: object, unit: str) -> dict[str, Any]:
-    return {"value": value, "unit": unit}
-
-
 def _sag(length: float) -> dict[str, Any]:
-    tube = {"outer_diameter": (0.0508, "m"), "inner_diameter": (0.04445, "m"), "modulus": (69e9, "Pa")}
     return {
-        "tube": {name: _quantity(*of) for name, of in tube.items()} | {"density": _quantity(2700.0, "kg/m^3")},
-        "gimbals": _quantity([0.2 * length, 0.8 * length], "m"),
-        "plates": [{"name": "first", "at": _quantity(0.0, "m"), "mass": _quantity(1.0, "kg")}],
-        "uncertainty": _quantity(0.01, "1"),
+        "tube": tube(0.0508, 0.04445),
+        "gimbals": quantity([0.2 * length, 0.8 * length], "m"),
+        "plates": [plate("first", 0.0, 1.0)],
+        "uncertainty": quantity(0.01, "1"),
     }
 
 
 def _beams() -> dict[str, Any]:
-    uncertainty = {"position": _quantity([2e-7] * 3, "m"), "orientation": _quantity([2e-7] * 3, "rad")}
-    beams = [
-        {"joint": name, "uncertainty": uncertainty} | ({"sag": _sag(LENGTHS[name])} if name in LENGTHS else {})
-        for name, *_ in BEAMS[1:]
-    ]
-    return {"format": "posor_beams", "version": 1, "name": "three_joints", "provenance": PROVENANCE, "beams": beams}
+    known = {"uncertainty": uncertainty([2e-7] * 3, [2e-7] * 3)}
+    return beams_content(
+        *(
+            {"joint": name, **known} | ({"sag": _sag(LENGTHS[name])} if name in LENGTHS else {})
+            for name, *_ in BEAMS[1:]
+        )
+    )
 
 
 def scenario() -> dict[str, Any]:
@@ -125,6 +122,4 @@ def simulation(
 
 
 def refused(folder: Path, content: dict[str, Any]) -> CalibrationError:
-    with pytest.raises(CalibrationError) as error:
-        simulation(folder, content=content)
-    return error.value
+    return refusal(CalibrationError, simulation, folder, content=content)

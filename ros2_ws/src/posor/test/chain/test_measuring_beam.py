@@ -14,6 +14,7 @@ from posor.chain.beams_file import BeamsFile
 from posor.chain.joint_measurements import MeasuredJoint
 from posor.chain.kinematic_chain import Chain
 from posor.errors import ChainError, PosorError
+from posor_lab.harness.beams import beams_file, plate, quantity, tube, uncertainty
 from posor_lab.harness.case_tables import refusal
 
 if TYPE_CHECKING:
@@ -22,7 +23,6 @@ if TYPE_CHECKING:
 ARM = Path(__file__).with_name("two_beams.urdf").read_text(encoding="utf-8")
 LENGTH = math.hypot(0.8, 0.1)
 TUBE = {"outer_diameter": 0.05, "inner_diameter": 0.045, "modulus": 69e9, "density": 2700.0}
-UNITS = {"outer_diameter": "m", "inner_diameter": "m", "modulus": "Pa", "density": "kg/m^3"}
 GIMBALS = (0.15, 0.7)
 MASS = 1.5
 FIXED = "mount, upper_arm, forearm"
@@ -30,36 +30,16 @@ GRAVITY = 9.80665
 
 
 def beam(name: str, *, sag: bool, sigma: float = 0.0, sag_sigma: float = 0.0) -> dict[str, Any]:
-    said: dict[str, Any] = {
-        "joint": name,
-        "uncertainty": {
-            "position": {"value": [sigma, 2.0 * sigma, 3.0 * sigma], "unit": "m"},
-            "orientation": {"value": [sigma, sigma, 2.0 * sigma], "unit": "rad"},
-        },
-    }
+    known = uncertainty([sigma, 2.0 * sigma, 3.0 * sigma], [sigma, sigma, 2.0 * sigma])
+    said: dict[str, Any] = {"joint": name, "uncertainty": known}
     if sag:
         said["sag"] = {
-            "tube": {key: {"value": value, "unit": UNITS[key]} for key, value in TUBE.items()},
-            "gimbals": {"value": list(GIMBALS), "unit": "m"},
-            "plates": [
-                {"name": "target", "at": {"value": 0.0, "unit": "m"}, "mass": {"value": MASS, "unit": "kg"}},
-                {"name": "receiving", "at": {"value": LENGTH, "unit": "m"}, "mass": {"value": MASS, "unit": "kg"}},
-            ],
-            "uncertainty": {"value": sag_sigma, "unit": "1"},
+            "tube": tube(TUBE["outer_diameter"], TUBE["inner_diameter"]),
+            "gimbals": quantity(list(GIMBALS), "m"),
+            "plates": [plate("target", 0.0, MASS), plate("receiving", LENGTH, MASS)],
+            "uncertainty": quantity(sag_sigma, "1"),
         }
     return said
-
-
-def beams(*said: dict[str, Any]) -> BeamsFile:
-    return BeamsFile.model_validate(
-        {
-            "format": "posor_beams",
-            "version": 1,
-            "name": "test",
-            "provenance": {"source": "test", "method": "none", "date": "none"},
-            "beams": list(said),
-        }
-    )
 
 
 def still(rotation: FloatArray | None = None) -> dict[str, MeasuredJoint]:
@@ -77,7 +57,7 @@ def tangent(moved: pin.SE3, reference: pin.SE3) -> FloatArray:
 
 def test_a_beam_without_sag_is_that_of_the_urdf() -> None:
     plain = Chain(ARM, "tip").estimate(still()).T_base_endpoint
-    with_beams = Chain(ARM, "tip", beams(beam("upper_arm", sag=False), beam("forearm", sag=False)))
+    with_beams = Chain(ARM, "tip", beams_file(beam("upper_arm", sag=False), beam("forearm", sag=False)))
     np.testing.assert_allclose(
         with_beams.estimate(still()).T_base_endpoint.homogeneous, plain.homogeneous, rtol=0.0, atol=1e-15
     )
@@ -85,7 +65,7 @@ def test_a_beam_without_sag_is_that_of_the_urdf() -> None:
 
 def test_a_level_beam_sags_down() -> None:
     """The mount puts Y of the plates up: the beam lies in a vertical plane and dips by 0.1 in 0.8."""
-    chain = Chain(ARM, "tip", beams(beam("upper_arm", sag=True)))
+    chain = Chain(ARM, "tip", beams_file(beam("upper_arm", sag=True)))
     sagging = chain.estimate(still()).T_base_endpoint
     straight = Chain(ARM, "tip").estimate(still()).T_base_endpoint
     across = GRAVITY * 0.8 / LENGTH  # gravity across the beam
@@ -121,14 +101,14 @@ def test_a_beam_with_rotated_axes_sags_the_same() -> None:
         '<link name="clamp"/><joint name="clamping" type="fixed"><parent link="t1"/><child link="clamp"/>'
         '<origin rpy="0.4 -0.9 1.7"/></joint><joint name="upper_arm" type="fixed"><parent link="clamp"/>',
     ).replace('<origin xyz="0.8 0.1 0" rpy="0.3 0 0"/>', f'<origin xyz="{xyz}" rpy="{rpy}"/>')
-    said = beams(beam("upper_arm", sag=True, sag_sigma=0.2))
+    said = beams_file(beam("upper_arm", sag=True, sag_sigma=0.2))
     plain, other = (Chain(urdf, "tip", said).estimate(still()) for urdf in (ARM, turned))
     np.testing.assert_allclose(other.T_base_endpoint.homogeneous, plain.T_base_endpoint.homogeneous, atol=1e-14)
     np.testing.assert_allclose(other.covariance, plain.covariance, atol=1e-9 * np.abs(plain.covariance).max())
 
 
 def test_a_hanging_beam_does_not_sag() -> None:
-    chain = Chain(ARM, "tip", beams(beam("upper_arm", sag=True)))
+    chain = Chain(ARM, "tip", beams_file(beam("upper_arm", sag=True)))
     down = math.atan2(-1.0, 0.0) - math.atan2(0.1, 0.8)
     hanging = still(pin.utils.rotate("z", down))
     straight = Chain(ARM, "tip").estimate(hanging).T_base_endpoint
@@ -138,7 +118,7 @@ def test_a_hanging_beam_does_not_sag() -> None:
 
 
 def test_acceleration_acts_like_gravity() -> None:
-    chain = Chain(ARM, "tip", beams(beam("upper_arm", sag=True)))
+    chain = Chain(ARM, "tip", beams_file(beam("upper_arm", sag=True)))
     straight = Chain(ARM, "tip").estimate(still()).T_base_endpoint
     at_rest = tangent(chain.estimate(still()).T_base_endpoint, straight)
     lifted = chain.estimate(still(), {"upper_arm": np.array([0.0, 0.0, GRAVITY])}).T_base_endpoint
@@ -150,7 +130,7 @@ def test_acceleration_acts_like_gravity() -> None:
 def test_the_beams_uncertainties_reach_the_endpoint(rng: np.random.Generator) -> None:
     """Monte Carlo: beams drawn from their covariance, the sag from its own, against what the chain states."""
     said = (beam("upper_arm", sag=True, sigma=2e-6, sag_sigma=0.1), beam("forearm", sag=False, sigma=4e-6))
-    chain = Chain(ARM, "tip", beams(*said))
+    chain = Chain(ARM, "tip", beams_file(*said))
     joints = still(pin.utils.rotate("z", 0.7))
     endpoint = chain.estimate(joints)
     draws = 8_000
@@ -174,7 +154,7 @@ def test_the_beams_uncertainties_reach_the_endpoint(rng: np.random.Generator) ->
 
 def test_gravity_of_the_beams_file_is_used() -> None:
     level = {"gravity": {"value": [0.0, 9.0, 0.0], "unit": "m/s^2"}}
-    turned = BeamsFile.model_validate({**beams(beam("upper_arm", sag=True)).model_dump(), **level})
+    turned = BeamsFile.model_validate({**beams_file(beam("upper_arm", sag=True)).model_dump(), **level})
     chain = Chain(ARM, "tip", turned)
     straight = Chain(ARM, "tip").estimate(still()).T_base_endpoint
     moved = tangent(chain.estimate(still()).T_base_endpoint, straight)
@@ -183,7 +163,7 @@ def test_gravity_of_the_beams_file_is_used() -> None:
 
 
 def test_links_connect_the_plates() -> None:
-    chain = Chain(ARM, "tip", beams(beam("forearm", sag=False)))
+    chain = Chain(ARM, "tip", beams_file(beam("forearm", sag=False)))
     assert [link.beam and link.beam.name for link in chain.links] == [None, None, "forearm"]
     pose = chain.links[0].T_nominal
     for joint, link in zip(("shoulder", "elbow"), chain.links[1:], strict=True):
@@ -206,7 +186,7 @@ def test_links_connect_the_plates() -> None:
 def test_beams_that_do_not_fit_the_urdf_are_refused(said: dict[str, Any], where: str, what: str) -> None:
     if "sag" in said:
         said["sag"]["plates"] = []
-    error = refusal(ChainError, Chain, ARM, "tip", beams(said), source="arm.urdf", beams_source="beams.yaml")
+    error = refusal(ChainError, Chain, ARM, "tip", beams_file(said), source="arm.urdf", beams_source="beams.yaml")
     expected = f"one of {FIXED}" if where == "arm.urdf" else "0 to 0.5 m, the beam's length"
     assert (error.where, error.what, error.expected) == (where, what, expected)
 
@@ -217,7 +197,7 @@ def test_two_beams_need_a_posor_between() -> None:
         '<link name="mid"/><link name="tip"/>'
         '<joint name="hand" type="fixed"><parent link="mid"/><child link="tip"/><origin xyz="1 0 0"/></joint>',
     )
-    two = beams(beam("forearm", sag=False), beam("hand", sag=False))
+    two = beams_file(beam("forearm", sag=False), beam("hand", sag=False))
     assert (
         "'forearm' and 'hand' follow each other without a POSOR between"
         in refusal(PosorError, Chain, split, "tip", two).what

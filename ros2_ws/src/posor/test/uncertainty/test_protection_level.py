@@ -5,13 +5,12 @@ from __future__ import annotations
 import math
 from itertools import product
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
 import pytest
 from posor.calibration.designs import sized_design
-from posor.chain.beams_file import BeamsFile
 from posor.chain.joint_measurements import MeasuredJoint
 from posor.chain.kinematic_chain import Chain
 from posor.estimation.forward import scans_at
@@ -26,11 +25,13 @@ from posor.uncertainty.protection_level import (
     expansion_shifts,
 )
 from posor.uncertainty.reliability import joint_reliability
+from posor_lab.harness.beams import beams_file, quantity, uncertainty
 from scipy.special import ndtr
 
 from .biased_readings import biased_scans, drawn_stack
 
 if TYPE_CHECKING:
+    from posor.chain.beams_file import BeamsFile
     from posor.numerics.array_types import FloatArray
 
 URDF = Path(__file__).with_name("two_joints.urdf").read_text(encoding="utf-8")
@@ -90,23 +91,16 @@ def test_an_undetectable_shift_leaves_the_endpoint_unbounded_where_it_acts(chain
     np.testing.assert_array_equal(level[3:], 0.0)
 
 
-def beams_file() -> BeamsFile:
-    def quantity(value: Any, unit: str) -> dict[str, Any]:
-        return {"value": value, "unit": unit}
-
-    exact = {"position": quantity([0.0] * 3, "m"), "orientation": quantity([0.0] * 3, "rad")}
+def warm_beams() -> BeamsFile:
     beams = [
         {
             "joint": name,
-            "uncertainty": exact,
+            "uncertainty": uncertainty([0.0] * 3, [0.0] * 3),
             "temperature": {"coefficient": quantity(coefficient, "1/K"), "deviation": quantity(deviation, "K")},
         }
         for name, (_, coefficient, deviation) in BEAMS.items()
     ]
-    provenance = {"source": "test", "method": "none", "date": "none"}
-    return BeamsFile.model_validate(
-        {"format": "posor_beams", "version": 2, "name": "two", "provenance": provenance, "beams": beams}
-    )
+    return beams_file(*beams, version=2)
 
 
 def chain_at(deviations: dict[str, float]) -> Chain:
@@ -121,7 +115,7 @@ def chain_at(deviations: dict[str, float]) -> Chain:
 
 
 def test_beams_that_expand_stay_within_their_bound_and_reach_it(chain: Chain) -> None:
-    with_beams = Chain(URDF, "tool", beams_file())
+    with_beams = Chain(URDF, "tool", warm_beams())
     expansions = expansion_shifts(with_beams, poses_of(with_beams))
     bound, before = expansion_bound(expansions), chain.nominal_endpoint(ANGLES)
     largest = np.zeros(6)
@@ -138,7 +132,7 @@ def test_beams_that_expand_stay_within_their_bound_and_reach_it(chain: Chain) ->
 
 
 def test_the_level_contains_the_bound_of_the_beams_and_the_covariance_does_not(chain: Chain) -> None:
-    with_beams, poses = Chain(URDF, "tool", beams_file()), poses_of(chain)
+    with_beams, poses = Chain(URDF, "tool", warm_beams()), poses_of(chain)
     expansions, effects = expansion_shifts(with_beams, poses), list(endpoint_effects(chain, poses).values())
     shifts = [np.ones((1, 6)) * 1e-6] * 2
     found = endpoint_protection_level(shifts, effects, NONE, expansions)
