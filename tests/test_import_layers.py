@@ -66,27 +66,21 @@ def test_no_import_cycles() -> None:
     TopologicalSorter(imports).prepare()
 
 
-def test_imports_go_down_the_rooms(graph: grimp.ImportGraph) -> None:
-    wrong = [
-        describe_import(graph, importer, imported)
-        for importer, imported in own_imports(graph)
-        if room_of(importer) != room_of(imported) and FLOOR[room_of(imported)] <= FLOOR[room_of(importer)]
-    ]
+def goes_up(importer: str, imported: str) -> bool:
+    room, other = room_of(importer), room_of(imported)
+    if room != other:
+        return FLOOR[other] <= FLOOR[room]
+    return room == "posor" and layer_of(imported) > layer_of(importer)
+
+
+def test_imports_go_down_the_rooms_and_the_layers_of_the_library(graph: grimp.ImportGraph) -> None:
+    wrong = [describe_import(graph, *pair) for pair in own_imports(graph) if goes_up(*pair)]
     assert not wrong, "\n".join(wrong)
 
 
 def test_the_picture_of_the_rooms_shows_every_arrow() -> None:
     drawn = re.findall(r"<title>(\w+) imports (\w+)</title>", PICTURE.read_text(encoding="utf-8"))
     assert set(drawn) == set(count_imports(build_graph(for_type_checkers=True))), "call 'make rooms'"
-
-
-def test_imports_go_down_the_layers_of_the_library(graph: grimp.ImportGraph) -> None:
-    wrong = [
-        describe_import(graph, importer, imported)
-        for importer, imported in own_imports(graph)
-        if room_of(importer) == room_of(imported) == "posor" and layer_of(imported) > layer_of(importer)
-    ]
-    assert not wrong, "\n".join(wrong)
 
 
 def test_only_rooms_of_nodes_import_ros(graph: grimp.ImportGraph) -> None:

@@ -19,12 +19,8 @@ SIGMA_V = 0.002
 GROUPS = 4000
 
 
-def chi_square_band(freedom: int) -> tuple[float, float]:
-    return float(chi2.ppf(CHANCE / 2, freedom)), float(chi2.isf(CHANCE / 2, freedom))
-
-
-def binomial_band(trials: int, probability: float) -> tuple[float, float]:
-    return float(binom.ppf(CHANCE / 2, trials, probability)), float(binom.isf(CHANCE / 2, trials, probability))
+def is_chi_square(statistic: float, freedom: int) -> bool:
+    return bool(chi2.ppf(CHANCE / 2, freedom) < statistic < chi2.isf(CHANCE / 2, freedom))
 
 
 def noise(samples: int, seed: int, width: int = 1) -> FloatArray:
@@ -32,12 +28,8 @@ def noise(samples: int, seed: int, width: int = 1) -> FloatArray:
     return np.random.default_rng(seed).normal(0.5, SIGMA_V, (samples, GROUPS, width))
 
 
-def ones(samples: FloatArray) -> NDArray[np.int64]:
-    return np.ones(len(samples), dtype=np.int64)
-
-
 def averaged(samples: FloatArray, significance: float | None = None) -> SampleAverage:
-    return average_samples(samples, ones(samples), significance=significance)
+    return average_samples(samples, np.ones(len(samples), dtype=np.int64), significance=significance)
 
 
 def column(*values: float) -> FloatArray:
@@ -47,10 +39,8 @@ def column(*values: float) -> FloatArray:
 @pytest.mark.parametrize("samples", [2, 5, 20])
 def test_noise_of_the_mean_falls_with_the_root_of_the_number_and_the_spread_is_that_of_one(samples: int) -> None:
     result = averaged(noise(samples, seed=samples))
-    low, high = chi_square_band(GROUPS - 1)
-    assert low < (GROUPS - 1) * result.means.var(ddof=1) / (SIGMA_V**2 / samples) < high
-    low, high = chi_square_band((samples - 1) * GROUPS)
-    assert low < (samples - 1) * (result.spreads**2).sum() / SIGMA_V**2 < high
+    assert is_chi_square((GROUPS - 1) * result.means.var(ddof=1) / (SIGMA_V**2 / samples), GROUPS - 1)
+    assert is_chi_square((samples - 1) * (result.spreads**2).sum() / SIGMA_V**2, (samples - 1) * GROUPS)
     assert set(result.counts.tolist()) == {samples}
 
 
@@ -60,25 +50,22 @@ def test_mean_without_outlier_has_the_noise_of_the_remaining_samples() -> None:
     result = averaged(samples, significance=0.01)
     assert result.dropped
     assert set(result.counts.tolist()) == {4}
-    low, high = chi_square_band(GROUPS - 1)
-    assert low < (GROUPS - 1) * result.means.var(ddof=1) / (SIGMA_V**2 / 4) < high
-    low, high = chi_square_band(3 * GROUPS)
-    assert low < 3 * (result.spreads**2).sum() / SIGMA_V**2 < high
-    low, high = chi_square_band(1)
-    assert GROUPS * 4 * (result.means.mean() - 0.5) ** 2 / SIGMA_V**2 < high
+    assert is_chi_square((GROUPS - 1) * result.means.var(ddof=1) / (SIGMA_V**2 / 4), GROUPS - 1)
+    assert is_chi_square(3 * (result.spreads**2).sum() / SIGMA_V**2, 3 * GROUPS)
+    assert GROUPS * 4 * (result.means.mean() - 0.5) ** 2 / SIGMA_V**2 < chi2.isf(CHANCE / 2, 1)
 
 
 @pytest.mark.parametrize("significance", [0.01, 0.1])
 def test_good_samples_are_dropped_with_the_stated_probability(significance: float) -> None:
     result = averaged(noise(5, seed=40), significance)
-    low, high = binomial_band(GROUPS, significance)
+    low, high = binom(GROUPS, significance).ppf([CHANCE / 2, 1.0 - CHANCE / 2])
     assert low < (result.counts < 5).sum() < high
     assert result.counts.min() == 4
 
 
 def test_good_samples_of_a_diode_are_dropped_at_most_with_the_stated_probability() -> None:
     result = averaged(noise(5, seed=41, width=4), significance=0.05)
-    assert 0 < (result.counts < 5).sum() < binomial_band(GROUPS, 0.05)[1]
+    assert 0 < (result.counts < 5).sum() < binom.isf(CHANCE / 2, GROUPS, 0.05)
 
 
 def test_at_most_one_in_five_is_dropped() -> None:

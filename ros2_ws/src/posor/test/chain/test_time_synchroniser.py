@@ -1,12 +1,16 @@
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 from posor.chain.time_synchroniser import MAX_OPEN_SCANS, TimeSynchroniser, synchronise_stamps
 from posor.errors import ChainError
 from posor_lab.harness.case_tables import cases, refusal
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
 
 JOINTS = ("shoulder", "elbow", "wrist")
 
@@ -22,6 +26,12 @@ def whole(stamp: int) -> dict[str, str]:
 
 def add(synchroniser: TimeSynchroniser[str], joint: str, stamp: int) -> dict[str, str] | None:
     return synchroniser.add(joint, stamp, f"{joint} at {stamp}", 0.0)
+
+
+def send(synchroniser: TimeSynchroniser[str], stamps: Iterable[int], joints: Iterable[str] = JOINTS) -> None:
+    for stamp in stamps:
+        for joint in joints:
+            add(synchroniser, joint, stamp)
 
 
 def replay(events: str) -> tuple[str, dict[int, str]]:
@@ -84,9 +94,7 @@ def test_a_restarted_replay_is_followed_from_its_first_scan(
     first_joint_back: str, synchroniser: TimeSynchroniser[str]
 ) -> None:
     others = [joint for joint in JOINTS if joint != first_joint_back]
-    for stamp in (100, 200, 300):
-        for joint in JOINTS:
-            add(synchroniser, joint, stamp)
+    send(synchroniser, (100, 200, 300))
     for round_ in range(2):
         for stamp in (100, 200, 300):
             add(synchroniser, first_joint_back, stamp)
@@ -97,12 +105,8 @@ def test_a_restarted_replay_is_followed_from_its_first_scan(
 def test_a_joint_that_was_silent_during_the_restart_of_the_others_joins_their_epoch(
     synchroniser: TimeSynchroniser[str],
 ) -> None:
-    for stamp in range(1, 10):
-        for joint in JOINTS:
-            add(synchroniser, joint, stamp)
-    for stamp in range(1, 20):
-        add(synchroniser, "shoulder", stamp)
-        add(synchroniser, "elbow", stamp)
+    send(synchroniser, range(1, 10))
+    send(synchroniser, range(1, 20), ("shoulder", "elbow"))
     scans = [add(synchroniser, joint, stamp) for stamp in range(20, 20 + 2 * MAX_OPEN_SCANS) for joint in JOINTS]
     assert scans[-1] == whole(19 + 2 * MAX_OPEN_SCANS)
 
@@ -158,15 +162,10 @@ def test_the_same_wrong_stamp_of_two_joints_begins_a_new_epoch(synchroniser: Tim
 
 def test_the_number_of_open_scans_is_bounded(synchroniser: TimeSynchroniser[str]) -> None:
     """A silent joint must not let memory grow; each closed scan names it."""
-    for stamp in range(1, MAX_OPEN_SCANS + 1):
-        add(synchroniser, "shoulder", stamp)
-        add(synchroniser, "elbow", stamp)
+    send(synchroniser, range(1, MAX_OPEN_SCANS + 1), ("shoulder", "elbow"))
     assert synchroniser.take_incomplete() == {}
-    for stamp in range(MAX_OPEN_SCANS + 1, 3 * MAX_OPEN_SCANS + 1):
-        add(synchroniser, "shoulder", stamp)
-        add(synchroniser, "elbow", stamp)
-    incomplete = synchroniser.take_incomplete()
-    assert incomplete == dict.fromkeys(range(1, 2 * MAX_OPEN_SCANS + 1), ("wrist",))
+    send(synchroniser, range(MAX_OPEN_SCANS + 1, 3 * MAX_OPEN_SCANS + 1), ("shoulder", "elbow"))
+    assert synchroniser.take_incomplete() == dict.fromkeys(range(1, 2 * MAX_OPEN_SCANS + 1), ("wrist",))
 
 
 def test_an_unbounded_synchroniser_keeps_every_scan_open() -> None:
@@ -180,11 +179,8 @@ def test_an_unbounded_synchroniser_keeps_every_scan_open() -> None:
 
 def test_a_joint_far_behind_is_named(synchroniser: TimeSynchroniser[str]) -> None:
     """The wrist is so late that its scans have been closed: only the wrist is missing."""
-    for stamp in range(1, MAX_OPEN_SCANS + 11):
-        add(synchroniser, "shoulder", stamp)
-        add(synchroniser, "elbow", stamp)
-    for stamp in range(1, MAX_OPEN_SCANS + 11):
-        add(synchroniser, "wrist", stamp)
+    send(synchroniser, range(1, MAX_OPEN_SCANS + 11), ("shoulder", "elbow"))
+    send(synchroniser, range(1, MAX_OPEN_SCANS + 11), ("wrist",))
     assert synchroniser.take_incomplete() == dict.fromkeys(range(1, 11), ("wrist",))
 
 
