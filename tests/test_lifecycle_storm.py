@@ -61,10 +61,16 @@ class Node:
             self.change(Transition.TRANSITION_ACTIVATE)
 
 
-def survives(folder: Path, seed: int, transitions: int, *, driver_apart: bool) -> None:
-    """Change the state of every node this often; the driver is in the same process, or always active in another one."""
+@pytest.mark.parametrize("driver_apart", [False, True])
+@pytest.mark.parametrize(
+    ("seed", "transitions"), [(1, 25), *(pytest.param(seed, 50, marks=pytest.mark.long) for seed in range(10))]
+)
+def test_a_composition_survives_transitions_of_every_node(
+    tmp_path: Path, seed: int, transitions: int, *, driver_apart: bool
+) -> None:
+    """The driver is in the same process, or always active in another one."""
     rng = np.random.default_rng(seed)
-    command = [*COMPOSE, str(write_composition(folder, WITHOUT_DRIVER if driver_apart else RIG))]
+    command = [*COMPOSE, str(write_composition(tmp_path, WITHOUT_DRIVER if driver_apart else RIG))]
     with (
         Program(command) as composed,
         Program(DRIVER_PROGRAM if driver_apart else ["true"]) as driver,
@@ -87,15 +93,3 @@ def survives(folder: Path, seed: int, transitions: int, *, driver_apart: bool) -
         assert composed.errors == []
         if driver_apart:
             assert driver.end() == 0
-
-
-@pytest.mark.parametrize("driver_apart", [False, True])
-def test_a_composition_survives_transitions(tmp_path: Path, *, driver_apart: bool) -> None:
-    survives(tmp_path, 1, 25, driver_apart=driver_apart)
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("driver_apart", [False, True])
-@pytest.mark.parametrize("seed", range(10))
-def test_a_composition_survives_50_transitions_of_each_node(tmp_path: Path, seed: int, *, driver_apart: bool) -> None:
-    survives(tmp_path, seed, 50, driver_apart=driver_apart)

@@ -18,7 +18,7 @@ from posor.bags.result_folder import UNFINISHED
 from posor_bringup.arms import find_arm, load_checked_arm
 from posor_bringup.installed import bag_path, calibration_path
 from posor_lab.benchmark.offline_benchmark import repeat_bag
-from posor_lab.harness.program import Program, installed, wait_until
+from posor_lab.harness.program import Program, installed, wait_until, writes_below
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -48,13 +48,7 @@ def address_of(scheduler: Program) -> str:
 
 
 def at_work(worker: Program) -> bool:
-    for entry in Path(f"/proc/{worker.process.pid}/fd").iterdir():
-        try:
-            if UNFINISHED in str(entry.readlink()):
-                return True
-        except OSError:  # closed meanwhile
-            continue
-    return False
+    return writes_below(worker.process.pid, UNFINISHED)
 
 
 def files(folder: Path) -> Iterator[tuple[str, bytes]]:

@@ -12,7 +12,7 @@ import pytest
 from posor.bags.result_folder import UNFINISHED
 from posor_bringup.arms import find_arm, load_checked_arm
 from posor_lab.benchmark.offline_benchmark import repeat_bag
-from posor_lab.harness.program import Program, installed, wait_until
+from posor_lab.harness.program import Program, installed, wait_until, writes_below
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -62,14 +62,7 @@ def workers(run: Program) -> list[int]:
 
 def at_work(run: Program) -> list[int]:
     """Return those that are writing results."""
-
-    def writes(pid: int) -> bool:
-        try:
-            return any(UNFINISHED in str(entry.readlink()) for entry in Path(f"/proc/{pid}/fd").iterdir())
-        except FileNotFoundError:  # closed, or ended, meanwhile
-            return False
-
-    return [pid for pid in workers(run) if writes(pid)]
+    return [pid for pid in workers(run) if writes_below(pid, UNFINISHED)]
 
 
 def until(condition: Callable[[], bool], what: str) -> None:

@@ -61,10 +61,12 @@ class Stop:
         assert "Traceback" not in output
 
 
-def stop_nodes(folder: Path, seed: int, count: int) -> None:
-    """Start and interrupt nodes of all kinds while a driver publishes scans."""
+@pytest.mark.parametrize(
+    ("seed", "count"), [(1, AT_ONCE), pytest.param(2, 600, marks=[pytest.mark.long, pytest.mark.timeout(3600)])]
+)
+def test_interrupted_nodes_end_soon_and_cleanly_while_a_driver_publishes(tmp_path: Path, seed: int, count: int) -> None:
     rng = np.random.default_rng(seed)
-    with Supervisor(folder) as supervisor:
+    with Supervisor(tmp_path) as supervisor:
         driver = supervisor.start(DRIVER)
         for first in range(0, count, AT_ONCE):
             stops = [Stop(rng, supervisor, number) for number in range(first, first + AT_ONCE)]
@@ -75,13 +77,3 @@ def stop_nodes(folder: Path, seed: int, count: int) -> None:
             for stop in stops:
                 stop.check_end()
         supervisor.end([driver])
-
-
-def test_interrupted_nodes_end_soon_and_cleanly(tmp_path: Path) -> None:
-    stop_nodes(tmp_path, 1, AT_ONCE)
-
-
-@pytest.mark.long
-@pytest.mark.timeout(3600)
-def test_600_interrupted_nodes_end_soon_and_cleanly(tmp_path: Path) -> None:
-    stop_nodes(tmp_path, 2, 600)

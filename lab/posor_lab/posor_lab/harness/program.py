@@ -141,6 +141,14 @@ def error_lines(lines: Sequence[str]) -> list[str]:
     return [line for line in lines if "[INFO]" not in line]
 
 
+def writes_below(pid: int, text: str) -> bool:
+    """Return whether a process has a file open whose path contains a text."""
+    try:
+        return any(text in str(entry.readlink()) for entry in Path(f"/proc/{pid}/fd").iterdir())
+    except FileNotFoundError:  # closed, or ended, meanwhile
+        return False
+
+
 def wait_until(condition: Callable[[], bool], what: str, meanwhile: Callable[[], None]) -> None:
     """Call ``meanwhile`` until ``condition`` holds. Raises AssertionError: the wait for ``what`` timed out."""
     deadline = time.monotonic() + TIMEOUT_S

@@ -16,6 +16,8 @@ from posor_lab.harness.beams import beams_content, plate, quantity, tube, uncert
 from posor_lab.harness.case_tables import refusal
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from posor_drivers.simulator.imperfections import Imperfections
 
 SCENARIO = Path(__file__).parent / "scenarios" / "three_joints.yaml"
@@ -76,8 +78,18 @@ def _beams() -> dict[str, Any]:
     )
 
 
-def scenario() -> dict[str, Any]:
+def scenario(changes: Mapping[str, Any] | None = None) -> dict[str, Any]:
+    """Return the scenario with other values at some key paths, such as ``motion.1.at``; None removes the entry."""
     content: dict[str, Any] = yaml.load(SCENARIO.read_text(encoding="utf-8"), Loader=yaml.CSafeLoader)
+    for path, value in (changes or {}).items():
+        *parents, last = [int(part) if part.isdigit() else part for part in path.split(".")]
+        entry: Any = content
+        for part in parents:
+            entry = entry[part]
+        if value is None:
+            del entry[last]
+        else:
+            entry[last] = value
     return content
 
 

@@ -211,9 +211,7 @@ def test_other_processes_that_start_elsewhere_give_the_same_numbers(tmp_path: Pa
 
 
 def test_another_seed_gives_other_numbers(tmp_path: Path, everything: ArmSimulation) -> None:
-    content = scenario()
-    content["seed"] = 1986
-    other = simulation(tmp_path, content=content)
+    other = simulation(tmp_path, content=scenario({"seed": 1986}))
     assert not np.array_equal(other.truth(TICKS).endpoint.translations, everything.truth(TICKS).endpoint.translations)
     assert not np.array_equal(other.scans("base", TICKS).sent, everything.scans("base", TICKS).sent)
 
@@ -286,17 +284,13 @@ def test_stage_moves_endpoint_and_last_target_plate_alike(everything: ArmSimulat
 
 
 def test_scenario_of_other_joints_is_refused(tmp_path: Path) -> None:
-    content = scenario()
-    content["joints"]["wrist"] = {}
-    error = refused(tmp_path, content)
+    error = refused(tmp_path, scenario({"joints.wrist": {}}))
     assert error.where == f"{tmp_path / 'scenario.yaml'}, key joints"
     assert (error.what, error.expected) == ("joints base, shoulder, elbow, wrist", "base, shoulder, elbow")
 
 
 def test_scenario_that_never_passes_the_home_mark_is_refused(tmp_path: Path) -> None:
-    content = scenario()
-    content["motion"] = [{"kind": "rest", "duration": {"value": 8.0, "unit": "s"}}]
-    content["joints"]["base"]["start"] = {"value": 0.5, "unit": "rad"}
-    error = refused(tmp_path, content)
+    rest = [{"kind": "rest", "duration": {"value": 8.0, "unit": "s"}}]
+    error = refused(tmp_path, scenario({"motion": rest, "joints.base.start": {"value": 0.5, "unit": "rad"}}))
     assert error.what == "joint 'base' never passes the home mark of its ring, so its theta cannot be counted"
     assert error.expected == "a motion through theta = 0 rad"

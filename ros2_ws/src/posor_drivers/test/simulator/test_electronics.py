@@ -47,9 +47,7 @@ def test_contamination_of_redundant_readings_is_detected_by_the_estimator(tmp_pa
 
 @pytest.mark.parametrize("bits", [12, 16])
 def test_converter_rounds_to_its_steps(tmp_path: Path, clean: ArmSimulation, bits: int) -> None:
-    content = scenario()
-    content["electronics"]["converter"]["bits"] = bits
-    arm = simulation(tmp_path, Imperfections.only("quantisation"), content)
+    arm = simulation(tmp_path, Imperfections.only("quantisation"), scenario({"electronics.converter.bits": bits}))
     step = 20.0 / 2**bits
     volts = arm.scans("base", TICKS).scans.gap_voltages
     codes = (volts + 10.0) / step
@@ -62,10 +60,8 @@ def test_converter_rounds_to_its_steps(tmp_path: Path, clean: ArmSimulation, bit
 def test_end_of_the_converter_is_flagged(tmp_path: Path, clean: ArmSimulation, names: tuple[str, ...]) -> None:
     volts = clean.scans("base", TICKS).scans.ring_voltages
     high = float(np.quantile(volts, 0.7))
-    content = scenario()
-    content["electronics"]["converter"]["probes"]["value"] = [-10.0, high]
-    arm = simulation(tmp_path, Imperfections.only(*names), content)
-    scans = arm.scans("base", TICKS)
+    content = scenario({"electronics.converter.probes.value": [-10.0, high]})
+    scans = simulation(tmp_path, Imperfections.only(*names), content).scans("base", TICKS)
     flagged = scans.statuses & RawScan.STATUS_SATURATED > 0
     step = (high + 10.0) / 2**16
     clear = np.any(volts > high, axis=1)
@@ -101,10 +97,8 @@ def test_dropouts_and_latencies_follow_the_scenario(tmp_path: Path) -> None:
 
 
 def test_unmeasured_supply_shifts_voltages_too(tmp_path: Path, clean: ArmSimulation) -> None:
-    content = scenario()
-    content["electronics"]["supply"]["measured"] = False
-    arm = simulation(tmp_path, Imperfections.only("supply_drift"), content)
-    scans = arm.scans("base", FAR + TICKS).scans
+    content = scenario({"electronics.supply.measured": False})
+    scans = simulation(tmp_path, Imperfections.only("supply_drift"), content).scans("base", FAR + TICKS).scans
     assert np.all(np.isnan(scans.supply_voltages))
     moved = scans.gap_voltages != clean.scans("base", FAR + TICKS).scans.gap_voltages
     assert np.mean(moved) > 0.99  # the supply passes its mean at times
@@ -123,9 +117,7 @@ RINGS = "ring_1, ring_2, ring_3, ring_4"
 def test_contamination_of_an_unknown_channel_is_refused(
     tmp_path: Path, index: int, channel: str, what: str, expected: str
 ) -> None:
-    content = scenario()
-    content["electronics"]["contamination"][index]["channel"] = channel
-    error = refused(tmp_path, content)
+    error = refused(tmp_path, scenario({f"electronics.contamination.{index}.channel": channel}))
     assert error.where == f"{tmp_path / 'scenario.yaml'}, key electronics.contamination[{index}]"
     assert (error.what, error.expected) == (what, expected)
 

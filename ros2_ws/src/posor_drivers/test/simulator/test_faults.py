@@ -12,6 +12,7 @@ from posor.sensors.gap_probes import GapProbesCalibration
 from posor_drivers.simulator.faults import KINDS
 from posor_drivers.simulator.imperfections import Imperfections
 from posor_drivers.simulator.simulated_scans import PROBE_FIELDS
+from posor_lab.harness.beams import quantity
 
 from ..three_joint_arm import SECOND, TICKS, N, refused, scenario, simulation
 
@@ -27,12 +28,8 @@ FIELDS = (*PROBE_FIELDS, "diode_currents", "lit_sources", "supply_voltages", "te
 
 def fault(kind: str, **entries: Any) -> dict[str, Any]:
     """Return an entry of ``faults`` for the shoulder, which has gap probes and a light ring."""
-    times = {"from": {"value": FIRST / 100, "unit": "s"}, "until": {"value": END / 100, "unit": "s"}}
+    times = {"from": quantity(FIRST / 100, "s"), "until": quantity(END / 100, "s")}
     return {"joint": "shoulder", "kind": kind, **times, **entries}
-
-
-def size(value: float, unit: str) -> dict[str, Any]:
-    return {"value": value, "unit": unit}
 
 
 def channels(arm: ArmSimulation) -> tuple[str, str]:
@@ -64,22 +61,22 @@ def changed_fields(scans: SimulatedScans, sound: SimulatedScans) -> set[str]:
 
 CASES: list[tuple[str, dict[str, Any], set[str]]] = [
     ("off", {}, {"sent"}),
-    ("late", {"size": size(0.5, "s")}, {"latencies_ns"}),
+    ("late", {"size": quantity(0.5, "s")}, {"latencies_ns"}),
     ("stuck", {"channel": "gap"}, {"gap_voltages"}),
     ("frozen", {}, {"gap_voltages", "diode_currents", "lit_sources"}),
     ("frozen_diodes", {}, {"diode_currents", "lit_sources"}),
-    ("garbage", {"channel": "gap", "size": size(5.0, "V")}, {"gap_voltages"}),
+    ("garbage", {"channel": "gap", "size": quantity(5.0, "V")}, {"gap_voltages"}),
     ("nan", {"channel": "diode", "contact": "B"}, {"diode_currents"}),
-    ("offset", {"channel": "gap", "size": size(0.1, "V")}, {"gap_voltages"}),
-    ("value", {"channel": "gap", "size": size(0.0, "V")}, {"gap_voltages"}),
+    ("offset", {"channel": "gap", "size": quantity(0.1, "V")}, {"gap_voltages"}),
+    ("value", {"channel": "gap", "size": quantity(0.0, "V")}, {"gap_voltages"}),
     ("dark", {"channel": "diode"}, {"diode_currents"}),
-    ("slip", {"size": size(1, "1")}, {"lit_sources"}),
-    ("supply", {"size": size(16.0, "V")}, {"supply_voltages"}),
-    ("temperature", {"size": size(313.0, "K")}, {"temperatures"}),
-    ("status", {"size": size(1, "1")}, {"statuses"}),
+    ("slip", {"size": quantity(1, "1")}, {"lit_sources"}),
+    ("supply", {"size": quantity(16.0, "V")}, {"supply_voltages"}),
+    ("temperature", {"size": quantity(313.0, "K")}, {"temperatures"}),
+    ("status", {"size": quantity(1, "1")}, {"statuses"}),
     ("home", {}, {"statuses"}),
-    ("clock", {"size": size(3600.0, "s")}, {"stamps_ns"}),
-    ("number", {"size": size(-7, "1")}, {"numbers"}),
+    ("clock", {"size": quantity(3600.0, "s")}, {"stamps_ns"}),
+    ("number", {"size": quantity(-7, "1")}, {"numbers"}),
     ("repeat", {}, {"gap_voltages", "diode_currents", "lit_sources", "numbers", "stamps_ns"}),
 ]
 
@@ -112,10 +109,10 @@ def test_sizes_of_faults(tmp_path: Path, sound: tuple[ArmSimulation, SimulatedSc
     arm, expected = sound
     gap, diode = channels(arm)
     faults = [
-        fault("offset", channel=gap, size=size(0.1, "V")),
+        fault("offset", channel=gap, size=quantity(0.1, "V")),
         fault("stuck", channel=diode),
-        fault("slip", size=size(2, "1")),
-        fault("clock", size=size(-2.0, "s")),
+        fault("slip", size=quantity(2, "1")),
+        fault("clock", size=quantity(-2.0, "s")),
         fault("home"),
     ]
     scans = simulation(tmp_path, Imperfections.only("noise"), {**scenario(), "faults": faults}).scans("shoulder", TICKS)
@@ -134,15 +131,15 @@ def test_sizes_of_faults(tmp_path: Path, sound: tuple[ArmSimulation, SimulatedSc
     ("entry", "message"),
     [
         (fault("melted"), "kind"),
-        (fault("offset", size=size(0.1, "V")), "expected the name of a probe or diode"),
-        (fault("offset", channel="nobody", size=size(0.1, "V")), "joint 'shoulder' has no probe 'nobody'"),
-        (fault("supply", size=size(16.0, "K")), "expected one number, unit 'V'"),
-        (fault("offset", channel="gap_1", size=size(0.1, "A")), "expected 'V'"),
-        (fault("off", size=size(1.0, "s")), "expected none for 'off'"),
+        (fault("offset", size=quantity(0.1, "V")), "expected the name of a probe or diode"),
+        (fault("offset", channel="nobody", size=quantity(0.1, "V")), "joint 'shoulder' has no probe 'nobody'"),
+        (fault("supply", size=quantity(16.0, "K")), "expected one number, unit 'V'"),
+        (fault("offset", channel="gap_1", size=quantity(0.1, "A")), "expected 'V'"),
+        (fault("off", size=quantity(1.0, "s")), "expected none for 'off'"),
         (fault("stuck", channel="nobody"), "joint 'shoulder' has no probe 'nobody'"),
-        ({**fault("off"), "until": {"value": 99.0, "unit": "s"}}, "expected at most 8 s"),
+        ({**fault("off"), "until": quantity(99.0, "s")}, "expected at most 8 s"),
         ({**fault("off"), "joint": "knee"}, "joint 'knee'"),
-        ({**fault("slip", size=size(1, "1")), "joint": "base"}, "joint 'base' has no light sources"),
+        ({**fault("slip", size=quantity(1, "1")), "joint": "base"}, "joint 'base' has no light sources"),
     ],
 )
 def test_a_wrong_fault_is_refused(tmp_path: Path, entry: dict[str, Any], message: str) -> None:

@@ -11,6 +11,7 @@ from posor.errors import CalibrationError
 from posor_drivers.simulator.motion_phases import smooth_step
 from posor_drivers.simulator.nominal_arm import NominalArm
 from posor_drivers.simulator.scenario import load_scenario
+from posor_lab.harness.case_tables import refusal
 
 from ..three_joint_arm import JOINTS, scenario, write_arm
 
@@ -27,14 +28,8 @@ def angles(folder: Path, content: dict[str, Any]) -> tuple[NominalArm, FloatArra
     return nominal, load_scenario(arm.scenario).commanded_angles(nominal, "the scenario")
 
 
-def at_rate(rate: int) -> dict[str, Any]:
-    content = scenario()
-    content["rate"]["value"] = rate
-    return content
-
-
 def test_motion_is_periodic_and_starts_at_home(tmp_path: Path) -> None:
-    _, found = angles(tmp_path, at_rate(1000))
+    _, found = angles(tmp_path, scenario({"rate.value": 1000}))
     assert np.array_equal(found[0], np.zeros(3))
     # The way from the last tick to the first is as smooth as any other: a second of approach ends there.
     assert np.max(np.abs(found[0] - found[-1])) < 1e-7
@@ -43,7 +38,7 @@ def test_motion_is_periodic_and_starts_at_home(tmp_path: Path) -> None:
 def test_motion_is_smooth_across_all_phases(tmp_path: Path) -> None:
     second = {}
     for rate in (500, 1000):
-        _, found = angles(tmp_path, at_rate(rate))
+        _, found = angles(tmp_path, scenario({"rate.value": rate}))
         round_and_round = np.vstack([found, found[:2]])
         second[rate] = np.max(np.abs(np.diff(round_and_round, n=2, axis=0)), axis=0)
     # Twice the rate, a quarter of the second difference: with a jump of the velocity it would be half.
@@ -87,29 +82,24 @@ def test_circle_is_followed_once_in_its_plane_from_the_point_nearest_to_the_post
 
 
 def test_circle_about_the_posture_can_start_anywhere(tmp_path: Path) -> None:
-    content = scenario()
-    nominal, _ = angles(tmp_path, content)
+    nominal, _ = angles(tmp_path, scenario())
     centre = nominal.endpoint(np.array([[0.0, -0.5, 0.9]])).translations[0]
-    content["motion"][3]["centre"]["value"] = centre.tolist()
-    _, found = angles(tmp_path, content)
+    _, found = angles(tmp_path, scenario({"motion.3.centre.value": centre.tolist()}))
     points = nominal.endpoint(found[580:671]).translations - centre
     assert np.allclose(np.linalg.norm(points, axis=1), 0.03, rtol=0.0, atol=1e-9)
 
 
 @pytest.mark.parametrize(
-    ("change", "what"),
+    ("changes", "what"),
     [
-        ({"centre": {"value": [3.0, 0.05, 0.69], "unit": "m"}}, "the circle of 0.03 m about (3, 0.05, 0.69) m"),
-        ({"radius": {"value": 0.4, "unit": "m"}}, "the circle of 0.4 m about (0.95, 0.05, 0.69) m"),
+        ({"motion.3.centre.value": [3.0, 0.05, 0.69]}, "the circle of 0.03 m about (3, 0.05, 0.69) m"),
+        ({"motion.3.radius.value": 0.4}, "the circle of 0.4 m about (0.95, 0.05, 0.69) m"),
     ],
 )
-def test_circle_out_of_reach_is_refused_with_phase_and_keys(tmp_path: Path, change: dict[str, Any], what: str) -> None:
-    content = scenario()
-    content["motion"][3].update(change)
-    with pytest.raises(CalibrationError) as refused:
-        angles(tmp_path, content)
-    assert refused.value.where == "the scenario, key motion[3] (circle), keys centre, radius, posture"
-    assert refused.value.what == f"the arm cannot follow {what} from its posture"
+def test_circle_out_of_reach_is_refused_with_phase_and_keys(tmp_path: Path, changes: dict[str, Any], what: str) -> None:
+    error = refusal(CalibrationError, angles, tmp_path, scenario(changes))
+    assert error.where == "the scenario, key motion[3] (circle), keys centre, radius, posture"
+    assert error.what == f"the arm cannot follow {what} from its posture"
 
 
 def test_nominal_kinematics_of_many_angles_is_that_of_the_chain(tmp_path: Path) -> None:

@@ -7,6 +7,7 @@ import yaml
 from posor.errors import CalibrationError, ParameterError
 from posor_drivers.simulator.motion_phases import Circle, Dither, Rest, Spline
 from posor_drivers.simulator.scenario import load_scenario
+from posor_lab.harness.case_tables import refusal
 
 from ..three_joint_arm import SCENARIO, scenario
 
@@ -26,9 +27,7 @@ def test_another_rate_changes_the_ticks_and_not_the_duration() -> None:
 
 
 def test_rate_without_a_whole_number_of_ticks_is_refused(tmp_path: Path) -> None:
-    content = scenario()
-    content["duration"]["value"], content["motion"][0]["duration"]["value"] = 8.01, 0.41
-    changed = load(tmp_path, content)
+    changed = load(tmp_path, scenario({"duration.value": 8.01, "motion.0.duration.value": 0.41}))
     with pytest.raises(ParameterError, match=r"parameter 'simulated.rate': 50 Hz does not fit .* ticks in 8.01 s"):
         changed.at_rate(50)
 
@@ -47,11 +46,8 @@ def test_scenario_is_read_as_written() -> None:
 
 
 def test_missing_entries_are_perfect(tmp_path: Path) -> None:
-    content = scenario()
-    del content["stage"], content["payload"]
-    content["joints"]["elbow"] = {}
-    content["electronics"] = {"converter": content["electronics"]["converter"]}
-    read = load(tmp_path, content)
+    none = dict.fromkeys(("stage", "payload", "electronics.latency"))
+    read = load(tmp_path, scenario({**none, "joints.elbow": {}}))
     assert read.stage is None
     assert read.payload.mass.number == 0.0
     assert read.joints["elbow"].structure is None
@@ -114,18 +110,7 @@ stage.stroke.value = 0.0 | stage.stroke.value | 0.0 m | more than 0
 def test_invalid_entry_is_refused_with_file_line_and_key(tmp_path: Path, case: str) -> None:
     change, key, what, expected = (cell.strip() for cell in case.split("|"))
     path, _, text = change.partition(" = ")
-    *parents, last = [int(part) if part.isdigit() else part for part in path.split(".")]
-    content = scenario()
-    entry: Any = content
-    for part in parents:
-        entry = entry[part]
-    if text == "null":
-        del entry[last]
-    else:
-        entry[last] = yaml.safe_load(text)
-    with pytest.raises(CalibrationError) as refused:
-        load(tmp_path, content)
-    error = refused.value
+    error = refusal(CalibrationError, load, tmp_path, scenario({path: yaml.safe_load(text)}))
     assert error.where.startswith(f"{tmp_path / 'scenario.yaml'}, line ")
     assert error.where.endswith(f"key {key}")
     assert (error.what, error.expected) == (what, expected)

@@ -216,11 +216,9 @@ def test_clock_that_leaps_skips_and_counts_ticks(arm: Path) -> None:
 
 @pytest.mark.long
 def test_run_of_whole_cycles_ends_with_a_cycle(tmp_path: Path) -> None:
-    content = scenario()
-    content["motion"] = [{"kind": "rest", "duration": {"value": 0.2, "unit": "s"}}]
-    content["duration"]["value"] = 0.2
-    content["electronics"]["contamination"] = []
-    arm = write_arm(tmp_path, content)
+    rest = [{"kind": "rest", "duration": {"value": 0.2, "unit": "s"}}]
+    changes = {"motion": rest, "duration.value": 0.2, "electronics.contamination": []}
+    arm = write_arm(tmp_path, scenario(changes))
     with Graph() as graph:
         truth = graph.collect(PoseStamped, "/arm/truth/base")
         with driver(arm, "base", wait_for_subscribers=0, wait_for_other_subscribers=1, simulated__cycles=2) as program:
@@ -295,9 +293,7 @@ def test_only_the_last_joint_of_an_arm_with_stage_takes_commands(arm: Path, tmp_
         return [each.topic.name for each in opened(path, joint).inputs()]
 
     assert (inputs(arm, "base"), inputs(arm, LAST)) == ([], ["/arm/stage/command"])
-    content = scenario()
-    del content["stage"]
-    assert inputs(write_arm(tmp_path, content), LAST) == []
+    assert inputs(write_arm(tmp_path, scenario({"stage": None})), LAST) == []
 
 
 def test_rate_replaces_that_of_the_scenario(arm: Path) -> None:
