@@ -34,6 +34,7 @@ OTHER_ROS_VARIABLES = (
     *("COLCON_PREFIX_PATH", "LD_LIBRARY_PATH", "PYTHONHOME", "PYTHONPATH"),
     "_ROS_WHEELS_BOOTSTRAP_COMPLETE",
 )
+INTERRUPTIONS = signal.SIGINT, signal.SIGTERM, signal.SIGHUP
 END_S = 20.0  # time that a command has to end after an interruption of its tool [s]
 
 NO_BYTECODE = "PYTHONDONTWRITEBYTECODE"
@@ -178,12 +179,19 @@ def run_commands(*commands: Sequence[str | Path], **options: Any) -> int:
     """Run commands at the same time, with options of Popen; return the first exit code that is not 0, or 0.
 
     Each command has a session of its own. An interruption of the tool ends all processes of the sessions, by SIGTERM,
-    after ``END_S`` by SIGKILL.
+    after ``END_S`` by SIGKILL. An interruption during the start waits until all have started.
     """
     with contextlib.ExitStack() as stack:
         start = partial(subprocess.Popen, start_new_session=True, **options)
+        delayed: list[int] = []
+        handled = [number for number in INTERRUPTIONS if signal.getsignal(number) != signal.SIG_IGN]
+        handlers = {number: signal.signal(number, lambda number, _: delayed.append(number)) for number in handled}
         processes = [stack.enter_context(start(command)) for command in commands]
         try:
+            for number, handler in handlers.items():
+                signal.signal(number, handler)
+            for number in delayed:
+                signal.raise_signal(number)
             return next(filter(None, [process.wait() for process in processes]), 0)
         except KeyboardInterrupt:
             for process in processes:
@@ -210,7 +218,7 @@ def exit_with(name: str, main: Callable[[], int]) -> NoReturn:
 
     """
     is_nohup = signal.getsignal(signal.SIGHUP) == signal.SIG_IGN
-    for number in (signal.SIGINT, signal.SIGTERM, *([] if is_nohup else [signal.SIGHUP])):
+    for number in INTERRUPTIONS[: 2 if is_nohup else 3]:
         signal.signal(number, signal.default_int_handler)
     try:
         code = main()
