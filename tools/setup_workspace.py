@@ -163,6 +163,7 @@ class Setup:
             ]
             environ = ros_environment(workspace, self.environ, official=self.official)
             environ["COLCON_DEFAULTS_FILE"] = os.devnull
+            environ["MAKEFLAGS"] = f"-j{os.cpu_count()}"  # colcon's own flags let the linters of make test slow it down
             self.report.run(command, environ=environ, failure="colcon could not build ros2_ws")
             variables = self.read_added_variables()
         if kernel_files(workspace):
