@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import pytest
 from environment import THIS
 from posor_lab.harness.program import in_background
-from run_tests import WITHOUT_ROS, make_test_jobs
+from run_tests import PROCESSES, WITHOUT_ROS, make_test_jobs
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -86,6 +86,21 @@ def test_each_file_has_a_process_of_its_own(tmp_path: Path) -> None:
     write_test_files(tmp_path, one=text, two=text, three=text)
     assert run_tests(tmp_path).returncode == 0
     assert len(set((tmp_path / "pids").read_text().split())) == 3
+
+
+def test_a_process_without_low_priority_jobs_runs_a_test_that_may_use_ros(tmp_path: Path) -> None:
+    count = PROCESSES + 1
+    text = f"""
+        import pathlib, time
+        def test_a():  # ends when all have begun
+            here = pathlib.Path({str(tmp_path)!r})
+            pathlib.Path(here, pathlib.Path(__file__).stem).touch()
+            while len(list(here.glob("test_?"))) < {count}:
+                time.sleep(0.01)
+    """
+    write_test_files(tmp_path, **dict.fromkeys("abcdef"[:count], text))
+    done = run_tests(tmp_path)
+    assert done.stdout.splitlines()[-1] == f"{count} passed, 0 failed, 0 skipped"
 
 
 def test_files_of_a_folder_without_ros_share_a_process() -> None:
