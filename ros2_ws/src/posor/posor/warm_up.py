@@ -31,6 +31,7 @@ FIELD_BYTES = {  # bytes of the fields of a message that are longer than eight b
     "gap_voltages": 64,
     "ring_voltages": 64,
     "diode_currents": 128,
+    "exposure_offsets": 256,
     "pose": 56,
     "native": 48,
     "covariance": 288,
@@ -47,8 +48,9 @@ def warm_up() -> None:
         posor = Posor(design(name))
         rotations, translations = np.tile(np.eye(3), (2, 1, 1)), np.tile([0.0, 0.0, 0.7e-3], (2, 1))
         scans = scans_at(posor.stack, rotations, translations, np.array([1, 2], dtype=np.int64))
+        first = posor.estimate(scans[0]).state
         estimates = posor.estimate_all(scans.part(1, 2))
-        states = [posor.estimate(scans[0]).state, *estimates.states]
+        states = [first, *estimates.states]
         if State.LOST in states:
             message = f"design {name} does not estimate its own scans"
             raise AssertionError(message)

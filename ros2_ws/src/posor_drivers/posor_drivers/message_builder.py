@@ -32,7 +32,7 @@ def header(types: MessageTypes, stamp_ns: int, frame_id: str) -> Any:
 
 
 def raw_scan(types: MessageTypes, stamp_ns: int, frame_id: str, **fields: Any) -> Any:
-    """Return a posor_msgs/RawScan; a missing field is empty, not measured (NaN), or one sample without status flags."""
+    """Return a posor_msgs/RawScan; a missing field is empty, not measured (NaN), not stated (0), or one sample."""
     empty = np.empty(0)
     defaults = {
         "header": header(types, stamp_ns, frame_id),
@@ -45,6 +45,10 @@ def raw_scan(types: MessageTypes, stamp_ns: int, frame_id: str, **fields: Any) -
         "diode_currents": empty,
         "diode_current_spreads": empty,
         "lit_sources": np.empty(0, dtype=np.uint8),
+        "exposure_offsets": empty,
+        "exposure_span": 0.0,
+        "stamp_uncertainty": 0.0,
+        "stamp_limit": 0.0,
         "supply_voltage": math.nan,
         "temperature": math.nan,
     }
@@ -59,6 +63,10 @@ def scan_fields(scan: Scan) -> dict[str, Any]:
         "ring_voltages": scan.ring_voltages,
         "diode_currents": scan.diode_currents.ravel(),
         "lit_sources": np.array(scan.lit_sources, dtype=np.uint8),
+        "exposure_offsets": scan.exposure_offsets,
+        "exposure_span": scan.exposure_span,
+        "stamp_uncertainty": scan.stamp_uncertainty,
+        "stamp_limit": scan.stamp_limit,
         "supply_voltage": scan.supply_voltage,
         "temperature": scan.temperature,
     }

@@ -9,7 +9,16 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any
 
+from posor.estimation.clocks import IN_ORDER, follow_clocks, motion_allowance, stamp_sigma
 from posor.estimation.covariance import add_systematic_covariance, find_contributions, write_covariances
+from posor.estimation.exposure import (
+    INVALID_EXPOSURE,
+    TIME,
+    add_stamp_variance,
+    exposures_are_valid,
+    move_to_stamp,
+    write_twist,
+)
 from posor.estimation.frozen import NOT_FROZEN, count_repetitions
 from posor.estimation.linearise import add_unmeasured, environment_is_valid, linearise_scan, unmeasured
 from posor.estimation.scan_checks import (
@@ -29,7 +38,6 @@ from posor.estimation.solver import CONVERGED, ILL_CONDITIONED, SINGULAR, solve_
 from posor.estimation.tracking import (
     add_prior,
     copy_pose,
-    follow_time,
     forget_pose,
     predict,
     turn_about_z,
@@ -72,15 +80,14 @@ def estimate_scan(model: Model, scan: Any, estimate: Any) -> int:
     tracker = workspace.tracker
     if not begin_scan_estimate(model, scan, estimate, linearise_scan(model, scan, estimate)):
         return DONE
-    stamp = (scan.stamp_ns - tracker.epoch_ns) * 1e-9
     if not tracker.initialised and not tracker.start_given:
         return START
     activate_rows(model)
-    write_start(workspace.settings, tracker, stamp, workspace.pose)
+    write_start(workspace.settings, tracker, workspace.pose)
     for i in range(workspace.reading_count):
         for j in range(workspace.reading_count):
             workspace.systematic_readings[i, j] = 0.0
-    return int(solve_and_check(model, stamp, scan, True, estimate))  # noqa: FBT003  kernels take no keywords
+    return int(solve_and_check(model, scan, True, estimate))  # noqa: FBT003  kernels take no keywords
 
 
 @inlined
@@ -95,11 +102,13 @@ def begin_scan_estimate(model: Model, scan: Any, estimate: Any, linearised: bool
     estimate.stamp_ns = scan.stamp_ns
     if not tracker.epoch_known:
         tracker.epoch_known, tracker.epoch_ns = 1, scan.stamp_ns
-    stamp = (scan.stamp_ns - tracker.epoch_ns) * 1e-9
+    order = IN_ORDER if workspace.is_retry else follow_clocks(model, scan)
     frozen = NOT_FROZEN if workspace.is_retry else count_repetitions(model, scan)
     if linearised:
         estimate.faults = 0
-        if not environment_is_valid(settings, scan):
+        if order != IN_ORDER or not exposures_are_valid(scan):
+            estimate.faults, estimate.code = BAD_READING_FAULT, order if order != IN_ORDER else INVALID_EXPOSURE
+        elif not environment_is_valid(settings, scan):
             estimate.faults = ENVIRONMENT_FAULT
         elif frozen != NOT_FROZEN:
             estimate.faults, estimate.code = FROZEN_FAULT, frozen
@@ -107,15 +116,12 @@ def begin_scan_estimate(model: Model, scan: Any, estimate: Any, linearised: bool
         lacking = unmeasured(settings, scan)
         if lacking != workspace.unmeasured:
             workspace.unmeasured, workspace.rows_active = lacking, 0
-        if workspace.is_retry or follow_time(tracker, stamp, scan.number):
-            if not _needs_acknowledgement(tracker):
-                return True
-        else:
-            estimate.faults, estimate.sensor = BAD_READING_FAULT, -1
+        if not _needs_acknowledgement(tracker):
+            return True
     tracker.reference_sigma = 0.0
     faults, latched = estimate.faults, tracker.latch
     if settings.max_velocity < math.inf and tracker.initialised and faults & (SOURCE_FAULT | FROZEN_FAULT):
-        latch(tracker, faults, 1 if faults == SOURCE_FAULT else 0, stamp - tracker.stamp)
+        latch(tracker, faults, 1 if faults == SOURCE_FAULT else 0, tracker.time - tracker.stamp)
     estimate.residual = math.nan
     write_lost(estimate, _with_latch(faults, latched) | _flagged(scan))
     return False
@@ -172,7 +178,7 @@ def _copy_selected_rows(model: Model) -> None:
 
 
 @inlined
-def _solve(model: Model, stamp: float, extrapolate: bool) -> tuple[int, int]:  # noqa: FBT001  kernels take no keywords
+def _solve(model: Model, extrapolate: bool) -> tuple[int, int]:  # noqa: FBT001  kernels take no keywords
     """Solve the scan from ``workspace.pose`` on; return the solver's outcome and faults.
 
     Where the readings are blind in some direction and the motion is limited, the previous pose, as uncertain as the
@@ -180,29 +186,31 @@ def _solve(model: Model, stamp: float, extrapolate: bool) -> tuple[int, int]:  #
     """
     workspace = model.workspace[0]
     settings, tracker = workspace.settings, workspace.tracker
-    m, elapsed = workspace.reading_count, stamp - tracker.stamp
+    m, elapsed, faults = workspace.reading_count, tracker.time - tracker.stamp, 0
     tracked = tracker.initialised and not tracker.start_given  # a start may be anywhere
-    for r in range(m):
-        workspace.weights[r] = 1.0 / workspace.variances[r]
     copy_pose(workspace.pose, workspace.start_pose)
     lag_theta = math.nan
     if extrapolate and tracked:
         if settings.tilt_lags:
             lag_theta = theta_in_kernel(tracker.pose.rotation)
         predict(settings, tracker, elapsed, workspace.pose)
+    write_twist(workspace, elapsed)
+    if workspace.is_skewed and move_to_stamp(workspace):
+        faults = TIME
+    for r in range(m):
+        workspace.weights[r] = 1.0 / workspace.variances[r]
     bridging = tracked and settings.max_velocity < math.inf
     outcome = solve_pose(workspace, m, WEAK if bridging else SINGULAR, lag_theta)
     if outcome != ILL_CONDITIONED or not bridging:
-        return outcome, 0
+        return outcome, faults
     copy_pose(workspace.start_pose, workspace.pose)
     add_prior(workspace, m, elapsed)
-    return solve_pose(workspace, m + 6, SINGULAR, lag_theta), ILL_CONDITIONED_FAULT
+    return solve_pose(workspace, m + 6, SINGULAR, lag_theta), faults | ILL_CONDITIONED_FAULT
 
 
 @in_place
 def solve_and_check(
     model: Model,
-    stamp: float,
     scan: Any,
     extrapolate: bool,  # noqa: FBT001  kernels take no keywords
     estimate: Any,
@@ -210,26 +218,26 @@ def solve_and_check(
     """Solve the active rows from ``workspace.pose`` on, find covariances, check the solution, and update the tracker.
 
     ``model``: the POSOR; ``systematic_readings`` hold what of the readings' systematic covariance does not come from
-    ``estimation.covariance`` or ``estimation.linearise``; ``stamp``: time of the scan since the
-    epoch [s]; ``scan``: record of dtype SCAN; ``extrapolate``: whether the start may be moved on as the target moved
-    before, and the tilts may lag; ``estimate``: record of dtype ESTIMATE to write; of a LOST scan all numbers are NaN
-    but the chi-square. Return DONE, or RETRY: the scan failed from the previous pose, and the tracker is unchanged.
+    ``estimation.covariance`` or ``estimation.linearise``; ``scan``: record of dtype SCAN; ``extrapolate``: whether the
+    start may be moved on as the target moved before, and the tilts may lag; ``estimate``: record of dtype ESTIMATE to
+    write; of a LOST scan all numbers are NaN but the chi-square. Return DONE, or RETRY: the scan failed from the
+    previous pose, and the tracker is unchanged.
     """
     workspace = model.workspace[0]
     settings, tracker, pose, checks = workspace.settings, workspace.tracker, workspace.pose, workspace.checks
     may_retry = tracker.initialised and not tracker.start_given and settings.bump_angle == 0.0
     latched = tracker.latch
     estimate.residual = math.nan
-    begin_checks(workspace, stamp)
-    outcome, checks.faults = _solve(model, stamp, extrapolate)
-    bridged = checks.faults != 0
+    begin_checks(workspace)
+    outcome, checks.faults = _solve(model, extrapolate)
+    bridged = checks.faults & ILL_CONDITIONED_FAULT != 0
     if (
         outcome == CONVERGED
         and settings.period > 0.0
         and count_theta(workspace, theta_in_kernel(pose.rotation), scan.at_home)
     ):
         turn_about_z(pose.rotation, -checks.marks_off * settings.bump_angle)
-        bridged, checks.faults = False, 0
+        bridged, checks.faults = False, checks.faults & TIME
         outcome = solve_pose(workspace, workspace.reading_count, SINGULAR, math.nan)
     if outcome != CONVERGED:
         if may_retry and outcome != ILL_CONDITIONED:
@@ -241,6 +249,10 @@ def solve_and_check(
     if workspace.unmeasured != 0:
         add_unmeasured(workspace)
     write_covariances(workspace, estimate.random, estimate.systematic)
+    sigma = stamp_sigma(tracker, scan)
+    if sigma > 0.0:
+        checks.faults |= add_stamp_variance(workspace, sigma, estimate.random, estimate.systematic)
+    checks.allowance = motion_allowance(tracker, scan)
     estimate.residual = 0.0
     if workspace.redundant_count > 0 and not bridged:
         estimate.residual = chi_square(workspace)
@@ -249,14 +261,14 @@ def solve_and_check(
         return RETRY
     theta = theta_in_kernel(pose.rotation)
     check_residuals(workspace)
-    check_motion(workspace, theta, stamp, estimate)
+    check_motion(workspace, theta, estimate)
     check_count(workspace, theta)
     check_home_mark(workspace, theta, scan.at_home)
     check_reference(workspace, theta, estimate)
     use_confirmation(workspace)
     checks.faults |= _flagged(scan)
     _end_start(settings, tracker)
-    theta = _keep_pose(workspace, stamp, theta)
+    theta = _keep_pose(workspace, theta)
     if checks.contradictory or tracker.latch:
         write_lost(estimate, _with_latch(checks.faults, latched))
         return DONE
@@ -281,18 +293,18 @@ def _write_unsolved(workspace: Any, outcome: int, flagged: int, estimate: Any) -
 
 
 @inlined
-def _keep_pose(workspace: Any, stamp: float, theta: float) -> float:
+def _keep_pose(workspace: Any, theta: float) -> float:
     """Keep an accepted pose as the previous one, else as rejected; return theta, of an accepted one with its turns."""
     tracker, checks = workspace.tracker, workspace.checks
     if checks.contradictory:
         return theta
     if not checks.accepted:
-        tracker.rejected_known, tracker.rejected_stamp = 1, stamp
+        tracker.rejected_known, tracker.rejected_stamp = 1, tracker.time
         copy_pose(workspace.pose, tracker.rejected)
         return theta
     theta = tracker.theta + wrapped(theta - tracker.theta)
     moved_from_previous = tracker.initialised and not checks.recounted
-    update_tracker(tracker, workspace.pose, stamp, theta, checks.elapsed if moved_from_previous else math.nan)
+    update_tracker(tracker, workspace.pose, theta, checks.elapsed if moved_from_previous else math.nan)
     return theta
 
 

@@ -5,7 +5,9 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any
 
+from posor.estimation.clocks import CONTRADICTORY, LATE, SCATTERED
 from posor.estimation.estimate import NO_STAMP, OTHER_FRAME
+from posor.estimation.exposure import INVALID_EXPOSURE, LONGEST_OFFSET_S
 from posor.estimation.frozen import ALL
 from posor.estimation.linearise import ANY_FINITE
 from posor.model.fault import Fault
@@ -21,11 +23,11 @@ RELEASE = (  # what releases a latch
 )
 
 
-def fault_sentence(stack: Stack, settings: Any, scan: Scan, estimate: Any) -> str:
+def fault_sentence(stack: Stack, settings: Any, clocks: Any, scan: Scan, estimate: Any) -> str:
     """Return the sentence on the faults of a scan's estimate, empty where it has none.
 
-    ``stack``: sensors of the POSOR; ``settings``: record of dtype ``workspace.SETTINGS``; ``estimate``: record of dtype
-    ESTIMATE.
+    ``stack``: sensors of the POSOR; ``settings``: record of dtype ``workspace.SETTINGS``; ``clocks``: record of dtype
+    ``workspace.CLOCKS``; ``estimate``: record of dtype ESTIMATE.
     """
     faults = int(estimate["faults"])
     if faults == 0:
@@ -36,12 +38,16 @@ def fault_sentence(stack: Stack, settings: Any, scan: Scan, estimate: Any) -> st
     refusals = {
         NO_STAMP: f"the stamp {NO_TIME}; expected the time of exposure",
         OTHER_FRAME: "comes from another frame than that of the calibration",
+        LATE: "its number does not come after that of a scan before; expected scans in the order of their numbers",
+        CONTRADICTORY: "its stamp contradicts its number, given the scans before; expected the time of exposure",
+        INVALID_EXPOSURE: "its exposures or its stamp's uncertainty are invalid; expected no offset or one for each "
+        f"channel, at most {LONGEST_OFFSET_S:g} s or NaN, and times that are not negative",
     }
     if code in refusals:
         return f"scan {scan.number}: {refusals[code]}."
     frozen = "every reading" if code == ALL else stack.reading_names[code]
     sentences = {
-        Fault.BAD_READING: "its stamp does not come after that of the scan before",
+        Fault.BAD_READING: "a reading is invalid",
         Fault.NOT_CONVERGED: "the estimate did not converge",
         Fault.ILL_CONDITIONED: "the readings do not determine all six freedoms",
         Fault.RESIDUAL: f"the redundant readings contradict one another, chi-square {estimate['residual']:.3g}; "
@@ -52,10 +58,17 @@ def fault_sentence(stack: Stack, settings: Any, scan: Scan, estimate: Any) -> st
         Fault.FLAGGED: "the driver marked a reading as saturated or filled in",
         Fault.FROZEN: f"{frozen} repeats to the last bit although it has noise",
         Fault.ENCODER: "theta disagrees with the encoder",
+        Fault.TIME: "the target moves while the times of the readings are uncertain; expected stated exposures and "
+        "stamps at the time of exposure",
     }
     found = [sentence for fault, sentence in sentences.items() if faults & fault]
     if faults & Fault.LATCHED:
         found = [f"latched after {Fault(faults & ~Fault.LATCHED).name}, {RELEASE}"]
+    scatter_s = math.sqrt(clocks["variance"])
+    if faults & Fault.INNOVATION and scatter_s > SCATTERED * clocks["period"]:
+        found.append(
+            f"the stamps scatter by {1e3 * scatter_s:.3g} ms beside the scan numbers; expected the time of exposure"
+        )
     return f"scan {scan.number}: {'; '.join(found)}." if found else ""
 
 

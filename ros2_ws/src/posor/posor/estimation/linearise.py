@@ -12,6 +12,7 @@ import math
 import sys
 from typing import TYPE_CHECKING, Any
 
+from posor.estimation.exposure import begin_exposures, write_spot_offsets, write_voltage_offset
 from posor.model.diode import CODES, OUTSIDE_X, find_ratios
 from posor.model.readings import (
     DIODE_CURRENTS,
@@ -98,6 +99,8 @@ def _linearise_voltages(model: Model, sensor: Any, scan: Any) -> int:
         workspace.values[r], workspace.variances[r] = linearise_voltage(
             channel, volt, scan.supply_voltage, scan.temperature, model.by_channel[r]
         )
+        if workspace.is_skewed:
+            write_voltage_offset(workspace, scan, r, i if is_gap else scan.gap_count + i)
     return VALID
 
 
@@ -140,6 +143,8 @@ def _linearise_spots(model: Model, sensor: Any, scan: Any) -> int:
             workspace.values[r + axis] = spot.position[axis]
             by_x, by_y = spot.slope[axis, 0] * diode.noise[0], spot.slope[axis, 1] * diode.noise[1]
             workspace.variances[r + axis] = square(by_x) + square(by_y)
+        if workspace.is_skewed:
+            write_spot_offsets(workspace, scan, r, i)
     return VALID
 
 
@@ -152,6 +157,7 @@ def linearise_scan(model: Model, scan: Any, estimate: Any) -> bool:
     """
     estimate.sensor = -1
     estimate.code = VALID
+    begin_exposures(model, scan)
     for s in range(model.sensors.shape[0]):
         sensor = model.sensors[s]
         code = VALID

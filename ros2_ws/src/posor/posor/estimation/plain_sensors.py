@@ -79,13 +79,12 @@ class PlainSensors:
             return DONE
         if not tracker["initialised"] and not tracker["start_given"]:
             return START
-        stamp = float((scans[n]["stamp_ns"] - tracker["epoch_ns"]) * 1e-9)
-        left = self._solve(scans, estimates, n, stamp)
+        left = self._solve(scans, estimates, n)
         if left == DONE and estimate["state"] == LOST:
             write_lost(estimate, int(estimate["faults"]))
         return left
 
-    def _solve(self, scans: NDArray[np.void], estimates: NDArray[np.void], n: int, stamp: float) -> int:
+    def _solve(self, scans: NDArray[np.void], estimates: NDArray[np.void], n: int) -> int:
         """Solve scan n, whose readings are linearised, and update the tracker; return what is left to do."""
         import pinocchio as pin  # noqa: PLC0415  50 MB that a node does not need before its first scan
 
@@ -99,14 +98,14 @@ class PlainSensors:
             prepare_rows(record_view(rows))
             workspace["systematic_readings"][:m, :m] = systematic
             workspace["tracker"] = former
-            left = solve_and_check(self._model, stamp, scans[n], False, estimate)  # noqa: FBT003  kernels take no keywords
+            left = solve_and_check(self._model, scans[n], False, estimate)  # noqa: FBT003  kernels take no keywords
             return int(left), workspace["tracker"].copy()
 
         # Affine rows hold where they were expanded; therefore the lag of the tilts is followed here, not in the kernel.
         former = tracker.copy()
         lagging = settings["tilt_lags"] and not former["start_given"]
         former_theta = float(former["theta"])
-        start = self._start_pose(stamp)
+        start = self._start_pose()
         pose["rotation"], pose["translation"] = start.rotation, start.translation
         left, updated = DONE, former
         for attempt in range(ITERATIONS):
@@ -147,7 +146,7 @@ class PlainSensors:
         rows: NDArray[np.void] = workspace["rows"][:m]
         return rows
 
-    def _start_pose(self, stamp: float) -> pin.SE3:
+    def _start_pose(self) -> pin.SE3:
         import pinocchio as pin  # noqa: PLC0415  50 MB that a node does not need before its first scan
 
         workspace = self._model.workspace[0]
@@ -155,7 +154,7 @@ class PlainSensors:
         pose = tracker["start" if given else "pose"]
         rotation = pose["rotation"].copy()
         if workspace["settings"]["bump_angle"] > 0.0 and not given:
-            turn_about_z(rotation, float(tracker["theta_rate"] * (stamp - tracker["stamp"])))
+            turn_about_z(rotation, float(tracker["theta_rate"] * (tracker["time"] - tracker["stamp"])))
         return pin.SE3(rotation, pose["translation"])
 
     def _correction(self, before: FloatArray) -> float:

@@ -210,7 +210,7 @@ class Posor:
         """
         if not self.tracker["latch"]:
             return False
-        kept = {name: self.tracker[name].copy() for name in ("theta", "last_raw", "repeats")}
+        kept = {name: self.tracker[name].copy() for name in ("theta", "last_raw", "repeats", "clocks", "time")}
         self.reset()
         for name, value in kept.items():
             self.tracker[name] = value
@@ -415,7 +415,7 @@ class Posor:
 
     def reason(self, scan: Scan, estimate: Any) -> str:
         """Return the sentence on the fault of a scan's estimate (record of dtype ESTIMATE), empty where it has none."""
-        return fault_sentence(self.stack, self.settings, scan, estimate)
+        return fault_sentence(self.stack, self.settings, self.tracker["clocks"], scan, estimate)
 
 
 class _OneScan:

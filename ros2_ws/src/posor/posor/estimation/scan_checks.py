@@ -46,10 +46,10 @@ REGAINABLE_FAULTS = int(Fault.INNOVATION | Fault.SOURCE | Fault.FROZEN)
 
 
 @inlined
-def begin_checks(workspace: Any, stamp: float) -> None:
-    """Begin the checks of a scan at ``stamp`` [s]; give up a count that nobody followed."""
+def begin_checks(workspace: Any) -> None:
+    """Begin the checks of a scan; give up a count that nobody followed."""
     tracker, checks = workspace.tracker, workspace.checks
-    checks.elapsed = stamp - tracker.stamp
+    checks.elapsed = tracker.time - tracker.stamp
     checks.faults, checks.contradictory, checks.accepted = 0, 0, 1
     checks.recounted, checks.confirmed, checks.marks, checks.marks_off = 0, 0, 0, 0.0
     limited = workspace.settings.max_velocity < math.inf
@@ -97,15 +97,15 @@ def check_residuals(workspace: Any) -> None:
 
 
 @in_place
-def check_motion(workspace: Any, theta: float, stamp: float, estimate: Any) -> None:
+def check_motion(workspace: Any, theta: float, estimate: Any) -> None:
     """Reject a pose further away than the target can have moved, and while latched one that does not regain it."""
     settings, tracker, checks = workspace.settings, workspace.tracker, workspace.checks
     if tracker.latch & REGAINABLE_FAULTS:
-        if not checks.contradictory and is_regained(workspace, stamp, estimate.random):
+        if not checks.contradictory and is_regained(workspace, estimate.random):
             tracker.latch &= ~REGAINABLE_FAULTS
         else:
             checks.accepted = 0
-            if _position_jumped(workspace, stamp, estimate):
+            if _position_jumped(workspace, estimate):
                 tracker.latch_about_theta = 0
     elif tracker.initialised and settings.max_velocity < math.inf and not checks.recounted:
         position, about_z = motion_gate(workspace, tracker.pose, checks.elapsed, estimate.random)
@@ -117,14 +117,14 @@ def check_motion(workspace: Any, theta: float, stamp: float, estimate: Any) -> N
 
 
 @in_place
-def _position_jumped(workspace: Any, stamp: float, estimate: Any) -> bool:
+def _position_jumped(workspace: Any, estimate: Any) -> bool:
     """Return whether position or inclination jumped during a latch."""
     tracker, checks = workspace.tracker, workspace.checks
     if tracker.initialised and _jumped_from(workspace, tracker.pose, checks.elapsed, estimate):
         return True
     if not tracker.rejected_known:
         return False
-    return bool(_jumped_from(workspace, tracker.rejected, stamp - tracker.rejected_stamp, estimate))
+    return bool(_jumped_from(workspace, tracker.rejected, tracker.time - tracker.rejected_stamp, estimate))
 
 
 @in_place
@@ -205,8 +205,12 @@ def use_confirmation(workspace: Any) -> None:
 
 @inlined
 def motion_gate(workspace: Any, previous: Any, elapsed: float, covariance: FloatArray) -> tuple[float, float]:
-    """Return the distance of the pose from another one as a share of the largest possible motion: position, theta."""
+    """Return the distance of the pose from another one as a share of the largest possible motion: position, theta.
+
+    ``elapsed`` [s]: time between them, to which the allowance for scattered stamps is added.
+    """
     settings, pose = workspace.settings, workspace.pose
+    elapsed += workspace.checks.allowance
     largest = 0.0
     for i in range(3):
         allowed = settings.max_velocity * elapsed + NOISE_ALLOWANCE * math.sqrt(2.0 * covariance[i, i])
@@ -243,14 +247,14 @@ def count_is_stale(settings: Any, tracker: Any, elapsed: float) -> bool:
 
 
 @inlined
-def is_regained(workspace: Any, stamp: float, covariance: FloatArray) -> bool:
+def is_regained(workspace: Any, covariance: FloatArray) -> bool:
     """Return whether the pose continues the motion of the last accepted pose, not that of a pose rejected since."""
     tracker, centre = workspace.tracker, workspace.start_pose
-    elapsed, interval = stamp - tracker.stamp, tracker.latch_interval
+    elapsed, interval = workspace.checks.elapsed, tracker.latch_interval
     if not tracker.initialised or elapsed > REGAIN_GAP * interval:
         return False
     if tracker.rejected_known:
-        position, theta = motion_gate(workspace, tracker.rejected, stamp - tracker.rejected_stamp, covariance)
+        position, theta = motion_gate(workspace, tracker.rejected, tracker.time - tracker.rejected_stamp, covariance)
         if max(position, theta) <= 1.0:
             return False
     copy_pose(tracker.pose, centre)

@@ -12,7 +12,7 @@ from posor.numerics.vector import square
 if TYPE_CHECKING:
     from posor.numerics.array_types import FloatArray
 
-CLOCK_STEP_S = 1.0  # largest time by which a wrong stamp is behind the scan before; beyond, the clock was set
+RATE_MEMORY = 0.9  # share of the largest change of a rate that is kept from scan to scan
 LONGEST_GAP = 3.5  # longest extrapolation of the motion, in intervals of the previous scans
 
 
@@ -35,28 +35,6 @@ def copy_pose(source: Any, target: Any) -> None:
             target.rotation[i, j] = source.rotation[i, j]
 
 
-@in_place
-def follow_time(tracker: Any, stamp: float, number: int) -> bool:
-    """Return whether a scan comes after the one before; else its stamp is wrong.
-
-    Where its number has not gone on either, a recording has started over: the previous pose is forgotten. Where time
-    goes back by more than CLOCK_STEP_S, the clock was set: the previous pose stays, one interval before the scan.
-    """
-    goes_on, is_later = number > tracker.number, stamp > tracker.stamp
-    if not tracker.initialised or is_later:
-        tracker.number = number
-        return True
-    if goes_on and tracker.stamp - stamp <= CLOCK_STEP_S:
-        return False
-    tracker.number = number
-    if goes_on and tracker.interval > 0.0:
-        tracker.stamp, tracker.rejected_known = stamp - tracker.interval, 0
-    else:
-        forget_pose(tracker)
-        tracker.theta = 0.0
-    return True
-
-
 @inlined
 def forget_pose(tracker: Any) -> None:
     """Forget the previous pose and the count."""
@@ -65,14 +43,14 @@ def forget_pose(tracker: Any) -> None:
 
 
 @inlined
-def write_start(settings: Any, tracker: Any, stamp: float, pose: Any) -> None:
+def write_start(settings: Any, tracker: Any, pose: Any) -> None:
     """Write the start of a scan: the given one, or the previous pose, a counted theta extrapolated at the last rate."""
     if tracker.start_given:
         copy_pose(tracker.start, pose)
         return
     copy_pose(tracker.pose, pose)
     if settings.bump_angle > 0.0:
-        turn_about_z(pose.rotation, tracker.theta_rate * (stamp - tracker.stamp))
+        turn_about_z(pose.rotation, tracker.theta_rate * (tracker.time - tracker.stamp))
 
 
 @inlined
@@ -108,16 +86,26 @@ def add_prior(workspace: Any, first: int, elapsed: float) -> None:
 
 
 @inlined
-def update_tracker(tracker: Any, pose: Any, stamp: float, theta: float, elapsed: float) -> None:
+def _update_rate(tracker: Any, i: int, rate: float, former: float, known: bool) -> float:  # noqa: FBT001
+    """Return a rate; write its standard uncertainty, which is its largest change in the last scans."""
+    sigmas = tracker.rate_sigmas
+    sigmas[i] = max(abs(rate - former), RATE_MEMORY * sigmas[i]) if known else abs(rate)
+    return rate
+
+
+@inlined
+def update_tracker(tracker: Any, pose: Any, theta: float, elapsed: float) -> None:
     """Keep a pose as the previous one; ``elapsed`` [s] since the one before, NaN: its motion is unknown."""
+    known = tracker.interval > 0.0
     tracker.interval = 0.0
     if elapsed > 0.0:
         tracker.interval = elapsed
-        tracker.theta_rate = (theta - tracker.theta) / elapsed
+        tracker.theta_rate = _update_rate(tracker, 3, (theta - tracker.theta) / elapsed, tracker.theta_rate, known)
         for i in range(3):
-            tracker.velocity[i] = (pose.translation[i] - tracker.pose.translation[i]) / elapsed
+            rate = (pose.translation[i] - tracker.pose.translation[i]) / elapsed
+            tracker.velocity[i] = _update_rate(tracker, i, rate, tracker.velocity[i], known)
     tracker.initialised = 1
     tracker.start_given = 0
-    tracker.stamp = stamp
+    tracker.stamp = tracker.time
     tracker.theta = theta
     copy_pose(pose, tracker.pose)

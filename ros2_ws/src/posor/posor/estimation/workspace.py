@@ -42,17 +42,37 @@ SETTINGS = np.dtype(  # settings of the tracker and of the tests
     align=True,
 )
 
+CLOCKS = np.dtype(  # the line between scan numbers and stamps (``estimation.clocks``)
+    [
+        ("fitted", "i8"),  # scans in the fit of the line; zero: no scan yet
+        ("number", "u8"),  # of the last scan in order
+        ("stamp", "f8"),  # its stamp since the epoch [s]
+        ("line", "f8"),  # the line at its number [s]
+        ("period", "f8"),  # slope of the line [s]
+        ("variance", "f8"),  # of the stamps about the line [s^2]
+        ("refused", "i8"),  # scans in a row that contradict the line
+        ("agreeing", "i8"),  # the last of them that agree with one another
+        ("late", "i8"),  # scans in a row whose number is not after the last
+        ("refused_number", "u8"),  # of the last scan that was refused or late
+        ("refused_stamp", "f8"),
+    ],
+    align=True,
+)
+
 TRACKER = np.dtype(  # what is known from the previous scans
     [
         ("initialised", "i8"),  # 1 where there is a previous pose
         ("start_given", "i8"),  # 1 where the solver starts the next scan from ``start`` instead of the previous pose
         ("counted", "i8"),  # 1 where theta is counted from the home mark, or needs no count
         ("epoch_known", "i8"),
-        ("epoch_ns", "i8"),  # origin of ``stamp`` [ns]
-        ("stamp", "f8"),  # time of the previous pose [s]
+        ("epoch_ns", "i8"),  # origin of the stamps [ns]
+        ("clocks", CLOCKS),
+        ("time", "f8"),  # of the present scan, which only moves forward (``estimation.clocks``) [s]
+        ("stamp", "f8"),  # ``time`` of the previous pose [s]
         ("theta", "f8"),  # its theta, turns counted [rad]
         ("theta_rate", "f8"),  # [rad/s]
         ("velocity", "f8", (3,)),  # of the translation [m/s]
+        ("rate_sigmas", "f8", (4,)),  # standard uncertainties of velocity and rate, from their changes [m/s], [rad/s]
         ("interval", "f8"),  # time over which rate and velocity were found [s]; zero: unknown
         ("pose", POSE),
         ("start", POSE),
@@ -72,7 +92,6 @@ TRACKER = np.dtype(  # what is known from the previous scans
         ("signatures", "f8", (LONGEST_LOOP,)),  # of all raw readings of the last scans, by number modulo LONGEST_LOOP
         ("signature_count", "i8"),
         ("loop_repeats", "i8", (LONGEST_LOOP,)),  # scans in a row that equal the one 1, 2, ... scans before
-        ("number", "u8"),  # of the last scan
     ],
     align=True,
 )
@@ -80,6 +99,7 @@ TRACKER = np.dtype(  # what is known from the previous scans
 CHECKS = np.dtype(  # what the checks of one scan have found (``estimation.scan_checks``)
     [
         ("elapsed", "f8"),  # since the previous pose [s]
+        ("allowance", "f8"),  # by which the motion may have lasted longer, because stamps scatter [s]
         ("faults", "i8"),  # found so far
         ("contradictory", "i8"),  # 1: the redundant readings fail the residual test
         ("accepted", "i8"),  # 1: the pose is where the target can have moved
@@ -103,6 +123,14 @@ WORKSPACE = np.dtype(  # memory of fixed capacity for one POSOR
         ("redundant_count", "i8"),
         ("is_retry", "i8"),  # 1: the scan is estimated once more, from a start
         ("unmeasured", "i8"),  # see estimation.linearise
+        # Exposure of each reading (``estimation.exposure``)
+        ("is_skewed", "i8"),  # 1: not all channels were read at the stamp
+        ("offsets", "f8", (READINGS,)),  # [s]
+        ("cross_offsets", "f8", (READINGS,)),  # by the rate of the partner, the other coordinate of a spot [s]
+        ("partners", "i8", (READINGS,)),
+        ("unknown", "f8", (READINGS,)),  # variance of an unknown offset [s^2]
+        ("twist", "f8", (6,)),  # of the target, ROS order [m/s], [rad/s]
+        ("twist_sigmas", "f8", (6,)),
         ("sensitivities", "f8", (READINGS, 2)),  # of each reading to supply and temperature [m/V], [m/K]
         ("evidence", "f8", (READINGS,)),  # of one repetition of each reading, see estimation.frozen
         # Linearised readings; the entries behind the readings belong to the prior.

@@ -39,16 +39,31 @@ FIELDS = {  # fields that are read, and their ``struct`` codes
     "temperature": "d",
     "header.frame_id": "s",
 }
+TIMES = ("exposure_offsets", "exposure_span", "stamp_uncertainty", "stamp_limit")
+"""Fields that an older recording lacks: its channels were read at one time, and nothing is stated on its stamps."""
 COUNTS = {  # sequences of readings, and the names of their lengths in SCAN and RAW_SCAN_LAYOUT
     "gap_voltages": "gap_count",
     "ring_voltages": "ring_count",
     "diode_currents": "current_count",
     "lit_sources": "lit_count",
+    "exposure_offsets": "offset_count",
 }
 RAW_SCAN_LAYOUT = np.dtype(
-    [(name, "i8") for name in ("stamp", "number", "status", *COUNTS, *COUNTS.values(), "supply_voltage", "temperature")]
+    [
+        (name, "i8")
+        for name in (
+            "stamp",
+            "number",
+            "status",
+            *COUNTS,
+            *COUNTS.values(),
+            "supply_voltage",
+            "temperature",
+            *TIMES[1:],
+        )
+    ]
 )
-"""Byte offsets of the fields in a row of bytes, and the lengths of the sequences.
+"""Byte offsets of the fields in a row of bytes (0: missing), and the lengths of the sequences.
 
 The stamp is seconds, then nanoseconds, four bytes each; a lit source is one byte.
 """
@@ -66,11 +81,13 @@ def raw_scan_layout(raw: TableLayout) -> NDArray[np.void]:
     """
     layout = np.zeros(1, dtype=RAW_SCAN_LAYOUT)
     paths = {"stamp": "header.stamp.sec", "number": "scan"}
-    paths |= {name: name for name in ("status", "supply_voltage", "temperature")}
+    fields: Any = raw.dtype.fields
+    paths |= {name: name for name in ("status", "supply_voltage", "temperature", *TIMES[1:]) if name in fields}
     for name, path in paths.items():
         layout[name] = LEAD + raw.offset(path)
-    fields: Any = raw.dtype.fields
     for name, count in COUNTS.items():
+        if name not in fields:
+            continue
         shape, bound = fields[name][0].shape, SCAN[name].shape
         if shape > bound:
             raise ShapeError(name, received=shape, expected=f"at most {bound[0]} readings")
@@ -99,6 +116,12 @@ def unpack_scan(rows: MessageRows, n: int, layout: Any, scan: Any) -> None:
         scan.diode_currents[i] = floats[n, layout.diode_currents // 8 + i]
     for i in range(layout.lit_count):
         scan.lit_sources[i] = rows.octets[n, layout.lit_sources + i]
+    scan.offset_count = layout.offset_count
+    for i in range(layout.offset_count):
+        scan.exposure_offsets[i] = floats[n, layout.exposure_offsets // 8 + i]
+    scan.exposure_span = floats[n, layout.exposure_span // 8] if layout.exposure_span else 0.0
+    scan.stamp_uncertainty = floats[n, layout.stamp_uncertainty // 8] if layout.stamp_uncertainty else 0.0
+    scan.stamp_limit = floats[n, layout.stamp_limit // 8] if layout.stamp_limit else 0.0
     scan.supply_voltage = floats[n, layout.supply_voltage // 8]
     scan.temperature = floats[n, layout.temperature // 8]
 
@@ -163,8 +186,10 @@ def check_raw_scan_schema(schema: Schema, where: str) -> None:
 
     Raises BagError: a field is missing, or has another type.
     """
-    for path, code in FIELDS.items():
+    for path, code in {**FIELDS, **dict.fromkeys(TIMES, "d")}.items():
         field = schema.by_path.get(path)
+        if field is None and path in TIMES:
+            continue
         if field is None or field.code != code:
             what = "is missing" if field is None else f"is of type '{field.code}'"
             raise BagError(

@@ -35,3 +35,4 @@ class Fault(IntFlag):
     FROZEN = 2048
     LATCHED = 4096
     ENCODER = 8192
+    TIME = 16384

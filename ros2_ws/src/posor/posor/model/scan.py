@@ -26,6 +26,7 @@ the home mark seen."""
 STATED_HOME = 2  # ``at_home`` where an operator states that the joint is within half a period of the home mark
 
 MAX_GAP_PROBES, MAX_RING_PROBES, MAX_DIODES = 8, 8, 4  # bounds of the sequences of ``posor_msgs/RawScan``
+MAX_CHANNELS = MAX_GAP_PROBES + MAX_RING_PROBES + CONTACTS * MAX_DIODES
 
 SCAN = np.dtype(
     [
@@ -35,6 +36,10 @@ SCAN = np.dtype(
         ("ring_voltages", "f8", (MAX_RING_PROBES,)),
         ("diode_currents", "f8", (MAX_DIODES * CONTACTS,)),
         ("lit_sources", "i8", (MAX_DIODES,)),
+        ("exposure_offsets", "f8", (MAX_CHANNELS,)),
+        ("exposure_span", "f8"),
+        ("stamp_uncertainty", "f8"),
+        ("stamp_limit", "f8"),
         ("supply_voltage", "f8"),
         ("temperature", "f8"),
         ("at_home", "i8"),
@@ -43,6 +48,7 @@ SCAN = np.dtype(
         ("ring_count", "i8"),
         ("current_count", "i8"),
         ("lit_count", "i8"),
+        ("offset_count", "i8"),
     ],
     align=True,
 )
@@ -53,12 +59,16 @@ _COUNTS = {
     "ring_voltages": "ring_count",
     "diode_currents": "current_count",
     "lit_sources": "lit_count",
+    "exposure_offsets": "offset_count",
 }
 _SCALARS = {
     "numbers": "number",
     "stamps_ns": "stamp_ns",
     "supply_voltages": "supply_voltage",
     "temperatures": "temperature",
+    "stamp_uncertainties": "stamp_uncertainty",
+    "stamp_limits": "stamp_limit",
+    "exposure_spans": "exposure_span",
     "at_home": "at_home",
     "statuses": "status",
 }
@@ -83,13 +93,18 @@ class Scan:
 
     Attributes:
         number: Scan number.
-        stamp_ns: Middle of the exposure [ns].
+        stamp_ns: Middle between the first and the last exposure [ns].
         gap_voltages: Gap probe outputs [V], shape (probes,), at most 8.
         ring_voltages: Ring probe outputs [V], shape (probes,), at most 8.
         diode_currents: Contact currents A, B, C, D of each diode [A], shape (diodes, 4), at most 4 diodes.
         lit_sources: Index of the light source lit for each diode, NO_SOURCE for none.
         supply_voltage: Supply of the probe electronics [V], NaN when not measured.
         temperature: Temperature of the receiving plate [K], NaN when not measured.
+        exposure_offsets: Middle of each channel's exposure minus the stamp [s], in the order gap probes, ring probes,
+            contact currents, shape (channels,); empty: all at one time; NaN: unknown.
+        exposure_span: Time from the first to the last exposure [s]; 0: not stated.
+        stamp_uncertainty: Standard uncertainty of the stamp [s]; 0: not stated.
+        stamp_limit: Largest error of the stamp [s]; 0: not stated.
         at_home: Whether the home mark of the ring was seen: 0, 1, or STATED_HOME.
         status: Flags of the driver, ``posor_msgs/RawScan.status``.
 
@@ -103,6 +118,10 @@ class Scan:
     lit_sources: tuple[int, ...] = ()
     supply_voltage: float = float("nan")
     temperature: float = float("nan")
+    exposure_offsets: FloatArray = field(default_factory=_empty)
+    exposure_span: float = 0.0
+    stamp_uncertainty: float = 0.0
+    stamp_limit: float = 0.0
     at_home: int = 0
     status: int = 0
 
@@ -120,13 +139,17 @@ class Scans:
 
     Attributes:
         numbers: Scan numbers, shape (n,).
-        stamps_ns: Middle of each exposure [ns], shape (n,).
+        stamps_ns: Middle between the first and the last exposure of each scan [ns], shape (n,).
         gap_voltages: Gap probe outputs [V], shape (n, probes).
         ring_voltages: Ring probe outputs [V], shape (n, probes).
         diode_currents: Contact currents [A], shape (n, diodes, 4); (n, currents, 1) where they are not four a diode.
         lit_sources: Index of the light source lit for each diode, shape (n, diodes).
         supply_voltages: Supply of the probe electronics [V], shape (n,), NaN when not measured.
         temperatures: Temperature of the receiving plate [K], shape (n,), NaN when not measured.
+        exposure_offsets: Middle of each channel's exposure minus the stamp [s], see ``Scan``, shape (n, channels).
+        exposure_spans: Time from the first to the last exposure [s], shape (n,); 0: not stated.
+        stamp_uncertainties: Standard uncertainty of each stamp [s], shape (n,); 0: not stated.
+        stamp_limits: Largest error of each stamp [s], shape (n,); 0: not stated.
         at_home: Whether the home mark of the ring was seen, shape (n,): 0, 1, or STATED_HOME.
         statuses: Flags of the driver, shape (n,).
 
@@ -140,6 +163,10 @@ class Scans:
     lit_sources: IntArray
     supply_voltages: FloatArray
     temperatures: FloatArray
+    exposure_offsets: FloatArray
+    exposure_spans: FloatArray
+    stamp_uncertainties: FloatArray
+    stamp_limits: FloatArray
     at_home: IntArray
     statuses: IntArray
 
@@ -265,7 +292,7 @@ class Scans:
         index %= len(self)
         one = Scans(self._records[index : index + 1])
         values = {name: getattr(one, attribute)[0].item() for attribute, name in _SCALARS.items()}
-        sequences = {name: getattr(one, name)[0] for name in ("gap_voltages", "ring_voltages", "diode_currents")}
+        sequences = {name: getattr(one, name)[0] for name in _COUNTS if name != "lit_sources"}
         return Scan(**values, **sequences, lit_sources=tuple(one.lit_sources[0].tolist()))
 
     def part(self, begin: int, end: int) -> Scans:
@@ -300,8 +327,7 @@ class ScanBuffer:
         """Allocate."""
         self.records = np.zeros(1, dtype=SCAN)  # shape (1,), dtype SCAN
         self._sequences = [(name, self.records[name][0], self.records[count]) for name, count in _COUNTS.items()]
-        names = ("number", "stamp_ns", "supply_voltage", "temperature", "at_home", "status")
-        self._scalars = [(name, self.records[name]) for name in names]
+        self._scalars = [(name, self.records[name]) for name in _SCALARS.values()]
 
     def write(self, scan: Scan) -> None:
         """Write a scan.
