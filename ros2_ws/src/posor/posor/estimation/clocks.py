@@ -1,0 +1,197 @@
+"""Two clocks of a stream of scans: the scan numbers and the stamps, and the line between them.
+
+Scan numbers count the ticks of the scan clock; stamps are the time of exposure by the ROS clock. The line ``stamp = a +
+period * number`` is fitted recursively by least squares (the gains of a growing-memory filter of degree one, later with
+a memory of MEMORY scans; A. Gelb, Applied Optimal Estimation, 1974). A stamp that is further from the line than the
+scatter of the stamps explains contradicts the numbers: the scan is refused. Where LATE_RUN scans in a row contradict
+the old line and agree with one another, the clock was set, and the line continues from there. A scan whose number does
+not come after the last one is late and refused alone; a run of such scans is a restart.
+
+The tracker has a time of its own that only moves forward, so a step of the clock never changes the elapsed time:
+
+* in general it advances by the difference of the stamps;
+* where the stamps scatter and the source does not state their uncertainty, by the numbers times the period;
+* where the two clocks contradict each other, by the smaller of both, which accepts the least motion; a count of theta
+  is given up.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+from posor.numerics.compiled import in_place, inlined
+from posor.numerics.vector import square
+
+if TYPE_CHECKING:
+    from posor.estimation.workspace import Model
+
+IN_ORDER, LATE, CONTRADICTORY = 0, -103, -104
+"""Results of ``follow_clocks``, and codes of the estimate of a refused scan."""
+CLOCK_STEP_S = 1.0  # smallest step back by which stamps show, beside the numbers, that a recording has started over [s]
+FITTED_SCANS = 16  # scans after which the line can be contradicted
+MEMORY = 256  # scans in the memory of the line and of the scatter
+NEW_RATE_RUN = 14  # scans in a row off the line after which a new line begins, because their rate is another one
+LATE_RUN = 10  # scans in a row, below the last number or off the line, that are a restart or a clock that was set
+RESTART_RUN = 3  # the same where the numbers are RESTART_NUMBERS, or the stamps CLOCK_STEP_S, before the last
+RESTART_NUMBERS = 64
+LEAST_DEVIATION, GREATEST_DEVIATION = 0.5, 8.0  # limits of the deviation that contradicts the line, in periods
+SCATTER_SIGMAS = 5.0  # standard deviations of the scatter that a stamp may deviate from the line
+SCATTERED = 0.02  # scatter in periods above which an unstated stamp is replaced by its number times the period
+
+
+@inlined
+def scatter_of(tracker: Any) -> float:
+    """Return the standard deviation of the stamps from the line [s]; zero while there is no line."""
+    clocks = tracker.clocks
+    return math.sqrt(clocks.variance) if clocks.fitted >= 3 else 0.0  # noqa: PLR2004  two scans fit any line
+
+
+@inlined
+def stamp_sigma(tracker: Any, scan: Any) -> float:
+    """Return the standard uncertainty of a stamp [s]: the stated one, else the scatter of the stamps."""
+    return float(scan.stamp_uncertainty) if scan.stamp_uncertainty > 0.0 else scatter_of(tracker)
+
+
+@inlined
+def _uses_numbers(tracker: Any, scan: Any) -> bool:
+    """Return whether time is taken from the numbers, because unstated stamps scatter."""
+    stated = scan.stamp_uncertainty > 0.0
+    return bool(not stated and scatter_of(tracker) > SCATTERED * tracker.clocks.period)
+
+
+@inlined
+def motion_allowance(tracker: Any, scan: Any) -> float:
+    """Return the time [s] by which the elapsed time may be longer than the tracker's, because stamps scatter."""
+    return SCATTER_SIGMAS * scatter_of(tracker) if _uses_numbers(tracker, scan) else 0.0
+
+
+@inlined
+def _begin_line(clocks: Any, scan: Any, stamp: float) -> None:
+    """Begin a new line at a scan; the period is unknown."""
+    clocks.fitted, clocks.period, clocks.variance = 1, 0.0, 0.0
+    clocks.line = stamp
+    _accept(clocks, scan, stamp)
+
+
+@inlined
+def _accept(clocks: Any, scan: Any, stamp: float) -> None:
+    clocks.number, clocks.stamp = scan.number, stamp
+    clocks.refused, clocks.late = 0, 0
+
+
+@in_place
+def follow_clocks(model: Model, scan: Any) -> int:
+    """Advance the tracker's time to a scan; return IN_ORDER, or why the scan is refused, which changes no pose."""
+    tracker = model.workspace[0].tracker
+    clocks = tracker.clocks
+    stamp = (scan.stamp_ns - tracker.epoch_ns) * 1e-9
+    if clocks.fitted == 0:
+        _begin_line(clocks, scan, stamp)
+        tracker.time = stamp
+        return IN_ORDER
+    elapsed = stamp - clocks.stamp
+    unnumbered = clocks.fitted == 1 and scan.number == clocks.number
+    if unnumbered and elapsed > 0.0:
+        _accept(clocks, scan, stamp)
+        clocks.line = stamp
+        tracker.time += elapsed
+        return IN_ORDER
+    if scan.number <= clocks.number:
+        return _follow_back(model, scan, stamp, elapsed)
+    steps = float(scan.number - clocks.number)
+    deviation = stamp - (clocks.line + steps * clocks.period)
+    off_line = clocks.fitted > 1 and abs(deviation) > _tolerance(clocks)
+    if (off_line and clocks.fitted >= FITTED_SCANS) or (elapsed <= 0.0 and (off_line or clocks.fitted == 1)):
+        return _refuse(model, scan, stamp, elapsed)
+    if off_line:
+        _begin_line(clocks, scan, stamp)
+        tracker.time += elapsed
+        return IN_ORDER
+    _fit(clocks, steps, deviation)
+    by_numbers = _uses_numbers(tracker, scan) or elapsed <= 0.0
+    tracker.time += steps * clocks.period if by_numbers else elapsed
+    _accept(clocks, scan, stamp)
+    return IN_ORDER
+
+
+@inlined
+def _tolerance(clocks: Any) -> float:
+    """Return the deviation from the line [s] beyond which a stamp contradicts its number."""
+    if clocks.fitted < FITTED_SCANS:
+        return float(GREATEST_DEVIATION * clocks.period)
+    scatter = SCATTER_SIGMAS * math.sqrt(clocks.variance)
+    return float(min(max(LEAST_DEVIATION * clocks.period, scatter), GREATEST_DEVIATION * clocks.period))
+
+
+@inlined
+def _fit(clocks: Any, steps: float, deviation: float) -> None:
+    """Add a scan to the line, ``steps`` numbers after the last one and ``deviation`` [s] off the predicted line."""
+    clocks.fitted = min(clocks.fitted + 1, MEMORY)
+    n = clocks.fitted
+    if n > 2:  # noqa: PLR2004  two scans fit any line
+        # The innovation has the variance of a stamp times 1 + 2 (2 n - 1) / ((n - 1)(n - 2)), n - 1 scans fitted before
+        share = 1.0 + 2.0 * (2.0 * n - 1.0) / ((n - 1.0) * (n - 2.0))
+        clocks.variance += (square(deviation) / share - clocks.variance) / (n - 2.0)
+    clocks.line += steps * clocks.period + 2.0 * (2.0 * n - 1.0) / (n * (n + 1.0)) * deviation
+    clocks.period += 6.0 / (n * (n + 1.0)) * deviation / steps
+
+
+@in_place
+def _refuse(model: Model, scan: Any, stamp: float, elapsed: float) -> int:
+    """Refuse a scan whose stamp contradicts its number, unless so many before it agree with it: the clock was set."""
+    tracker = model.workspace[0].tracker
+    clocks = tracker.clocks
+    steps = float(scan.number - clocks.refused_number)
+    since = stamp - clocks.refused_stamp
+    agrees = scan.number > clocks.refused_number and since > 0.0
+    if clocks.fitted > 1:
+        agrees = agrees and abs(since - steps * clocks.period) <= _tolerance(clocks)
+    clocks.agreeing = clocks.agreeing + 1 if clocks.refused > 0 and agrees else 1
+    clocks.refused += 1
+    clocks.refused_number, clocks.refused_stamp = scan.number, stamp
+    has_new_rate = clocks.refused >= NEW_RATE_RUN
+    if clocks.agreeing < LATE_RUN and not has_new_rate:
+        return CONTRADICTORY
+    by_numbers = float(scan.number - clocks.number) * clocks.period
+    tracker.time += min(elapsed, by_numbers) if elapsed > 0.0 else by_numbers
+    _doubt_count(model)
+    clocks.line = stamp
+    if has_new_rate:
+        _begin_line(clocks, scan, stamp)
+    _accept(clocks, scan, stamp)
+    return IN_ORDER
+
+
+@in_place
+def _follow_back(model: Model, scan: Any, stamp: float, elapsed: float) -> int:
+    """Refuse a late scan, unless it ends a run of scans with earlier numbers: the driver or a recording restarted.
+
+    Only a recording that starts over, by number and by CLOCK_STEP_S, forgets the previous pose.
+    """
+    tracker = model.workspace[0].tracker
+    clocks = tracker.clocks
+    advances = scan.number > clocks.refused_number or (clocks.fitted == 1 and scan.number == clocks.number)
+    clocks.late = clocks.late + 1 if clocks.late > 0 and advances and stamp > clocks.refused_stamp else 1
+    clocks.refused_number, clocks.refused_stamp, clocks.refused = scan.number, stamp, 0
+    far = clocks.number - scan.number >= RESTART_NUMBERS or elapsed < -CLOCK_STEP_S
+    if clocks.late < (RESTART_RUN if far else LATE_RUN):
+        return LATE
+    if elapsed < -CLOCK_STEP_S:
+        tracker.initialised, tracker.counted, tracker.theta = 0, 0, 0.0
+        tracker.time += clocks.period
+    elif elapsed <= 0.0:
+        tracker.time += clocks.period
+        _doubt_count(model)
+    else:
+        tracker.time += elapsed
+    _begin_line(clocks, scan, stamp)
+    return IN_ORDER
+
+
+@inlined
+def _doubt_count(model: Model) -> None:
+    """Give up a count of theta, because the elapsed time is in doubt."""
+    workspace = model.workspace[0]
+    if workspace.settings.period > 0.0:
+        workspace.tracker.counted = 0

@@ -1,0 +1,167 @@
+"""Exposure: each reading at its own time, and the uncertainty that time gives to a pose.
+
+A multiplexing converter reads the channels of a scan one after another, while the target moves on (thesis 8.3.3: eleven
+conversions of 100 us). With the tracker's twist xi and the offset t of a reading's exposure from the stamp, the reading
+exceeds the reading at the stamp by ``J xi t``, J its derivative. The shift is subtracted before the solution, so the
+pose is that at the stamp; the uncertainty of xi enters the variance of the reading (JCGM 100, 5.1.2). An unknown offset
+is uniformly distributed over the span of the scan and enters the variance with ``span^2 / 12`` (4.3.7).
+
+The ratio ``u = (A - C)/(A + C)`` of two contact currents that are read at times a and c has the offset
+``((1 - u) a + (1 + u) c) / 2``. A map mixes both ratios; its slope M turns the offsets of the ratios into
+``M diag(t_u, t_v) M^-1``, which acts on the rates of both coordinates of the spot.
+
+A stamp with the standard uncertainty s displaces the pose along its motion: the random covariance grows by
+``s^2 xi xi'``.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+from posor.estimation.tracking import LONGEST_GAP
+from posor.model.fault import Fault
+from posor.model.reading_rows import predict_readings
+from posor.model.scan import CONTACTS
+from posor.numerics.compiled import in_place, inlined
+from posor.numerics.vector import square
+
+if TYPE_CHECKING:
+    from posor.estimation.workspace import Model
+    from posor.numerics.array_types import FloatArray
+
+INVALID_EXPOSURE = -105  # code of the estimate of a scan whose statement on time is invalid
+LONGEST_OFFSET_S = 1.0  # largest offset of an exposure from the stamp that is accepted [s]
+TIME_SHARE = 0.5  # DEGRADED where time contributes this share of the rest of the standard uncertainty
+TIME = int(Fault.TIME)
+
+
+@inlined
+def exposures_are_valid(scan: Any) -> bool:
+    """Return whether a scan states no offset, or one for each channel; each within LONGEST_OFFSET_S or unknown."""
+    channels = scan.gap_count + scan.ring_count + scan.current_count
+    valid = scan.offset_count in (0, channels) and 0.0 <= scan.exposure_span <= LONGEST_OFFSET_S
+    for i in range(scan.offset_count):
+        valid = valid and not abs(scan.exposure_offsets[i]) > LONGEST_OFFSET_S
+    return bool(valid and 0.0 <= scan.stamp_uncertainty < math.inf and 0.0 <= scan.stamp_limit < math.inf)
+
+
+@inlined
+def begin_exposures(model: Model, scan: Any) -> None:
+    """Assume that all readings of a scan are read at the stamp, or that their offsets are unknown."""
+    workspace = model.workspace[0]
+    workspace.is_skewed = 1 if scan.offset_count > 0 else 0
+    if workspace.is_skewed:
+        for r in range(workspace.reading_count):
+            workspace.offsets[r] = workspace.cross_offsets[r] = 0.0
+            workspace.partners[r] = r
+            workspace.unknown[r] = _unknown_variance(workspace.tracker, scan)
+
+
+@inlined
+def _unknown_variance(tracker: Any, scan: Any) -> float:
+    """Return the variance of an unknown offset [s^2]: uniform over the scan, or over a scan interval."""
+    span = scan.exposure_span if scan.exposure_span > 0.0 else tracker.clocks.period
+    return float(square(span) / 12.0)
+
+
+@inlined
+def write_voltage_offset(workspace: Any, scan: Any, r: int, channel: int) -> None:
+    """Write the offset of a probe's reading; ``channel``: index of its offset in the scan."""
+    offset = scan.exposure_offsets[channel]
+    if not math.isnan(offset):
+        workspace.offsets[r], workspace.unknown[r] = offset, 0.0
+
+
+@inlined
+def write_spot_offsets(workspace: Any, scan: Any, r: int, diode: int) -> None:
+    """Write the offsets of readings r and r + 1, x and y of a spot, whose ratios and slope are in the workspace."""
+    spot, first = workspace.spot, scan.gap_count + scan.ring_count + CONTACTS * diode
+    u, v = spot.ratios[0], spot.ratios[1]
+    offsets = scan.exposure_offsets
+    t_u = 0.5 * ((1.0 - u) * offsets[first] + (1.0 + u) * offsets[first + 2])
+    t_v = 0.5 * ((1.0 - v) * offsets[first + 1] + (1.0 + v) * offsets[first + 3])
+    if math.isnan(t_u + t_v):
+        return
+    m = spot.slope
+    whole = m[0, 0] * m[1, 1] - m[0, 1] * m[1, 0]
+    workspace.offsets[r] = (m[0, 0] * m[1, 1] * t_u - m[0, 1] * m[1, 0] * t_v) / whole
+    workspace.cross_offsets[r] = m[0, 0] * m[0, 1] * (t_v - t_u) / whole
+    workspace.offsets[r + 1] = (m[0, 0] * m[1, 1] * t_v - m[0, 1] * m[1, 0] * t_u) / whole
+    workspace.cross_offsets[r + 1] = m[1, 0] * m[1, 1] * (t_u - t_v) / whole
+    workspace.partners[r], workspace.partners[r + 1] = r + 1, r
+    workspace.unknown[r] = workspace.unknown[r + 1] = 0.0
+
+
+@inlined
+def write_twist(workspace: Any, elapsed: float) -> None:
+    """Write the twist of the target and its standard uncertainties, ROS order, ``elapsed`` [s] after the previous pose.
+
+    The inclinations hardly change; their rates are taken as zero. An unknown rate is zero, uniformly distributed within
+    the largest motion where the calibration states it.
+    """
+    settings, tracker, rotation = workspace.settings, workspace.tracker, workspace.pose.rotation
+    known = tracker.initialised and not tracker.start_given and tracker.interval > 0.0
+    known = known and elapsed <= LONGEST_GAP * tracker.interval
+    turn, turn_sigma = tracker.theta_rate, tracker.rate_sigmas[3]
+    if not known:
+        turn, turn_sigma = 0.0, _uniform_sigma(settings.max_theta_rate)
+    for i in range(3):
+        workspace.twist[i], workspace.twist_sigmas[i] = tracker.velocity[i], tracker.rate_sigmas[i]
+        if not known:
+            workspace.twist[i], workspace.twist_sigmas[i] = 0.0, _uniform_sigma(settings.max_velocity)
+        workspace.twist[3 + i], workspace.twist_sigmas[3 + i] = turn * rotation[i, 2], turn_sigma * abs(rotation[i, 2])
+
+
+@inlined
+def _uniform_sigma(largest: float) -> float:
+    return largest / math.sqrt(3.0) if largest < math.inf else 0.0
+
+
+@in_place
+def move_to_stamp(workspace: Any) -> bool:
+    """Subtract from each reading what it changed between the stamp and its exposure, and add the uncertainty.
+
+    ``workspace.pose``: the start; ``workspace.twist``: that of the target there. Return whether a variance has grown by
+    more than TIME_SHARE allows.
+    """
+    rotation, m = workspace.pose.rotation, workspace.reading_count
+    jacobian, rates, sigmas = workspace.jacobian, workspace.residuals, workspace.weights
+    for i in range(6):
+        workspace.step_sum[i] = 0.0
+    predict_readings(workspace.rows, m, workspace.pose, workspace.step_sum, rates, jacobian)
+    for r in range(m):
+        rate = variance = 0.0
+        for i in range(6):
+            first, derivative = i - i % 3, 0.0  # by motion along or about axis i of the parent
+            for k in range(3):
+                derivative += jacobian[r, first + k] * rotation[i - first, k]
+            rate += derivative * workspace.twist[i]
+            variance += square(derivative * workspace.twist_sigmas[i])
+        rates[r], sigmas[r] = rate, math.sqrt(variance)
+    doubtful = False
+    for r in range(m):
+        own, cross, partner = workspace.offsets[r], workspace.cross_offsets[r], workspace.partners[r]
+        workspace.values[r] -= own * rates[r] + cross * rates[partner]
+        added = square(own * sigmas[r]) + square(cross * sigmas[partner])
+        added += workspace.unknown[r] * (square(rates[r]) + square(sigmas[r]))
+        doubtful = doubtful or added > square(TIME_SHARE) * workspace.variances[r]
+        workspace.variances[r] += added
+    return doubtful
+
+
+@in_place
+def add_stamp_variance(workspace: Any, sigma: float, random: FloatArray, systematic: FloatArray) -> int:
+    """Add the covariance from the standard uncertainty of the stamp, ``sigma`` [s], to ``random`` (ROS order).
+
+    Return the fault TIME where a variance grows by more than TIME_SHARE allows, else 0.
+    """
+    fault = 0
+    for i in range(6):
+        added = square(sigma) * (square(workspace.twist[i]) + square(workspace.twist_sigmas[i]))
+        if added > square(TIME_SHARE) * (random[i, i] + systematic[i, i]):
+            fault = TIME
+        random[i, i] += square(sigma * workspace.twist_sigmas[i])
+        for j in range(6):
+            random[i, j] += square(sigma) * workspace.twist[i] * workspace.twist[j]
+    return fault
