@@ -1,0 +1,200 @@
+"""Scan numbers against stamps: late scans, clock steps, scattered stamps, restarts; and exposures within a scan.
+
+The truth is the motion that the scans are simulated with, as geometry.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+from posor import Fault, Posor, State, load_calibration, simulate
+from posor.estimation.clocks import LATE_RUN, NEW_RATE_RUN, RESTART_RUN
+from posor.estimation.exposure import LONGEST_OFFSET_S
+from posor.model.scan import STATED_HOME
+from scipy.stats import chi2
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from posor import Estimates, Scans
+    from posor.numerics.array_types import FloatArray, IntArray
+
+ARMS = Path(__file__).resolve().parents[3] / "posor_bringup" / "arms"
+JOINTS = {"bumpy ring": "five_axis/calibrations/elbow.yaml", "light ring": "six_axis/calibrations/shoulder.yaml"}
+PERIOD_S, COUNT, AT = 5e-3, 400, 200  # period, scans, scan at which the fault begins
+RATE, FIRST_NS = 0.7, 10**18  # [rad/s], [ns]
+INDEX = np.arange(COUNT)
+JUMP_V = 0.45  # common offset of the gap probes
+
+
+def poses(times: FloatArray, rate: float = RATE) -> FloatArray:
+    """Return the true poses at times [s], shape (n, 7)."""
+    theta = 0.1 + rate * times
+    out = np.zeros((len(times), 7))
+    out[:, 0], out[:, 1], out[:, 2] = 4e-6 * np.cos(theta), 4e-6 * np.sin(theta), 0.735e-3
+    out[:, 5], out[:, 6] = np.sin(0.5 * theta), np.cos(0.5 * theta)
+    return out
+
+
+@cache
+def simulated(kind: str, rate: float = RATE) -> Scans:
+    """Return scans of a joint that turns; the first states the home mark where theta is counted."""
+    scans = simulate(load_calibration(ARMS / JOINTS[kind]), poses(INDEX * PERIOD_S, rate), seed=1)
+    return scans.with_fields({"at_home": np.where(INDEX == 0, STATED_HOME * (kind == "bumpy ring"), 0)})
+
+
+def estimate(kind: str, times: FloatArray, numbers: IntArray, scans: Scans) -> Estimates:
+    """Estimate scans that arrive in this order."""
+    fields = {"stamps_ns": FIRST_NS + np.round(times * 1e9).astype(np.int64), "numbers": numbers.astype(np.uint64)}
+    return Posor(load_calibration(ARMS / JOINTS[kind])).estimate_all(scans.with_fields(fields))
+
+
+def usable(estimates: Estimates) -> FloatArray:
+    return np.isin(estimates.states, (State.OK, State.DEGRADED))
+
+
+def errors(estimates: Estimates, true: FloatArray) -> FloatArray:
+    """Return small errors of the usable poses: translation [m] and theta [rad], shape (n, 4)."""
+    which = usable(estimates)
+    turned = 2.0 * (np.arctan2(true[which, 5], true[which, 6]))
+    theta = np.angle(np.exp(1j * (estimates.thetas[which] - turned)))
+    return np.column_stack([estimates.translations[which] - true[which, :3], theta])
+
+
+def count_wrong(estimates: Estimates, true: FloatArray) -> int:
+    """Return how many usable poses are off by more than 5 standard uncertainties."""
+    sigmas = estimates.standard_uncertainties[usable(estimates)][:, [0, 1, 2, 5]]
+    return int((np.abs(errors(estimates, true)) > 5.0 * sigmas).any(axis=1).sum())
+
+
+def exchange(first: int, second: int) -> IntArray:
+    """Return the order in which scan ``first`` arrives behind ``second``."""
+    return np.insert(np.delete(INDEX, first), second, first)
+
+
+# Order of arrival, shift of the stamps [s], numbers, and scans lost of a light ring, apart from a count that is lost
+CASES: dict[str, tuple[IntArray, FloatArray, IntArray, int]] = {
+    "in order": (INDEX, 0.0 * INDEX, INDEX, 0),
+    "one late by one": (exchange(AT, AT + 1), 0.0 * INDEX, INDEX, 1),
+    "one late by 150": (exchange(AT, AT + 150), 0.0 * INDEX, INDEX, 1),
+    "one stamp off": (INDEX, np.where(INDEX == AT, 0.3, 0.0), INDEX, 1),
+    **{
+        f"clock steps by {step:g} s": (INDEX, np.where(INDEX >= AT, step, 0.0), INDEX, LATE_RUN - 1)
+        for step in (-37.0, -1.5, -0.9, -0.5, -0.05, -0.02, 0.02, 0.3, 37.0)
+    },
+    "numbers jump": (INDEX, 0.0 * INDEX, np.where(INDEX >= AT, INDEX + 5000, INDEX), LATE_RUN - 1),
+    "driver restarts, stamps two ticks back": (
+        INDEX,
+        np.where(INDEX >= AT, -2.0 * PERIOD_S, 0.0),
+        np.where(INDEX >= AT, INDEX - AT, INDEX),
+        RESTART_RUN - 1,
+    ),
+    "rate doubles": (INDEX, np.where(INDEX >= AT, PERIOD_S * (INDEX - AT), 0.0), INDEX, NEW_RATE_RUN),
+}
+
+
+@pytest.mark.parametrize("kind", JOINTS)
+@pytest.mark.parametrize("name", CASES)
+def test_clocks_that_contradict_each_other_cost_few_scans_and_give_no_wrong_pose(kind: str, name: str) -> None:
+    order, shift, numbers, most = CASES[name]
+    times = INDEX * PERIOD_S + shift
+    estimates = estimate(kind, times[order], numbers[order], simulated(kind).select(order))
+    assert count_wrong(estimates, poses(INDEX * PERIOD_S)[order]) == 0
+    lost = int((estimates.states == State.LOST).sum())
+    assert lost <= most
+    if kind == "light ring" or most <= 1:
+        assert usable(estimates).sum() == COUNT - lost
+
+
+@pytest.mark.parametrize("name", ["one late by one", "driver restarts, stamps two ticks back", "clock steps by -0.3 s"])
+def test_a_jump_beside_a_clock_fault_is_seen(name: str) -> None:
+    order, shift, numbers, _ = CASES[name]
+    scans = simulated("light ring").editable()
+    scans.gap_voltages[AT:] += JUMP_V
+    estimates = estimate("light ring", (INDEX * PERIOD_S + shift)[order], numbers[order], scans.select(order))
+    assert count_wrong(estimates, poses(INDEX * PERIOD_S)[order]) == 0
+    assert not usable(estimates)[AT + 2 :].any()
+    assert estimates.faults[-1] & Fault.INNOVATION
+
+
+@pytest.mark.parametrize("kind", JOINTS)
+@pytest.mark.parametrize("scatter", [0.06, 0.2])
+def test_stamps_on_arrival_degrade_with_a_covariance_that_holds(kind: str, scatter: float) -> None:
+    rng = np.random.default_rng(7)
+    times = INDEX * PERIOD_S
+    arrival = np.maximum.accumulate(times + scatter * PERIOD_S * rng.standard_normal(COUNT) + 1e-9 * INDEX)
+    estimates = estimate(kind, arrival, INDEX, simulated(kind))
+    assert usable(estimates).mean() >= 0.95
+    turned = errors(estimates, poses(arrival))[50:, 3]  # the pose at the stamp, not at the exposure
+    normalised = np.square(turned / estimates.standard_uncertainties[usable(estimates)][50:, 5])
+    assert chi2.ppf(1e-4, len(turned)) * 0.7 <= normalised.sum() <= chi2.ppf(1.0 - 1e-4, len(turned)) * 1.3
+    assert estimates.faults[-1] & Fault.TIME
+
+
+def test_a_stated_uncertainty_of_the_stamps_enters_the_random_covariance() -> None:
+    scans = simulated("light ring")
+    times = INDEX * PERIOD_S
+    stated = scans.with_fields({"stamp_uncertainties": np.full(COUNT, 1e-4)})
+    plain, grown = (estimate("light ring", times, INDEX, each).covariances_random[-1] for each in (scans, stated))
+    assert grown[5, 5] - plain[5, 5] == pytest.approx((1e-4 * RATE) ** 2, rel=0.05)
+
+
+def multiplexed(kind: str, rate: float, offsets: FloatArray) -> Scans:
+    """Return scans whose channels are read at their own times, in the order gap, ring, currents."""
+    scans = simulated(kind, rate)
+    calibration = load_calibration(ARMS / JOINTS[kind])
+    names = ("gap_voltages", "ring_voltages", "diode_currents")
+    flat = {name: getattr(scans, name).reshape(COUNT, -1).copy() for name in names}
+    channels = [(name, column) for name in names for column in range(flat[name].shape[1])]
+    for offset, (name, column) in zip(offsets, channels, strict=True):
+        moved = simulate(calibration, poses(INDEX * PERIOD_S + offset, rate), seed=1)
+        same = (moved.lit_sources == scans.lit_sources).all(axis=1)
+        flat[name][same, column] = getattr(moved, name).reshape(COUNT, -1)[same, column]
+    shapes = {name: getattr(scans, name).shape for name in names}
+    return scans.with_fields({name: flat[name].reshape(shapes[name]) for name in names if flat[name].size})
+
+
+@pytest.mark.parametrize("kind", JOINTS)
+@pytest.mark.parametrize("stated", [True, False], ids=["stated", "unknown"])
+def test_channels_read_one_after_another(kind: str, stated: bool) -> None:  # noqa: FBT001  a parameter
+    rate, times = 1.0, INDEX * PERIOD_S
+    plain = simulated(kind, rate)
+    channels = sum(getattr(plain, name)[0].size for name in ("gap_voltages", "ring_voltages", "diode_currents"))
+    offsets = 20e-6 * (np.arange(channels) - 0.5 * (channels - 1))
+    statement = {"exposure_offsets": np.tile(offsets if stated else np.full(channels, np.nan), (COUNT, 1))}
+    statement |= {"exposure_spans": np.full(COUNT, np.ptp(offsets))}
+    scans = multiplexed(kind, rate, offsets).with_fields(statement)
+    true = poses(times, rate)
+    read, ideal = (estimate(kind, times, INDEX, each) for each in (scans, plain))
+    if stated:
+        off, expected = (np.sqrt(np.mean(np.square(errors(each, true)[10:]), axis=0)) for each in (read, ideal))
+        np.testing.assert_allclose(off, expected, rtol=0.05)
+        assert usable(read).sum() == usable(ideal).sum()
+    else:
+        inside = np.abs(errors(read, true)) <= 1.96 * read.standard_uncertainties[usable(read)][:, [0, 1, 2, 5]]
+        assert not usable(read).any() or inside.mean(axis=0).min() >= 0.93
+        assert not (read.states == State.OK)[10:].any()
+
+
+def with_offsets(count: int, value: float) -> Callable[[Scans], Scans]:
+    return lambda scans: scans.with_fields({"exposure_offsets": np.full((COUNT, count), value)})
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        with_offsets(3, 0.0),
+        with_offsets(11, 2.0 * LONGEST_OFFSET_S),
+        lambda scans: scans.with_fields({"stamp_uncertainties": np.full(COUNT, np.nan)}),
+        lambda scans: scans.with_fields({"stamp_limits": np.full(COUNT, -1.0)}),
+    ],
+    ids=["count", "size", "uncertainty", "limit"],
+)
+def test_an_invalid_statement_on_time_is_refused(change: Callable[[Scans], Scans]) -> None:
+    estimates = estimate("light ring", INDEX * PERIOD_S, INDEX, change(simulated("light ring")))
+    assert set(estimates.faults) == {Fault.BAD_READING}
+    assert "exposures" in estimates.reason(0)
