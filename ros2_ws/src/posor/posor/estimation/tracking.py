@@ -86,24 +86,25 @@ def add_prior(workspace: Any, first: int, elapsed: float) -> None:
 
 
 @inlined
-def _update_rate(tracker: Any, i: int, rate: float, former: float, known: bool) -> float:  # noqa: FBT001
-    """Return a rate; write its standard uncertainty, which is its largest change in the last scans."""
-    sigmas = tracker.rate_sigmas
-    sigmas[i] = max(abs(rate - former), RATE_MEMORY * sigmas[i]) if known else abs(rate)
+def _update_rate(tracker: Any, i: int, rate: float, former: float) -> float:
+    """Return a rate; write its standard uncertainty: its largest change in the last scans, of a first rate itself."""
+    kept = RATE_MEMORY * tracker.rate_sigmas[i] if tracker.rates > 1 else 0.0
+    tracker.rate_sigmas[i] = max(abs(rate - former), kept) if tracker.rates > 0 else abs(rate)
     return rate
 
 
 @inlined
 def update_tracker(tracker: Any, pose: Any, theta: float, elapsed: float) -> None:
     """Keep a pose as the previous one; ``elapsed`` [s] since the one before, NaN: its motion is unknown."""
-    known = tracker.interval > 0.0
+    tracker.rates = tracker.rates if tracker.interval > 0.0 else 0
     tracker.interval = 0.0
     if elapsed > 0.0:
         tracker.interval = elapsed
-        tracker.theta_rate = _update_rate(tracker, 3, (theta - tracker.theta) / elapsed, tracker.theta_rate, known)
+        tracker.theta_rate = _update_rate(tracker, 3, (theta - tracker.theta) / elapsed, tracker.theta_rate)
         for i in range(3):
             rate = (pose.translation[i] - tracker.pose.translation[i]) / elapsed
-            tracker.velocity[i] = _update_rate(tracker, i, rate, tracker.velocity[i], known)
+            tracker.velocity[i] = _update_rate(tracker, i, rate, tracker.velocity[i])
+        tracker.rates += 1
     tracker.initialised = 1
     tracker.start_given = 0
     tracker.stamp = tracker.time

@@ -72,6 +72,7 @@ TRACKER = np.dtype(  # what is known from the previous scans
         ("theta", "f8"),  # its theta, turns counted [rad]
         ("theta_rate", "f8"),  # [rad/s]
         ("velocity", "f8", (3,)),  # of the translation [m/s]
+        ("rates", "i8"),  # how many rates were found without a break
         ("rate_sigmas", "f8", (4,)),  # standard uncertainties of velocity and rate, from their changes [m/s], [rad/s]
         ("interval", "f8"),  # time over which rate and velocity were found [s]; zero: unknown
         ("pose", POSE),

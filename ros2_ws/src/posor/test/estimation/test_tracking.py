@@ -25,9 +25,9 @@ def workspace() -> Any:
     workspace = record_view(np.zeros(1, dtype=WORKSPACE))[0]
     tracker, pose = workspace["tracker"], workspace["pose"]
     pose["rotation"], pose["translation"] = np.eye(3), 0.0
-    update_tracker(tracker, pose, 1.0, 0.2, math.nan)
+    update_tracker(tracker, pose, 0.2, math.nan)
     pose["translation"] = MOVED
-    update_tracker(tracker, pose, 1.0 + ELAPSED, 0.201, ELAPSED)
+    update_tracker(tracker, pose, 0.201, ELAPSED)
     return workspace
 
 
@@ -56,7 +56,7 @@ def test_a_start_moves_on_as_the_target_has_moved(workspace: Any, scans: float) 
 @pytest.mark.parametrize("start_is_given", [False, True])
 def test_motion_before_a_long_gap_or_to_a_given_start_is_unknown(workspace: Any, *, start_is_given: bool) -> None:
     if start_is_given:
-        update_tracker(workspace["tracker"], workspace["pose"], 2.0, 0.201, math.nan)
+        update_tracker(workspace["tracker"], workspace["pose"], 0.201, math.nan)
     turned, moved = predicted(workspace, ELAPSED if start_is_given else 1.01 * LONGEST_GAP * ELAPSED)
     assert turned == pytest.approx(0.0, abs=1e-15)
     assert not moved.any()
