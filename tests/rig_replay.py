@@ -72,8 +72,7 @@ def estimate_transforms(plan: ReplayPlan, raw: Sequence[bytes]) -> list[JointTra
     posor, frames = Posor(calibration), calibration.frames
     scans = [deserialize_message(data, RawScan) for data in raw]
     return [
-        transform_message(scan, posor.estimate(scan_from_message(scan)), frames.parent, frames.child, "total")
-        for scan in scans
+        transform_message(scan, posor.estimate(scan_from_message(scan)), frames.parent, frames.child) for scan in scans
     ]
 
 

@@ -159,7 +159,7 @@ def test_the_bag_replays_bit_for_bit(tmp_path: Path) -> None:
         assert received == raw[topic]
     times = expected.stamps_ns.tolist()
     assert [stamp_ns(pose) for pose in poses] == times
-    expected_poses = zip(expected.poses, expected.covariances, strict=True)
+    expected_poses = zip(expected.poses, expected.covariances(), strict=True)
     for pose, full, (endpoint, covariance) in zip(poses, with_covariance, expected_poses, strict=True):
         assert message_bits(pose.pose) == message_bits(full.pose.pose)
         assert message_bits(leaves(pose.pose)) == endpoint.tobytes()

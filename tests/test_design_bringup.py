@@ -51,7 +51,8 @@ def test_a_designed_posor_runs(tmp_path: Path, kind: LayoutKind, rotation: float
             assert program.end(signal.SIGTERM) == 0
     counted = transforms[transforms.index(usable(transforms)[0]) :]
     assert len(usable(counted)) > 0.9 * len(counted)  # the chi-square test rejects one in a thousand
-    sigmas = np.sqrt([np.diagonal(np.reshape(message.covariance, (6, 6))) for message in usable(counted)])
+    covariances = [each.covariance_random + each.covariance_systematic for each in usable(counted)]
+    sigmas = np.sqrt(np.diagonal(np.reshape(covariances, (-1, 6, 6)), axis1=1, axis2=2))
     assert np.all(sigmas <= requirement.sigmas)
 
 

@@ -28,7 +28,8 @@ def raw_scan() -> Any:
 
 def joint_transform() -> Any:
     transform = JointTransform(scan=7, child_frame_id="target_plate", state=JointTransform.STATE_DEGRADED)
-    transform.covariance = [1e-12 * k for k in range(36)]
+    transform.covariance_random = [1e-12 * k for k in range(36)]
+    transform.covariance_systematic = [-1e-12 * k for k in range(36)]
     transform.native = [1e-6, -2e-6, 3e-3, math.nan, -0.0, 7.5]
     transform.faults = JointTransform.FAULT_DARK_DIODE | JointTransform.FAULT_COUNT
     return transform

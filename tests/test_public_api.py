@@ -157,29 +157,29 @@ def test_an_arm_gives_joints_and_endpoint_with_covariances_as_arrays() -> None:
     assert elbow.covariances().shape == (len(elbow), 6, 6)
     assert np.count_nonzero(elbow.states == State.LOST) == 4
     assert endpoint.angles.shape == (len(endpoint), len(estimates.chain))
-    variances = np.diagonal(endpoint.covariances, axis1=1, axis2=2)
-    np.testing.assert_allclose(endpoint.standard_uncertainties**2, variances, rtol=1e-14)
-    random = arm.estimate(BAG, covariance="random").joints["elbow"]
-    np.testing.assert_array_equal(random.covariances(), elbow.covariances("random"))
-    np.testing.assert_array_equal(random.covariances("total"), elbow.covariances())
-    np.testing.assert_array_equal(random.covariances() + elbow.covariances("systematic"), elbow.covariances())
+    for each in (elbow, endpoint):
+        np.testing.assert_array_equal(each.covariances(), each.covariances_random + each.covariances_systematic)
+        assert np.nanmin(np.trace(each.covariances_systematic, axis1=1, axis2=2)) > 0.0
+        variances = np.diagonal(each.covariances(), axis1=1, axis2=2)
+        np.testing.assert_allclose(each.standard_uncertainties**2, variances, rtol=1e-14)
     assert sum(elbow.lost_reasons().values()) == 4
     tables = posor.to_arrow(estimates)
     assert tables["endpoint"].column_names[-5:] == [f"angle_{joint}" for joint in estimates.chain]
-    np.testing.assert_array_equal(tables["elbow"]["cov_x_x"].to_numpy(), elbow.covariances()[:, 0, 0])
+    for name, each in (("elbow", elbow), ("endpoint", endpoint)):
+        for part, covariances in (("random", each.covariances_random), ("systematic", each.covariances_systematic)):
+            np.testing.assert_array_equal(tables[name][f"cov_{part}_x_rz"].to_numpy(), covariances[:, 0, 5])
 
 
 def test_an_arm_is_estimated_with_the_parameters_of_its_file() -> None:
     arm = posor.load_arm(find_arm("five_axis"))
-    elbow: dict[str, ParameterValue] = {"covariance": "random", "false_alarm": 0.1}
+    elbow: dict[str, ParameterValue] = {"false_alarm": 0.1}
     stated = replace(arm, posor_parameters={**arm.posor_parameters, "elbow": elbow})
     estimates, usual = stated.estimate(BAG), arm.estimate(BAG)
     assert np.count_nonzero(estimates.joints["elbow"].states == State.LOST) > 4
-    ends = [np.trace(each.joints["elbow"].covariances()[-1]) for each in (estimates, usual)]
-    assert ends[0] < ends[1]
     np.testing.assert_array_equal(estimates.joints["shoulder"].poses, usual.joints["shoulder"].poses)
-    with pytest.raises(posor.PosorError, match=r"covariance: 'none' is unknown; expected random, "):
-        arm.estimate(BAG, covariance="none")  # type: ignore[arg-type]
+    former = replace(arm, posor_parameters={**arm.posor_parameters, "elbow": {"covariance": "total"}})
+    with pytest.raises(posor.PosorError, match=r"'covariance': there is no such parameter; expected none: 'covar"):
+        former.estimate(BAG)
 
 
 def test_scans_of_a_bag_are_estimated_one_by_one_or_all_at_once() -> None:
@@ -337,7 +337,6 @@ REFUSED: list[tuple[str, Callable[[], Any], str, str]] = [
     ("seed", lambda: posor.simulate(CALIBRATION, POSES, seed=-1), "seed -1", "zero or more"),
     ("theta", lambda: ANY.Posor(CALIBRATION).confirm_theta("x", 1e-6), "theta 'x'", "finite numbers"),
     ("theta None", lambda: ANY.Posor(CALIBRATION).confirm_theta(None, 1e-6), "theta None", "finite numbers"),
-    ("covariance", lambda: ANY.load_arm(find_arm("five_axis")).estimate(BAG, covariance=["total"]), "total", "random"),
     ("null character", lambda: posor.load_calibration("a\0b"), "null character", "calibration file"),
     (
         "null character in fit",

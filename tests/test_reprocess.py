@@ -107,8 +107,9 @@ def test_tables_and_bag_hold_the_same_numbers(made: Path) -> None:
                 for axis in "xyz":
                     np.testing.assert_array_equal(float(columns[axis][n]), np.frombuffer(position[axis])[0])
                 np.testing.assert_array_equal(float(columns["native_theta"][n]), native[5])
-                covariance = np.frombuffer(field["covariance"]).reshape(6, 6)
-                np.testing.assert_array_equal(float(columns["cov_y_rz"][n]), covariance[1, 5])
+                for part in ("random", "systematic"):
+                    covariance = np.frombuffer(field[f"covariance_{part}"]).reshape(6, 6)
+                    np.testing.assert_array_equal(float(columns[f"cov_{part}_y_rz"][n]), covariance[1, 5])
     poses: Any = all_message_bits(PoseStamped, messages["/five_axis/endpoint/pose"])
     table = pa.parquet.read_table(made / "parquet" / "endpoint.parquet")
     assert table["qw"].to_numpy().tobytes() == b"".join(pose["pose"]["orientation"]["w"] for pose in poses)

@@ -96,10 +96,8 @@ def test_no_flipped_bit_changes_results_without_an_error(tmp_path: Path) -> None
             estimates = arm.estimate(bag)
         except BagError as error:
             return str(error)
-        joints = [
-            np.concatenate([each.poses.ravel(), each.covariances().ravel()]) for each in estimates.joints.values()
-        ]
-        return b"".join(each.tobytes() for each in (*joints, estimates.endpoint.poses, estimates.endpoint.covariances))
+        parts = (*estimates.joints.values(), estimates.endpoint)
+        return b"".join(array.tobytes() for each in parts for array in (each.poses, each.covariances()))
 
     file, chance, refused = bag / "bag.mcap", np.random.default_rng(43), 0
     whole, known = file.read_bytes(), results()

@@ -147,15 +147,15 @@ class ArmSampler:
             known = np.all([estimates.states != State.LOST for estimates in found.values()], axis=0)
             if not known.any():
                 continue
-            joint_poses = np.stack([each.poses for each in found.values()], axis=1)[known]
-            totals = [each.covariances() for each in found.values()]
-            joint_covariances = np.stack(totals, axis=1)[known]
+            measured = [
+                np.stack([getattr(each, name) for each in found.values()], axis=1)[known]
+                for name in ("poses", "covariances_random", "covariances_systematic")
+            ]
             true = truth.endpoint.select(known)
-            endpoints = self.chain.estimate_all(joint_poses, joint_covariances)
-            straight = self.straight.estimate_all(joint_poses, joint_covariances)
+            endpoints, straight = self.chain.estimate_all(*measured), self.straight.estimate_all(*measured)
             errors[n, known] = pose_errors(_to_pose_array(endpoints.poses), true)
             without_sag[n, known] = pose_errors(_to_pose_array(straight.poses), true)
-            normalised[n, known] = normalised_squares(errors[n, known], endpoints.covariances)
+            normalised[n, known] = normalised_squares(errors[n, known], endpoints.covariances())
         return ArmSample(normalised, errors, without_sag, int(np.isnan(normalised).sum()))
 
     def predicted_shift(self) -> FloatArray:
@@ -165,7 +165,7 @@ class ArmSampler:
         poses = np.array([[pin.SE3ToXYZQUAT(nominal(joint, angle)) for joint, angle in row] for row in rows])
         exact = np.zeros((*poses.shape[:2], 6, 6))
         straight, sagging = (
-            _to_pose_array(chain.estimate_all(poses, exact).poses) for chain in (self.straight, self.chain)
+            _to_pose_array(chain.estimate_all(poses, exact, exact).poses) for chain in (self.straight, self.chain)
         )
         return pose_errors(straight, sagging)
 

@@ -82,11 +82,13 @@ def run_message_loop(arm: ArmFile, bag: Path, output: Path) -> float:
             joint = joints[connection.topic]
             scan, frames = scan_from_message(raw), calibrations[joint].frames
             estimate = posors[joint].estimate(scan)
-            transform = transform_message(raw, estimate, frames.parent, frames.child, "total")
+            transform = transform_message(raw, estimate, frames.parent, frames.child)
             writer.write(f"/{arm.name}/{joint}/{TRANSFORM_TOPIC}", time_ns, serialize_message(transform))
             if estimate.T_R_T is not None:
                 measured = open_scans.setdefault(scan.stamp_ns, {})
-                measured[joint] = MeasuredJoint(estimate.T_R_T, estimate.covariance())
+                measured[joint] = MeasuredJoint(
+                    estimate.T_R_T, estimate.covariance_random, estimate.covariance_systematic
+                )
                 estimator.thetas[estimator.joints.index(joint)] = estimate.native[5]
                 if len(measured) == len(posors):
                     estimator.set_measurements(open_scans.pop(scan.stamp_ns))
@@ -112,7 +114,7 @@ def _endpoint_messages(frame: str, raw: RawScan, estimator: Any) -> Iterator[tup
     pose.header.frame_id = full.header.frame_id = frame
     x, y, z, qx, qy, qz, qw = estimator.pose.tolist()
     pose.pose = full.pose.pose = Pose(position=Point(x=x, y=y, z=z), orientation=Quaternion(x=qx, y=qy, z=qz, w=qw))
-    full.pose.covariance = estimator.covariance.ravel()
+    full.pose.covariance = estimator.covariance().ravel()
     yield ENDPOINT_TOPIC, pose
     yield ENDPOINT_COVARIANCE_TOPIC, full
     yield JOINT_STATES_TOPIC, states
@@ -146,7 +148,8 @@ def run_bulk_loop(arm: ArmFile, bag: Path) -> tuple[float, IntArray, FloatArray]
     stamps_ns = scans[0].stamps_ns
     endpoints = estimator.estimate_all(
         np.stack([joint.poses for joint in estimates], axis=1),
-        np.stack([joint.covariances() for joint in estimates], axis=1),
+        np.stack([joint.covariances_random for joint in estimates], axis=1),
+        np.stack([joint.covariances_systematic for joint in estimates], axis=1),
         stamps_ns,
         np.stack([joint.thetas for joint in estimates], axis=1),
     )

@@ -107,9 +107,8 @@ class DeviceRun(InjectionRun):
 
     def _count_wrong(self, _row: FaultRow, span: Span) -> int:
         """Return how many positions of the endpoint are wrong."""
-        arrivals = self.receiver.between(ENDPOINT_COVARIANCE_TOPIC, span.begin_ns, span.until_ns)
-        poses = [each.message for each in arrivals]
-        points = np.array([(p.x, p.y, p.z) for p in (each.pose.pose.position for each in poses)]).reshape(-1, 3)
+        poses = [each.message for each in self.receiver.endpoints_between(span.begin_ns, span.until_ns)]
+        points = np.array([(p.x, p.y, p.z) for p in (each.pose.position for each in poses)]).reshape(-1, 3)
         errors = points - self._readings.true_points([stamp_ns(each) for each in poses]).reshape(-1, 3)
-        variances = np.array([each.pose.covariance for each in poses]).reshape(-1, 36)[:, [0, 7, 14]]
+        variances = np.array([each.covariance_random for each in poses]).reshape(-1, 36)[:, [0, 7, 14]]
         return int(np.count_nonzero(~np.all(np.abs(errors) <= SIGMAS * np.sqrt(variances), axis=1)))

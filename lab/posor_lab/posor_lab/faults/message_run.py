@@ -138,6 +138,6 @@ class MessageRun(InjectionRun):
         message.header.frame_id = frames.parent
         message.header.stamp.sec, message.header.stamp.nanosec = divmod(int(tick_stamp_ns(tick, RATE)), NS)
         message.pose = pose_message(pose)
-        message.covariance = (SIGMA**2 * np.eye(6)).ravel()
+        message.covariance_random = message.covariance_systematic = (0.5 * SIGMA**2 * np.eye(6)).ravel()
         message.native = [*pose.translation.tolist(), *native_from_rotation(pose.rotation)]
         return message

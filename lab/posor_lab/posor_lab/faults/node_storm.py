@@ -56,7 +56,7 @@ def run_node_storm(
             found = [deserialize_message(data, JointTransform) for data in player.answers]
         poses = pose_array([each.pose for each in found])
         states, faults = np.array([(each.state, each.faults) for each in found], dtype=np.int64).T
-        covariances = np.array([each.covariance for each in found]).reshape(-1, 6, 6)
+        covariances = np.reshape([each.covariance_random + each.covariance_systematic for each in found], (-1, 6, 6))
         expected = estimate_storm(maker.posor, storm)
         same = (states == expected.states) & (faults == expected.faults)
         same &= np.all((poses.translations == expected.translations) | (states == State.LOST)[:, None], axis=1)

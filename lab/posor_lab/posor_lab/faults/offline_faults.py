@@ -111,7 +111,7 @@ def _warm_beam_cases(
     scale = 1.0 + EXPANSION * kelvin
     errors, levels, sigmas = np.zeros((3, cases, 6))
     for n in range(cases):
-        poses, shifts, covariances = {}, [], []
+        poses, shifts, joints = {}, [], []
         for joint, posor in posors.items():
             pose = draw_joint_poses(1, random)
             scan = scans_at(posor.stack, pose.rotations, pose.translations, np.zeros(1, dtype=np.int64))
@@ -120,10 +120,11 @@ def _warm_beam_cases(
                 raise PosorError(f"joint {joint} has no pose in a simulated case", where="offline_faults")
             poses[joint] = pose[0]
             shifts.append(joint_reliability(posor, scan[0], pose[0]).shifts)
-            covariances.append(estimated_poses(found)[1][0])
+            joints.append(found)
         effects = endpoint_effects(chain, poses)
         packed = np.array([[pin.SE3ToXYZQUAT(pose) for pose in poses.values()]])
-        covariance = chain.estimate_all(packed, np.array([covariances])).covariances[0]
+        parts = [[each.covariances_random for each in joints], [each.covariances_systematic for each in joints]]
+        covariance = chain.estimate_all(packed, *np.swapaxes(parts, 1, 2)).covariances()[0]
         expansions = expansion_shifts(chain, poses)
         levels[n] = endpoint_protection_level(shifts, [effects[name] for name in poses], covariance, expansions)
         sigmas[n] = np.sqrt(np.diagonal(covariance))

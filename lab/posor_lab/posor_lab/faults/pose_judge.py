@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from geometry_msgs.msg import PoseWithCovariance
 from posor.numerics.stamps import NS
 from posor.ros_names import ENDPOINT_COVARIANCE_TOPIC, ENDPOINT_STATE_TOPIC, TRANSFORM_TOPIC
 from posor_drivers.simulator.pose_array import PoseArray
@@ -93,7 +94,7 @@ class PoseJudge:
     def _compare(self, parts: Sequence[tuple[Arrival, Any]], joint: str = "") -> tuple[PoseArray, PoseArray, BoolArray]:
         """Return found and true poses of the endpoint or a joint, and which are wrong."""
         found = pose_array([each.pose for _, each in parts])
-        covariances = np.reshape([each.covariance for _, each in parts], (-1, 6, 6))
+        covariances = np.reshape([_covariance(each) for _, each in parts], (-1, 6, 6))
         truth = self._truth([each for each, _ in parts])
         true = truth.T_parent_child[joint] if joint else truth.endpoint
         return found, true, wrong_poses(found, covariances, true)
@@ -110,6 +111,13 @@ class PoseJudge:
             return 0
         ages_ns = np.array([each.time_ns - stamp_ns(each.message) for each, _ in parts])
         return int(np.count_nonzero(self._compare(parts, joint)[2] | (ages_ns > STALE_S * NS)))
+
+
+def _covariance(stated: Any) -> FloatArray:
+    """Return the covariance of a PoseWithCovariance, or the sum of both parts of a transform or an endpoint's state."""
+    if isinstance(stated, PoseWithCovariance):
+        return np.asarray(stated.covariance)
+    return np.asarray(stated.covariance_random + stated.covariance_systematic)
 
 
 def _valid(arrivals: Sequence[Arrival]) -> list[tuple[Arrival, Any]]:

@@ -144,7 +144,7 @@ def record(simulation: ArmSimulation, joint: str, count: int = SCANS, cycle: int
     simulated = simulation.scans(joint, ticks, simulation.truth(ticks))
     scans = [messages.raw_scan(joint, simulated, n).data for n in range(count)]
     posor = Posor(simulation.calibrations[joint])
-    stream = RawScanStream(posor, scans[0], "total")
+    stream = RawScanStream(posor, scans[0])
     trackers, transforms, estimates = [], [], []
     for data in scans:
         trackers.append(posor.model.workspace["tracker"].copy())
@@ -228,7 +228,7 @@ class ScanFuzz(MessageFuzz):
         if stream.identity(data) is None or stream.estimate_message(data) is None:
             try:
                 data = installed_schema(RAW_SCAN).normal(data)
-                stream = RawScanStream(recording.posor, data, "total")
+                stream = RawScanStream(recording.posor, data)
             except TopicError:
                 return None
             if stream.estimate_message(data) is None:
@@ -336,7 +336,7 @@ class TransformFuzz(MessageFuzz):
             row[LEAD : LEAD + kind.size] = np.frombuffer(plain[: kind.size], dtype=np.uint8)
         if self._estimator.estimate_rows(1) < 0:
             return None
-        return pin.XYZQUATToSE3(self._estimator.pose), self._estimator.covariance.copy()
+        return pin.XYZQUATToSE3(self._estimator.pose), self._estimator.covariance()
 
 
 def fuzz_simulation(arm: ArmFile) -> ArmSimulation:

@@ -9,14 +9,12 @@ import numpy as np
 from geometry_msgs.msg import Pose
 from posor.model.fault import USABLE_STATES
 from posor.model.scan import Scan, split_by_diode
-from posor.node_parameters import COVARIANCE_KINDS
 from posor.numerics.stamps import time_ns
 from posor_msgs.msg import EndpointState, JointTransform, RawScan
 
 if TYPE_CHECKING:
     import pinocchio as pin
     from posor.estimation.estimate import Estimate
-    from posor.node_parameters import CovarianceKind
     from sensor_msgs.msg import JointState
 
 
@@ -56,9 +54,7 @@ def pose_from_message(message: Pose) -> pin.SE3:
     return pin.XYZQUATToSE3(np.array([p.x, p.y, p.z, q.x, q.y, q.z, q.w]))
 
 
-def transform_message(
-    raw: RawScan, estimate: Estimate, parent: str, child: str, kind: CovarianceKind
-) -> JointTransform:
+def transform_message(raw: RawScan, estimate: Estimate, parent: str, child: str) -> JointTransform:
     """Return the joint transform of an estimate and its raw scan."""
     message = JointTransform()
     message.header.stamp = raw.header.stamp
@@ -66,8 +62,8 @@ def transform_message(
     message.child_frame_id = child
     message.scan = raw.scan
     message.pose = pose_message(estimate.T_R_T)
-    message.covariance = estimate.covariance(kind).ravel()
-    message.covariance_kind = COVARIANCE_KINDS[kind]
+    message.covariance_random = estimate.covariance_random.ravel()
+    message.covariance_systematic = estimate.covariance_systematic.ravel()
     message.native = estimate.native
     message.residual = estimate.residual
     message.redundancy = estimate.redundancy

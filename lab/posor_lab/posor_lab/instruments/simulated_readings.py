@@ -113,12 +113,12 @@ def _joint_velocities(simulation: ArmSimulation, ticks: IntArray) -> FloatArray:
         [np.hstack([part.translations, Rotation.from_matrix(part.rotations).as_quat()]) for part in parts], axis=1
     )
     exact = np.zeros((*poses.shape[:2], 6, 6))
-    points = chain.estimate_all(poses, exact).poses[:, :3]
+    points = chain.estimate_all(poses, exact, exact).poses[:, :3]
     velocities = np.empty((*poses.shape[:2], 3))
     for n in range(len(parts)):
         ahead = poses.copy()
         ahead[:, n] = np.roll(poses[:, n], -1, axis=0)
-        velocities[:, n] = (chain.estimate_all(ahead, exact).poses[:, :3] - points) * SIMULATED_RATE
+        velocities[:, n] = (chain.estimate_all(ahead, exact, exact).poses[:, :3] - points) * SIMULATED_RATE
     return velocities
 
 

@@ -93,7 +93,7 @@ def run_trial(trial: DeviceTrial, folder: Path, interrupted: Callable[[], bool])
         in_stall = receiver.count(ENDPOINT_COVARIANCE_TOPIC) - at_stall
         devices.stalled.clear()
         back_s = wait_for_poses(1) if trial.returns else None
-    arrivals = receiver.between(ENDPOINT_COVARIANCE_TOPIC, begin_ns, stall_ns)  # decoding them would delay the servers
+    arrivals = receiver.endpoints_between(begin_ns, stall_ns)  # decoding them earlier would delay the servers
     return TrialFigures(
         name=trial.name,
         arm=trial.arm,
@@ -129,14 +129,18 @@ def _share_inside(errors: FloatArray, covariances: FloatArray) -> float:
 
 
 def _pose_figures(readings: SimulatedReadings, arrivals: Sequence[Arrival], clock_s: float) -> dict[str, Any]:
-    """Return the figures of the measured poses; ``clock_s``: standard uncertainty of their stamps."""
+    """Return the figures of the measured poses; ``clock_s``: standard uncertainty of their stamps.
+
+    Only noise is simulated behind the servers: one arm has one set of calibration errors, so the share of its poses
+    inside a region says nothing about them (``posor_lab arm`` draws many arms). The region is that of the random part.
+    """
     stamps = [stamp_ns(each.message) for each in arrivals]
-    points = [each.message.pose.pose.position for each in arrivals]
+    points = [each.message.pose.position for each in arrivals]
     errors = np.array([(point.x, point.y, point.z) for point in points]) - readings.true_points(stamps)
     velocities = readings.joint_velocities(stamps)
     of_stamps = clock_s**2 * np.einsum("nji,njk->nik", velocities, velocities)
     velocity = velocities.sum(axis=1)
-    covariances = np.array([np.reshape(each.message.pose.covariance, (6, 6))[:3, :3] for each in arrivals])
+    covariances = np.array([np.reshape(each.message.covariance_random, (6, 6))[:3, :3] for each in arrivals])
     latencies_ns = np.array([each.time_ns for each in arrivals]) - np.array(stamps)
     return {
         "poses": len(arrivals),
@@ -151,12 +155,7 @@ def _pose_figures(readings: SimulatedReadings, arrivals: Sequence[Arrival], cloc
 
 
 def write_arm(arm: ArmFile, trial: DeviceTrial, devices: Devices, folder: Path) -> ArmFile:
-    """Write a copy of an arm whose drivers read an instruments file.
-
-    Only noise is simulated behind the servers: one arm has one set of calibration errors, so the share of its poses
-    inside a region says nothing about them (``posor_lab arm`` draws many arms). The copy publishes the random
-    part of the covariance alone, and its beams are exact.
-    """
+    """Write a copy of an arm whose drivers read an instruments file."""
     instruments = {
         "format": "posor_instruments",
         "version": 1,
@@ -171,21 +170,7 @@ def write_arm(arm: ArmFile, trial: DeviceTrial, devices: Devices, folder: Path) 
     (copy / "instruments.yaml").write_text(yaml.safe_dump(instruments), encoding="utf-8")
     content = yaml.safe_load((copy / ARM_FILE).read_text(encoding="utf-8"))
     del content["scenario"]
-    for joint in content["joints"].values():
-        joint["parameters"] = {"covariance": "random"}
-    _write_exact_beams(copy / content["beams"])
     parameters = {"instruments.file": "{folder}/instruments.yaml", "instruments.joint": "{joint}"}
     content["driver"] = {"source": "instruments", "parameters": parameters}
     (copy / ARM_FILE).write_text(yaml.safe_dump(content), encoding="utf-8")
     return load_arm_file(copy / ARM_FILE)
-
-
-def _write_exact_beams(path: Path) -> None:
-    """Set the uncertainties of a beams file to zero."""
-    content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    for beam in content["beams"]:
-        for uncertainty in beam.get("uncertainty", {}).values():
-            uncertainty["value"] = [0.0] * len(uncertainty["value"])
-        if "sag" in beam:
-            beam["sag"]["uncertainty"]["value"] = 0.0
-    path.write_text(yaml.safe_dump(content), encoding="utf-8")

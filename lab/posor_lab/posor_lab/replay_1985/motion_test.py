@@ -148,7 +148,7 @@ def offline_motion_test(bag: Bag, calibration: CalibrationName) -> MotionTest:
         state, endpoint = State(int(estimates.states[n])), np.full(3, np.nan)
         if state in USABLE_STATES:
             pose = pin.SE3(estimates.rotations[n], estimates.translations[n])
-            endpoint = chain.estimate({JOINT: MeasuredJoint(pose, np.zeros((6, 6)))}).T_base_endpoint.translation
+            endpoint = chain.estimate({JOINT: MeasuredJoint(pose)}).T_base_endpoint.translation
         status = 0 if recording.statuses is None else int(recording.statuses[n])
         faults = Fault(int(estimates.faults[n]))
         steps.append(MotionStep(int(number), state, faults, status, estimates.natives[n, 3:], truths[n], endpoint))

@@ -8,7 +8,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from geometry_msgs.msg import PoseWithCovarianceStamped
-from posor.model.fault import Fault, State
+from posor.model.fault import USABLE_STATES, Fault, State
 from posor.numerics.stamps import NS
 from posor.ros_names import ENDPOINT_COVARIANCE_TOPIC, ENDPOINT_STATE_TOPIC, TRANSFORM_TOPIC
 from posor_msgs.msg import EndpointState, JointTransform
@@ -87,6 +87,11 @@ class ArrivalReceiver(GraphReceiver):
         for joint in self._operators:
             if any(each.message.faults & Fault.LATCHED for each in self.since(f"{joint}/{TRANSFORM_TOPIC}", -1)):
                 self.acknowledge(joint)
+
+    def endpoints_between(self, begin_ns: int, end_ns: int) -> list[Arrival]:
+        """Return the endpoint states with a pose that came between two times [ns]."""
+        states = self.between(ENDPOINT_STATE_TOPIC, begin_ns, end_ns)
+        return [each for each in states if each.message.state in USABLE_STATES]
 
     def usable_endpoints(self, count: int) -> bool:
         """Return whether the newest ``count`` endpoint poses have come within the last second."""

@@ -49,7 +49,7 @@ def test_every_message_fault_changes_its_message(row: FaultRow) -> None:
     change_message(changed, row.inject)
     assert changed != message
     if "covariance infinite" in row.name:
-        assert np.flatnonzero(np.isinf(changed.covariance)).tolist() == [7]
+        assert np.flatnonzero(np.isinf(changed.covariance_random)).tolist() == [7]
 
 
 @pytest.mark.usefixtures("ros_domain")

@@ -21,8 +21,6 @@ from posor_msgs.msg import JointTransform, RawScan
 if TYPE_CHECKING:
     from enum import IntEnum, IntFlag
 
-    from posor.node_parameters import CovarianceKind
-    from posor.numerics.array_types import FloatArray
 
 RANDOM = np.diag([1.0, 2.0, 3.0, 4.0, 5.0, 6.0]) * 1e-12
 SYSTEMATIC = np.outer(np.arange(1.0, 7.0), np.arange(1.0, 7.0)) * 1e-14
@@ -92,7 +90,7 @@ def test_the_quaternion_is_in_the_order_of_ros() -> None:
 
 
 def test_a_transform_has_all_fields_of_its_estimate(raw: Any, estimate: Estimate, pose: pin.SE3) -> None:
-    message = transform_message(raw, estimate, "plate_r", "plate_t", "total")
+    message = transform_message(raw, estimate, "plate_r", "plate_t")
     assert message.header.stamp == raw.header.stamp
     assert (message.header.frame_id, message.child_frame_id) == ("plate_r", "plate_t")
     assert message.scan == raw.scan
@@ -105,38 +103,24 @@ def test_a_transform_has_all_fields_of_its_estimate(raw: Any, estimate: Estimate
     assert message.native[5] == 2.5 + 4.0 * math.pi
 
 
-@pytest.mark.parametrize(
-    ("kind", "constant", "expected"),
-    [
-        ("random", JointTransform.COVARIANCE_RANDOM, RANDOM),
-        ("systematic", JointTransform.COVARIANCE_SYSTEMATIC, SYSTEMATIC),
-        ("total", JointTransform.COVARIANCE_TOTAL, RANDOM + SYSTEMATIC),
-    ],
-)
-def test_the_covariance_is_the_selected_part(
-    kind: CovarianceKind, constant: int, expected: FloatArray, raw: Any, estimate: Estimate
-) -> None:
-    message = transform_message(raw, estimate, "plate_r", "plate_t", kind)
-    assert message.covariance_kind == constant
-    np.testing.assert_array_equal(np.reshape(message.covariance, (6, 6)), expected)
-
-
-def test_a_message_converts_back_to_the_pose_and_covariance(raw: Any, estimate: Estimate, pose: pin.SE3) -> None:
+def test_a_message_converts_back_to_the_pose_and_covariances(raw: Any, estimate: Estimate, pose: pin.SE3) -> None:
     uneven = np.arange(36.0).reshape(6, 6)  # not symmetric: rows and columns must not be exchanged
-    message = transform_message(raw, estimate._replace(covariance_random=uneven), "plate_r", "plate_t", "random")
+    message = transform_message(raw, estimate._replace(covariance_random=uneven), "plate_r", "plate_t")
     np.testing.assert_allclose(pose_from_message(message.pose).homogeneous, pose.homogeneous, rtol=0.0, atol=1e-15)
-    np.testing.assert_array_equal(np.reshape(message.covariance, (6, 6)), uneven)
+    np.testing.assert_array_equal(np.reshape(message.covariance_random, (6, 6)), uneven)
+    np.testing.assert_array_equal(np.reshape(message.covariance_systematic, (6, 6)), SYSTEMATIC)
 
 
-@pytest.mark.parametrize("kind", ["random", "systematic", "total"])
-def test_a_lost_joint_has_only_nan(kind: CovarianceKind, raw: Any) -> None:
+def test_a_lost_joint_has_only_nan(raw: Any) -> None:
     lost = Estimate.lost(7, Fault.DARK_DIODE, "diode 1 is dark.")
-    message = transform_message(raw, lost, "plate_r", "plate_t", kind)
+    message = transform_message(raw, lost, "plate_r", "plate_t")
     assert message.state == JointTransform.STATE_LOST
     assert message.faults == JointTransform.FAULT_DARK_DIODE
     p, q = message.pose.position, message.pose.orientation
     pose = [p.x, p.y, p.z, q.x, q.y, q.z, q.w]
-    assert np.isnan([*pose, *message.covariance, *message.native, message.residual]).all()
+    assert np.isnan(
+        [*pose, *message.covariance_random, *message.covariance_systematic, *message.native, message.residual]
+    ).all()
     assert message.redundancy == 0
 
 

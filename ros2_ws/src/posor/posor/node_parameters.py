@@ -13,9 +13,6 @@ from pydantic import Field, field_validator, model_validator
 
 from posor.parameter_model import ChangeableAtRunTime, ParameterGroup
 
-CovarianceKind = Literal["random", "systematic", "total"]  # which part of a covariance a message carries
-COVARIANCE_KINDS: dict[CovarianceKind, int] = {"random": 0, "systematic": 1, "total": 2}
-"""The constants ``COVARIANCE_...`` of ``posor_msgs/JointTransform``."""
 MIN_TF_RATE = 0.01
 MIN_ZERO_SCANS = 10  # scans below which their scatter is unknown
 HOME_COORDINATES = ("gap", "alpha", "beta")  # elements of the parameter ``home_pose``
@@ -153,10 +150,6 @@ class PosorParameters(AlarmParameters):
 
     calibration: str = Field(description="path of the calibration file (YAML) of this joint's POSOR")
     session: str = Field(default="", description="session whose zero shifts and maps apply; empty: none")
-    covariance: CovarianceKind = Field(
-        default="total",
-        description="which uncertainty to publish: of the readings' noise, of the calibration, or of both",
-    )
     false_alarm: Annotated[float, Field(gt=0.0, lt=1.0)] = Field(
         default=1e-3, description="probability that the chi-square test of the redundant readings rejects a sound scan"
     )

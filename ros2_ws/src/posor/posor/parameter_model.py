@@ -30,6 +30,8 @@ _NOUNS = {
     float: ("a number", "numbers"),
     str: ("a string", "strings"),
 }
+REPLACED = {"covariance": "none: 'covariance_random' and 'covariance_systematic' are always published"}
+"""What replaced a parameter that no longer exists."""
 _BOUNDS = {"gt": "greater than", "ge": "at least", "lt": "less than", "le": "at most", "min_length": "of length"}
 
 
@@ -142,7 +144,7 @@ def validate_parameters(model: type[ModelT], values: Mapping[str, object], *, no
     for name in values:
         if name not in known:
             where = f"node {node}, parameter '{name}'"
-            expected = similar_name(name, known, "a parameter of the node", least=0.0)
+            expected = REPLACED.get(name) or similar_name(name, known, "a parameter of the node", least=0.0)
             raise ParameterError("there is no such parameter", where=where, expected=expected, parameter=name)
     tree: dict[str, Any] = {}
     for name in known:

@@ -34,7 +34,8 @@ FIELD_BYTES = {  # bytes of the fields of a message that are longer than eight b
     "exposure_offsets": 256,
     "pose": 56,
     "native": 48,
-    "covariance": 288,
+    "covariance_random": 288,
+    "covariance_systematic": 288,
 }
 
 ARM = """<robot name="arm"><link name="base"/><link name="plate"/><link name="endpoint"/>
@@ -68,7 +69,7 @@ def example_stream(count: int = 1) -> MessageStream:
     for layout in (raw_layout, transform_layout):
         offset = 0
         for name in layout.dtype.names or ():
-            if not name.endswith(("count", "bits", "kind")):
+            if not name.endswith(("count", "bits")):
                 layout[name], offset = offset, offset + FIELD_BYTES.get(name, 8)
     raw, transforms = (MessageRows.of(np.zeros((count, ROW_BYTES), dtype=np.uint8)) for _ in range(2))
     words = np.zeros(ROW_BYTES // 4, dtype=np.int32)  # no bit is decisive: every row has this layout
@@ -81,7 +82,9 @@ def example_stream(count: int = 1) -> MessageStream:
 
 def warm_up_chain() -> None:
     """Find the endpoint of an arm of one joint, and one more from a row of bytes."""
-    layout = JointRowLayout(pose=32, native=88, covariance=144, state=21, size=ROW_BYTES)
+    layout = JointRowLayout(
+        pose=32, native=88, covariance_random=144, covariance_systematic=432, state=21, size=ROW_BYTES
+    )
     estimator = Chain(ARM, "endpoint").estimator(row_layouts=[layout])
     if not estimator.estimate():
         message = "an arm of one joint has no endpoint"

@@ -75,7 +75,9 @@ class ArmGeometry:
     def draw(self, scan: ArmScan, endpoint: EndpointView) -> DrawnArm:
         """Return the arm of a scan."""
         estimator = self._estimator
-        estimator.poses[:], estimator.covariances[:], estimator.thetas[:] = scan.poses, scan.covariances, scan.thetas
+        estimator.poses[:], estimator.thetas[:] = scan.poses, scan.thetas
+        estimator.covariances_random[:] = scan.covariances_random
+        estimator.covariances_systematic[:] = scan.covariances_systematic
         has_pose = estimator.estimate()
         angles = np.where(np.isnan(scan.encoders), estimator.angles, scan.encoders)
         nominal = self._nominal(np.nan_to_num(angles))

@@ -51,7 +51,7 @@ class EndpointView:
     age_s: float  # from the stamp to the publication [s]; NaN: not known
     frame: str  # in which the pose is
     pose: FloatArray  # (7,): x, y, z [m], unit quaternion x, y, z, w
-    covariance: FloatArray  # (6, 6), as published; NaN: not known
+    covariance: FloatArray  # (6, 6), the sum of both parts; NaN: not known
     protection_level: FloatArray  # (6,) [m], [rad]; NaN: not known
 
 
@@ -61,7 +61,8 @@ class ArmScan:
 
     stamp_ns: int  # [ns]
     poses: FloatArray  # (j, 7), as ``EndpointEstimator.poses``; NaN: not usable
-    covariances: FloatArray  # (j, 6, 6)
+    covariances_random: FloatArray  # (j, 6, 6)
+    covariances_systematic: FloatArray  # (j, 6, 6)
     thetas: FloatArray  # (j,) [rad]
     residuals: FloatArray  # chi-square of each joint divided by its redundancy, (j,); zero without redundancy
     encoders: FloatArray  # angle of each joint by its encoder [rad], (j,); NaN without
@@ -129,14 +130,15 @@ class Observer:
 
     def _endpoint(self, values: Mapping[str, Any], message: Message) -> EndpointView:
         pose = "pose.pose" if "pose.pose.position.x" in values else "pose"
-        covariance = values.get("covariance") or values.get("pose.covariance") or [np.nan] * 36
+        parts = [values[name] for name in ("covariance_random", "covariance_systematic") if name in values]
+        parts = parts or [values.get("pose.covariance", [np.nan] * 36)]
         return EndpointView(
             message.stamp_ns,
             (message.received_ns - message.stamp_ns) / NS,
             values.get("age", np.nan),
             values["header.frame_id"],
             np.array([values[f"{pose}.{part}"] for part in _POSE]),
-            np.array(covariance).reshape(6, 6),
+            np.sum(parts, axis=0).reshape(6, 6),
             np.array(values.get("protection_level") or [np.nan] * 6),
         )
 
@@ -190,7 +192,10 @@ class Observer:
         return ArmScan(
             stamp_ns,
             np.array([_usable_pose(values) for values in joints]),
-            np.array([values["covariance"] for values in joints]).reshape(-1, 6, 6),
+            *(
+                np.array([values[f"covariance_{part}"] for values in joints]).reshape(-1, 6, 6)
+                for part in ("random", "systematic")
+            ),
             np.array([values["native"][5] for values in joints]),
             np.array([values["residual"] / max(values["redundancy"], 1) for values in joints]),
             np.array([self._encoder(name, stamp_ns) for name in self._joints]),

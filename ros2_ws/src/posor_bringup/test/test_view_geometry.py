@@ -21,7 +21,7 @@ def scan_of(poses: list[pin.SE3], encoders: list[float]) -> ArmScan:
     rows = np.array([pin.SE3ToXYZQUAT(pose) for pose in poses])
     covariances = np.tile(1e-12 * np.eye(6), (count, 1, 1))
     thetas = np.full(count, np.nan)
-    return ArmScan(1, rows, covariances, thetas, np.zeros(count), np.array(encoders))
+    return ArmScan(1, rows, covariances, covariances, thetas, np.zeros(count), np.array(encoders))
 
 
 def nominal_poses(angles: dict[str, float]) -> list[pin.SE3]:

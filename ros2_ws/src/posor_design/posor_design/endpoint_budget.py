@@ -79,11 +79,10 @@ def endpoint_budget(chain: Chain, angles: Mapping[str, float], covariances: Mapp
 
 
 def _covariance(chain: Chain, angles: Mapping[str, float], covariances: Mapping[str, FloatArray]) -> FloatArray:
-    measured = {
-        joint.name: MeasuredJoint(chain.nominal_joint(joint.name, angles[joint.name]), covariances[joint.name])
-        for joint in chain.joints
-    }
-    return chain.estimate(measured).covariance
+    names = [joint.name for joint in chain.joints]
+    nominal = {name: chain.nominal_joint(name, angles[name]) for name in names}
+    measured = {name: MeasuredJoint(nominal[name], covariance_systematic=covariances[name]) for name in names}
+    return chain.estimate(measured).covariance()
 
 
 def monte_carlo(
@@ -97,8 +96,7 @@ def monte_carlo(
     random = np.random.default_rng(seed)
     exact = {joint.name: chain.nominal_joint(joint.name, angles[joint.name]) for joint in chain.joints}
     beams = _beams(chain, exact)
-    none = np.zeros((6, 6))
-    nominal = chain.estimate({name: MeasuredJoint(pose, none) for name, pose in exact.items()}).T_base_endpoint
+    nominal = chain.estimate({name: MeasuredJoint(pose) for name, pose in exact.items()}).T_base_endpoint
     joint_errors = {name: _drawn(random, covariances[name], draws) for name in exact}
     beam_errors = [_drawn(random, covariance, draws) for _, covariance, _ in beams]
     errors = np.empty((draws, 6))
@@ -109,7 +107,7 @@ def monte_carlo(
             for (link, _, after), drawn in zip(beams, beam_errors, strict=True)
         ]
         measured = {
-            name: MeasuredJoint(before * disturbed(exact[name], joint_errors[name][n]), none)
+            name: MeasuredJoint(before * disturbed(exact[name], joint_errors[name][n]))
             for before, name in zip(extra, exact, strict=False)
         }
         end = chain.estimate(measured).T_base_endpoint * extra[-1]

@@ -184,7 +184,8 @@ class ChainNode(PosorNode[ChainParameters]):
                 return
             protection, estimator = self._protection, self._estimator
             poses, axes = estimator.poses.copy(), np.eye(3)
-            covariance = estimator.result(relative=self._is_relative)[1].copy()
+            _, random, systematic = estimator.result(relative=self._is_relative)
+            covariance = random + systematic
             if self._is_relative and self._home is not None:
                 axes = pin.XYZQUATToSE3(self._home).rotation
         level = protection.compute(poses, covariance, axes)
@@ -304,7 +305,7 @@ class ChainNode(PosorNode[ChainParameters]):
         writer = self._writer
         self._pose.publish(writer.pose.write(stamp))
         if self._pose_with_covariance.has_subscriptions:
-            self._pose_with_covariance.publish(writer.pose_with_covariance.write(stamp))
+            self._pose_with_covariance.publish(writer.write_pose_with_covariance(stamp))
         if self._joint_states.has_subscriptions:
             self._joint_states.publish(writer.joint_states.write(stamp))
         verdict = SOUND if worst == State.OK else degraded_verdict(self._joints_of(scan))

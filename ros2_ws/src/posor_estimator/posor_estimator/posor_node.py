@@ -70,7 +70,7 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
 
     _calibration: Calibration
     _posor: Posor
-    _reliability: IntraProcessPublisher | None
+    _reliability: IntraProcessPublisher
     _stream: RawScanStream | None
     _last_stream: RawScanStream | None
     _recent_scans: deque[bytes]
@@ -100,9 +100,7 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
         self._status.report(Level.STALE, "no scan yet")
         qos = sensor_publisher_qos(self.parameters)
         self._publisher = IntraProcessPublisher(self, JointTransform, TRANSFORM_TOPIC, qos, count_listeners=True)
-        self._reliability = None
-        if self.parameters.covariance == "total":  # the chain adds it to the biases that the reliability is about
-            self._reliability = IntraProcessPublisher(self, JointReliability, RELIABILITY_TOPIC, RELIABLE_QOS)
+        self._reliability = IntraProcessPublisher(self, JointReliability, RELIABILITY_TOPIC, RELIABLE_QOS)
         self.add_cleanup(self._forget_scans)
         self.add_cleanup(self._inputs.clear)
         qos = sensor_subscription_qos(self.parameters)
@@ -283,7 +281,7 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
         """Make a stream for a scan of another layout; return the scan in plain CDR, empty if it is invalid."""
         try:
             data = schema_of_class(RawScan).normal(data)
-            stream = RawScanStream(self._posor, data, self.parameters.covariance)
+            stream = RawScanStream(self._posor, data)
         except TopicError as error:
             self._messages_refused += 1
             self._reported = None
@@ -348,9 +346,8 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
 
     def _publish_reliability(self) -> None:
         """Publish the reliability at the last pose, once a second, if there is a pose and somebody listens."""
-        publisher = self._reliability
         with self._lock:
-            if not self.may_publish or publisher is None or not publisher.has_subscriptions:
+            if not self.may_publish or not self._reliability.has_subscriptions:
                 return
             if self._stream is None or self._stream is not self._last_stream:
                 return  # a new estimator has seen no scan yet
@@ -360,7 +357,7 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
             matrices = EstimateMatrices.of(posor)
         fields = reliability_fields(posor, matrices, last.stamp_ns)  # without the lock: no scan waits for it
         data = schema_of_class(JointReliability).encode(fields)
-        run_when_idle(partial(publisher.publish, data))  # a piece of work of its own
+        run_when_idle(partial(self._reliability.publish, data))  # a piece of work of its own
 
 
 def _format_status(state: int, faults: int, excess: str, counts: dict[str, Value], scan: EstimatedScan) -> StatusText:

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 PLATES = ("posor_receiving", "posor_target")
 TURN = 2.0 * math.pi  # the joint has made one turn
+RANDOM_SHARE = 0.25  # of the variances of a transform
 LOSSLESS = {"lossless": True, "max_wait": 60.0, "alarm_count": 1, **HAND_FED}
 
 
@@ -35,7 +36,11 @@ def transform_of(seconds: int, pose: pin.SE3 | None = None, plates: tuple[str, s
     message.pose.position.x, message.pose.position.y, message.pose.position.z = x, y, z
     message.pose.orientation.x, message.pose.orientation.y = qx, qy
     message.pose.orientation.z, message.pose.orientation.w = qz, qw
-    message.covariance = np.diag([1.0, 1.0, 1.0, 1.0, 1.0, 4.0]).ravel() * 1e-12
+    covariance = np.diag([1.0, 1.0, 1.0, 1.0, 1.0, 4.0]).ravel() * 1e-12
+    message.covariance_random, message.covariance_systematic = (
+        RANDOM_SHARE * covariance,
+        (1.0 - RANDOM_SHARE) * covariance,
+    )
     alpha, beta, theta = native_from_rotation((pose or pin.SE3.Identity()).rotation)
     message.native = [x, y, z, alpha, beta, theta + TURN]
     return message

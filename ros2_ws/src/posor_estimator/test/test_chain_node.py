@@ -119,7 +119,7 @@ UNUSABLE: list[tuple[dict[str, Any], str]] = [
     ({"state": JointTransform.STATE_UNCOUNTED, "faults": JointTransform.FAULT_COUNT}, "joint1 is uncounted (COUNT)"),
     ({"pose.position.y": math.nan}, "joint1 has a pose"),
     ({"pose.orientation.w": 0.0}, "joint1 has an orientation"),
-    ({"covariance": [math.inf] * 36}, "joint1 has a covariance"),
+    ({"covariance_systematic": [math.inf] * 36}, "joint1 has a covariance"),
     ({"child_frame_id": "another_plate"}, "joint1: transforms from 'posor_receiving' to 'another_plate'"),
 ]
 

@@ -140,7 +140,7 @@ def test_a_refused_transform_is_the_reason_of_its_incomplete_scan() -> None:
 
 
 def test_a_beams_file_adds_sag_and_uncertainty_to_the_pose() -> None:
-    still = MeasuredJoint(pin.SE3.Identity(), np.zeros((6, 6)))
+    still = MeasuredJoint(pin.SE3.Identity())
     sag = load_chain(URDF, "t2", BEAMS).estimate(dict.fromkeys(PLATES, still)).T_base_endpoint.translation[2]
     assert sag < -1e-6
     with running(beams=str(BEAMS)) as rig:
@@ -164,8 +164,8 @@ def test_beams_in_motion_sag_differently_from_beams_at_rest() -> None:
             rig.send("elbow", second + 1)
         rig.wait_for_poses(scans)
         found = rig.poses[-1].pose.position.z
-    chain, exact = load_chain(URDF, "t2", BEAMS), np.zeros((6, 6))
-    joints = {"shoulder": MeasuredJoint(up, exact), "elbow": MeasuredJoint(pin.SE3.Identity(), exact)}
+    chain = load_chain(URDF, "t2", BEAMS)
+    joints = {"shoulder": MeasuredJoint(up), "elbow": MeasuredJoint(pin.SE3.Identity())}
     heavier = chain.estimate(joints, {"beam": np.array([0.0, 0.0, acceleration])}).T_base_endpoint
     at_rest = chain.estimate(joints).T_base_endpoint
     assert at_rest.translation[2] - heavier.translation[2] > 2e-11

@@ -16,7 +16,7 @@ from posor_msgs.msg import EndpointState, JointTransform
 from posor_ros.ros_arguments import ros_arguments
 from rclpy.qos import QoSProfile
 
-from .chain_program import PLATES, lost_transform, transform_of
+from .chain_program import PLATES, RANDOM_SHARE, lost_transform, transform_of
 from .live_topics import BRINGUP, PERIOD_S, POSOR, ScanSender
 
 if TYPE_CHECKING:
@@ -78,7 +78,8 @@ def rig() -> Iterator[Rig]:
 def has_pose(state: Any) -> bool:
     """Return whether the numbers of a state are all finite; all NaN otherwise."""
     position, orientation = state.pose.position, state.pose.orientation
-    numbers = np.array([position.x, position.y, position.z, orientation.x, orientation.w, *state.covariance])
+    numbers = np.array([position.x, position.y, position.z, orientation.x, orientation.w])
+    numbers = np.concatenate([numbers, state.covariance_random, state.covariance_systematic])
     assert np.isfinite(numbers).all() or np.isnan(numbers).all()
     return bool(np.isfinite(numbers[0]))
 
@@ -99,7 +100,9 @@ def test_a_sound_scan_has_a_pose_an_age_and_no_reason(rig: Rig) -> None:
     assert has_pose(state)
     assert 0.0 <= state.age < 1.0
     assert state.pose.position.x == pytest.approx(-0.84836)
-    assert np.reshape(state.covariance, (6, 6))[2, 2] > 0.0
+    random, systematic = (np.reshape(each, (6, 6)) for each in (state.covariance_random, state.covariance_systematic))
+    assert random[4, 4] == pytest.approx(RANDOM_SHARE * 4e-12, rel=1e-9)
+    assert systematic[4, 4] == pytest.approx((1.0 - RANDOM_SHARE) * 4e-12, rel=1e-9)
 
 
 def test_a_single_lost_scan_is_a_warning_and_several_in_a_row_an_error(rig: Rig) -> None:
@@ -214,13 +217,14 @@ def test_a_transform_without_a_stamp_is_refused_in_the_state(rig: Rig, plates: t
         ({"x": 0.001}, {}, "has native coordinates that are not finite or do not agree with its pose"),
     ],
 )
+@pytest.mark.parametrize("part", ["covariance_random", "covariance_systematic"])
 def test_numbers_that_cannot_be_are_refused_and_named(
-    rig: Rig, fields: dict[str, float], entries: dict[tuple[int, int], float], reason: str
+    rig: Rig, part: str, fields: dict[str, float], entries: dict[tuple[int, int], float], reason: str
 ) -> None:
     message, covariance = transform_of(1), SOUND_COVARIANCE.copy()
     for place, value in entries.items():
         covariance[place] = value
-    message.covariance = covariance.ravel()
+    setattr(message, part, covariance.ravel())
     message.pose.position.x = fields.get("x", 0.0)
     message.native[3] = fields.get("alpha", 0.0)
     state = rig.state_of(message)
@@ -234,7 +238,7 @@ LEVER = np.array([1.0, -2.0, 0.0, 0.0, 3.0, 1.0])
 @pytest.mark.parametrize("covariance", [np.zeros((6, 6)), 1e-12 * np.outer(LEVER, LEVER)], ids=["exact", "rank one"])
 def test_a_singular_covariance_is_accepted(rig: Rig, covariance: FloatArray) -> None:
     message = transform_of(1)
-    message.covariance = covariance.ravel()
+    message.covariance_random = message.covariance_systematic = covariance.ravel()
     assert rig.state_of(message).state == EndpointState.STATE_OK
 
 

@@ -33,12 +33,10 @@ if TYPE_CHECKING:
 
     from posor.calibration.designs import DesignName
     from posor.model.scan import Scan
-    from posor.node_parameters import CovarianceKind
 
 RAW_SCAN = schema_of_class(RawScan)
 JOINT_TRANSFORM = schema_of_class(JointTransform)
 COUNT = 30
-KINDS: tuple[CovarianceKind, ...] = ("random", "systematic", "total")
 BUMP = 2.0 * math.pi / BUMPS
 
 
@@ -65,12 +63,12 @@ def moving(posor: Posor, *, start: float = 0.05) -> list[RawScan]:
     return [message_of(scans[n]) for n in range(COUNT)]
 
 
-def expected(posor: Posor, messages: Sequence[RawScan], kind: CovarianceKind) -> list[bytes]:
+def expected(posor: Posor, messages: Sequence[RawScan]) -> list[bytes]:
     """Return the transforms that the core's estimates of scans make, scan by scan, as rclpy's messages."""
     frames = posor.calibration.frames
     scans = [scan_of(RAW_SCAN.serialize(message)) for message in messages]
     return [
-        JOINT_TRANSFORM.serialize(transform_message(message, posor.estimate(scan), frames.parent, frames.child, kind))
+        JOINT_TRANSFORM.serialize(transform_message(message, posor.estimate(scan), frames.parent, frames.child))
         for message, scan in zip(messages, scans, strict=True)
     ]
 
@@ -80,16 +78,15 @@ def decode(data: bytes | None) -> JointTransform:
     return deserialize_message(data, JointTransform)
 
 
-@pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("stack", STACKS)
-def test_bytes_of_transforms_are_those_of_the_estimates_messages(stack: DesignName, kind: CovarianceKind) -> None:
+def test_bytes_of_transforms_are_those_of_the_estimates_messages(stack: DesignName) -> None:
     calibration = design(stack, motion=True)
     messages = moving(Posor(calibration))
-    wanted = expected(Posor(calibration), messages, kind)
+    wanted = expected(Posor(calibration), messages)
     states = [decode(data).state for data in wanted]
     assert {int(State.LOST), int(State.OK)} <= set(states)
     raw = [RAW_SCAN.serialize(message) for message in messages]
-    stream = RawScanStream(Posor(calibration), raw[0], kind)
+    stream = RawScanStream(Posor(calibration), raw[0])
     assert [stream.estimate_message(data) for data in raw] == wanted
 
 
@@ -99,7 +96,7 @@ def test_only_the_next_scan_of_an_accepted_age_is_expected() -> None:
     template = ScanTemplate(RAW_SCAN.serialize(moving(Posor(calibration))[0]))
     stamps_ns = [NS + n * NS // 1000 for n in range(4)]
     raw = [template.at(stamp_ns, 7 + n) for n, stamp_ns in enumerate(stamps_ns)]
-    stream, unchecked = (RawScanStream(each, raw[0], "total") for each in (posor, other))
+    stream, unchecked = (RawScanStream(each, raw[0]) for each in (posor, other))
     stream.accept_ages(-5.0, 10.0)
     wanted = [unchecked.estimate_message(data) for data in raw]
     assert stream.last_stamp_and_number() is None
@@ -120,11 +117,11 @@ def test_only_the_next_scan_of_an_accepted_age_is_expected() -> None:
 def test_many_rows_at_once_are_the_bytes_of_one_after_the_other(stack: DesignName) -> None:
     calibration = design(stack, motion=True)
     raw = [RAW_SCAN.serialize(message) for message in moving(Posor(calibration))]
-    stream = RawScanStream(Posor(calibration), raw[0], "total")
+    stream = RawScanStream(Posor(calibration), raw[0])
     wanted = [stream.estimate_message(data) for data in raw]
     layout, transforms = (
         TableLayout.of(raw[0], RAW_SCAN),
-        joint_transform_layout(JOINT_TRANSFORM, "receiving", "target", "total"),
+        joint_transform_layout(JOINT_TRANSFORM, "receiving", "target"),
     )
     starts = np.arange(COUNT) * len(raw[0])
     rows = layout.read(np.frombuffer(b"".join(raw), dtype=np.uint8), starts, np.full(COUNT, len(raw[0])))
@@ -145,10 +142,10 @@ def test_the_path_of_plain_sensors_gives_the_bytes_of_the_estimates() -> None:
     messages = moving(Posor(calibration))
     messages[5].header.stamp.sec = messages[5].header.stamp.nanosec = 0
     raw = [RAW_SCAN.serialize(message) for message in messages]
-    stream = RawScanStream(in_python(Posor(calibration)), raw[0], "total")
+    stream = RawScanStream(in_python(Posor(calibration)), raw[0])
     found = [stream.estimate_message(data) for data in raw]
     assert decode(found.pop(5)).faults == Fault.BAD_READING
-    assert found == expected(in_python(Posor(calibration)), messages[:5] + messages[6:], "total")
+    assert found == expected(in_python(Posor(calibration)), messages[:5] + messages[6:])
     other = moving(Posor(calibration))[0]
     other.gap_voltages = [0.1]
     assert stream.estimate_message(RAW_SCAN.serialize(other)) is None
@@ -157,7 +154,7 @@ def test_the_path_of_plain_sensors_gives_the_bytes_of_the_estimates() -> None:
 def test_the_last_scan_and_its_estimate_are_kept() -> None:
     posor = Posor(design("triad_diodes"))
     messages = moving(posor)
-    stream, other = RawScanStream(posor, RAW_SCAN.serialize(messages[0]), "total"), Posor(posor.calibration)
+    stream, other = RawScanStream(posor, RAW_SCAN.serialize(messages[0])), Posor(posor.calibration)
     for message in messages:
         data = RAW_SCAN.serialize(message)
         stream.estimate_message(data)
@@ -174,7 +171,7 @@ def test_the_last_scan_and_its_estimate_are_kept() -> None:
 def test_a_change_of_the_light_source_counts_as_row_change() -> None:
     posor = Posor(design("triad_diodes"))
     messages = moving(posor)
-    stream = RawScanStream(posor, RAW_SCAN.serialize(messages[0]), "total")
+    stream = RawScanStream(posor, RAW_SCAN.serialize(messages[0]))
     seen = []
     for lit in ([0, 0], [0, 0], [1, 0], [1, 0], [0, 0]):
         messages[0].header.stamp.nanosec += 1
@@ -189,7 +186,7 @@ def test_another_state_or_fault_is_a_status_change(compiled: bool) -> None:  # n
     posor = Posor(design("triad_diodes"))
     posor = posor if compiled else in_python(posor)
     messages = moving(posor)[:7]
-    stream = RawScanStream(posor, RAW_SCAN.serialize(messages[0]), "total")
+    stream = RawScanStream(posor, RAW_SCAN.serialize(messages[0]))
     messages[3].gap_voltages[0] = messages[4].gap_voltages[0] = math.nan
     messages[5].diode_currents[0] *= 1.5
     seen = []
@@ -206,9 +203,9 @@ def test_a_scan_of_another_layout_is_not_estimated_and_changes_nothing() -> None
     calibration = design("triad_diodes")
     messages = moving(Posor(calibration))
     first, second = (RAW_SCAN.serialize(message) for message in messages[:2])
-    undisturbed = RawScanStream(Posor(calibration), first, "total")
+    undisturbed = RawScanStream(Posor(calibration), first)
     wanted = [undisturbed.estimate_message(data) for data in (first, second)]
-    stream = RawScanStream(Posor(calibration), first, "total")
+    stream = RawScanStream(Posor(calibration), first)
     assert stream.estimate_message(first) == wanted[0]
 
     def changed(**fields: Any) -> bytes:
@@ -241,7 +238,7 @@ def test_unusable_scans_are_lost_and_every_number_is_nan(spoil: str, known: bool
     sound, message = (moving(posor)[n] for n in range(2))
     before = RAW_SCAN.serialize(sound)
     if known:
-        assert decode(RawScanStream(posor, before, "total").estimate_message(before)).state == State.OK
+        assert decode(RawScanStream(posor, before).estimate_message(before)).state == State.OK
     reason = "the stamp is zero, or its nanoseconds are a second or more; expected the time of exposure."
     if spoil == "frame":
         message.header.frame_id = "elsewhere"
@@ -251,13 +248,20 @@ def test_unusable_scans_are_lost_and_every_number_is_nan(spoil: str, known: bool
     else:
         message.header.stamp.nanosec = 1_000_000_000
     data = RAW_SCAN.serialize(message)
-    stream = RawScanStream(posor, data, "total")
+    stream = RawScanStream(posor, data)
     lost = decode(stream.estimate_message(data))
     assert (lost.scan, lost.scan_status, lost.header.stamp) == (message.scan, message.status, message.header.stamp)
     assert (lost.header.frame_id, lost.child_frame_id) == ("receiving", "target")
     assert (lost.state, lost.faults, lost.redundancy) == (State.LOST, Fault.BAD_READING, 0)
     assert np.isnan(
-        [*lost.covariance, *lost.native, lost.residual, lost.pose.position.x, lost.pose.orientation.w]
+        [
+            *lost.covariance_random,
+            *lost.covariance_systematic,
+            *lost.native,
+            lost.residual,
+            lost.pose.position.x,
+            lost.pose.orientation.w,
+        ]
     ).all()
     assert (stream.status["state"].item(), stream.status["faults"].item()) == (State.LOST, Fault.BAD_READING)
     assert math.isnan(stream.last_scan().residual)
@@ -270,11 +274,11 @@ def test_unusable_scans_leave_count_and_previous_pose_alone(compiled: bool) -> N
     posor = posor if compiled else in_python(posor)
     messages = moving(posor, start=0.0)[: 1 + MARKS]
     raw = [RAW_SCAN.serialize(message) for message in messages]
-    undisturbed = RawScanStream(posor, raw[0], "total")
+    undisturbed = RawScanStream(posor, raw[0])
     wanted = [undisturbed.estimate_message(data) for data in raw]
     assert decode(wanted[-1]).state == State.OK
     posor.reset()
-    stream = RawScanStream(posor, raw[0], "total")
+    stream = RawScanStream(posor, raw[0])
     messages[0].header.stamp.sec = messages[0].header.stamp.nanosec = 0
     without_time = RAW_SCAN.serialize(messages[0])
     messages[1].header.frame_id = "elsewhere"
@@ -282,7 +286,7 @@ def test_unusable_scans_leave_count_and_previous_pose_alone(compiled: bool) -> N
     for data, expected_answer in zip(raw, wanted, strict=True):
         assert stream.estimate_message(data) == expected_answer
         assert decode(stream.estimate_message(without_time)).state == State.LOST
-        assert decode(RawScanStream(posor, foreign, "total").estimate_message(foreign)).state == State.LOST
+        assert decode(RawScanStream(posor, foreign).estimate_message(foreign)).state == State.LOST
 
 
 def test_wrong_numbers_of_readings_are_lost_with_a_sentence() -> None:
@@ -296,7 +300,7 @@ def test_wrong_numbers_of_readings_are_lost_with_a_sentence() -> None:
         for name, value in fields.items():
             setattr(message, name, value)
         data = RAW_SCAN.serialize(message)
-        stream, other = RawScanStream(Posor(calibration), data, "total"), Posor(calibration)
+        stream, other = RawScanStream(Posor(calibration), data), Posor(calibration)
         assert decode(stream.estimate_message(data)).state == State.LOST
         assert said in stream.last_scan().reason
         assert stream.last_scan().reason == other.estimate(scan_of(data)).reason
@@ -324,12 +328,12 @@ def test_a_scan_with_missing_sequences_is_estimated(given: tuple[bool, ...]) -> 
         elif not len(getattr(message, name)):
             setattr(message, name, [1e-3] * count)
     data = RAW_SCAN.serialize(message)
-    stream = RawScanStream(Posor(calibration), data, "total")
-    assert [stream.estimate_message(data)] == expected(Posor(calibration), [message], "total")
+    stream = RawScanStream(Posor(calibration), data)
+    assert [stream.estimate_message(data)] == expected(Posor(calibration), [message])
 
 
 def test_bytes_that_are_not_a_raw_scan_are_refused() -> None:
-    error = refusal(TopicError, RawScanStream, Posor(design("triad_diodes")), b"\x00\x01\x00\x00abc", "total")
+    error = refusal(TopicError, RawScanStream, Posor(design("triad_diodes")), b"\x00\x01\x00\x00abc")
     assert (error.where, error.what) == ("RawScan", "a message of 7 bytes ends within 'header.stamp.sec'")
 
 
@@ -351,7 +355,7 @@ def test_theta_is_counted_from_the_next_usable_scan(compiled: bool) -> None:  # 
     messages[0].gap_voltages[0] = math.inf
     with_bad_voltage = RAW_SCAN.serialize(messages[0])
     for before in ([], raw[:1], [without_time], [with_bad_voltage]):
-        stream = RawScanStream(estimator(), raw[0], "total")
+        stream = RawScanStream(estimator(), raw[0])
         for data in before:
             assert decode(stream.estimate_message(data)).state in (State.UNCOUNTED, State.LOST)
         stream.count_from_next()
@@ -373,7 +377,7 @@ def test_a_scan_is_the_same_whatever_its_padding_holds() -> None:
     for message in messages:
         message.header.frame_id = "r"
     first, second = (RAW_SCAN.serialize(message) for message in messages)
-    stream, other = RawScanStream(Posor(calibration), first, "total"), RawScanStream(Posor(calibration), first, "total")
+    stream, other = RawScanStream(Posor(calibration), first), RawScanStream(Posor(calibration), first)
     assert stream.estimate_message(first) == other.estimate_message(first)
     end = second.index(b"r\x00", 12) + 2
     padded = second[:end] + b"\xaa" * (-end % 4) + second[end + (-end % 4) :]

@@ -92,7 +92,7 @@ def test_a_transform_is_recognised_and_read_for_the_chain() -> None:
     every = list(estimates())
     measured = JointMeasurements.allocate(len(every), 1)
     rows = np.zeros((len(every), -(-(LEAD + kind.size) // 8) * 8), dtype=np.uint8)
-    messages = [transform_message(scan, estimate, "plate_r", "plate_t", "total") for estimate in every]
+    messages = [transform_message(scan, estimate, "plate_r", "plate_t") for estimate in every]
     for row, message in zip(rows, messages, strict=True):
         data = serialize_message(message)
         assert kind.matches(data)
@@ -100,11 +100,12 @@ def test_a_transform_is_recognised_and_read_for_the_chain() -> None:
         assert stamp_ns_of(data[STAMP]) == scan_from_message(scan).stamp_ns
         row[LEAD : LEAD + kind.size] = np.frombuffer(data, dtype=np.uint8)[: kind.size]
     for n, message in enumerate(messages):
-        pose, covariance, layouts = measured.poses[n, 0], measured.covariances[n, 0], kind.row_layout.record
-        measured.thetas[n, 0] = read_row(layouts, 0, rows[n].view(np.float64), pose, covariance)
+        _, pose, random, systematic, _ = (array[n, 0] if array.ndim > 1 else array for array in measured)
+        measured.thetas[n, 0] = read_row(kind.row_layout.record, 0, rows[n].view(np.float64), pose, random, systematic)
         p, q = message.pose.position, message.pose.orientation
         assert measured.poses[n, 0].tobytes() == np.array([p.x, p.y, p.z, q.x, q.y, q.z, q.w]).tobytes()
-        assert measured.covariances[n, 0].tobytes() == np.asarray(message.covariance).tobytes()
+        assert random.tobytes() == np.asarray(message.covariance_random).tobytes()
+        assert systematic.tobytes() == np.asarray(message.covariance_systematic).tobytes()
         theta = math.inf if message.state == State.LOST else message.native[5]
         assert repr(float(measured.thetas[n, 0])) == repr(float(theta))
         assert rows[n, kind.row_layout.state] == message.state
@@ -113,7 +114,7 @@ def test_a_transform_is_recognised_and_read_for_the_chain() -> None:
 def test_a_transform_between_other_plates_is_not_taken() -> None:
     scan, estimate = next(scans((3, 0, 8))), next(estimates())
     own, other, longer = (
-        JOINT_TRANSFORM.serialize(transform_message(scan, estimate, "plate_r", child, "total"))
+        JOINT_TRANSFORM.serialize(transform_message(scan, estimate, "plate_r", child))
         for child in ("plate_t", "plate_s", "another plate")
     )
     kind = JointTransformFormat("plate_r", "plate_t")
@@ -124,7 +125,7 @@ def test_a_transform_between_other_plates_is_not_taken() -> None:
 
 def test_a_transform_is_taken_whatever_its_padding_holds() -> None:
     scan, estimate = next(scans((3, 0, 8))), next(estimates())
-    own = JOINT_TRANSFORM.serialize(transform_message(scan, estimate, "r", "t", "total"))
+    own = JOINT_TRANSFORM.serialize(transform_message(scan, estimate, "r", "t"))
     gap = own.index(b"r\x00", 12) + 2
     padded = own[:gap] + b"\xaa" * (-gap % 4) + own[gap + (-gap % 4) :]
     assert padded != own

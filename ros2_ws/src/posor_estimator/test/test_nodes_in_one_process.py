@@ -178,7 +178,7 @@ def test_invalid_messages_are_refused_and_the_next_scan_is_estimated(scans: list
             publish_and_wait(data, words)
         assert values_of(graph.latest("/joint1/posor_node: estimate"))["messages_refused"] == "3"
         arm.posor._publisher.publish(JOINT_TRANSFORM.serialize(JointTransform())[:100])
-        said = "no pose: joint1: JointTransform: a message of 100 bytes ends within 'covariance'"
+        said = "no pose: joint1: JointTransform: a message of 100 bytes ends within 'covariance_random'"
         graph.wait_until(
             lambda: said in getattr(graph.latest("/chain_node: endpoint"), "message", ""), said, arm.spin_once
         )

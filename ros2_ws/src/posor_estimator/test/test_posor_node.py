@@ -114,7 +114,7 @@ def test_an_invalid_calibration_or_parameter_is_refused(tmp_path: Path, capfd: p
         ({"calibration": str(missing)}, 1, f"calibration file {missing}: cannot be read: "),
         ({"calibration": str(wrong)}, 1, f"{wrong}, line "),
         ({"calibration": str(CALIBRATION), "session": "ymx"}, 1, "calibration 'slocum1985_printed': session 'ymx'"),
-        ({"calibration": str(CALIBRATION), "covariance": "all"}, 2, "node /posor_node, parameter 'covariance': "),
+        ({"calibration": str(CALIBRATION), "covariance": "total"}, 2, "node /posor_node, parameter 'covariance': "),
     ):
         found, (sentence,) = run_refused_node(PosorEstimatorNode, parameters, capfd)
         assert found == code
@@ -158,11 +158,11 @@ def test_a_sound_scan_becomes_a_transform_of_its_own_time_and_frames(rig: NodeRi
     assert (transform.header.frame_id, transform.child_frame_id) == PLATES
     assert (transform.scan, transform.scan_status) == (5, RawScan.STATUS_OUTLIERS_DROPPED)
     assert (transform.state, transform.faults) == (JointTransform.STATE_OK, JointTransform.FAULT_NONE)
-    assert transform.covariance_kind == JointTransform.COVARIANCE_TOTAL
     assert transform.redundancy == 1
-    covariance = np.reshape(transform.covariance, (6, 6))
-    np.testing.assert_allclose(covariance, covariance.T, rtol=1e-9)
-    assert (np.linalg.eigvalsh(covariance) > 0.0).all()
+    for part in (transform.covariance_random, transform.covariance_systematic):
+        covariance = np.reshape(part, (6, 6))
+        np.testing.assert_allclose(covariance, covariance.T, rtol=1e-9)
+        assert (np.linalg.eigvalsh(covariance) > 0.0).all()
     position = transform.pose.position
     assert list(transform.native[:3]) == [position.x, position.y, position.z]
     # The calibration's home is this step: level, about zero theta as far as the diodes' maps know.
@@ -202,7 +202,7 @@ def test_an_invalid_scan_is_lost_and_the_next_sound_scan_is_estimated(
         assert lost.header.stamp == scan.header.stamp
         position, orientation = lost.pose.position, lost.pose.orientation
         pose = [position.x, position.y, position.z, orientation.x, orientation.y, orientation.z, orientation.w]
-        assert np.isnan([*pose, *lost.native, *lost.covariance]).all(), path
+        assert np.isnan([*pose, *lost.native, *lost.covariance_random, *lost.covariance_systematic]).all(), path
         status = wait_for_value(graph, "/posor_node: estimate", "reason", f"scan {10 * case}")
         assert status.level == b"\x02"
         assert status.message.startswith("lost: ")

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from posor.chain.forward_kinematics import Endpoints
     from posor.chain.kinematic_chain import Chain
     from posor.messages.raw_scan import RecordedScans
-    from posor.node_parameters import ChainParameters, CovarianceKind
+    from posor.node_parameters import ChainParameters
     from posor.numerics.array_types import BoolArray, FloatArray, IntArray
 
 NO_SCANS = Scans.from_fields(stamps_ns=np.empty(0, dtype=np.int64))
@@ -37,7 +37,6 @@ class ArmEstimator:
 
     Attributes:
         frames: Receiving and target frame of each joint.
-        covariance_kinds: Part of the uncertainty in the covariances of each joint.
         endpoint: The kinematic chain; None: joints only.
 
     """
@@ -46,10 +45,8 @@ class ArmEstimator:
         """Load calibrations and chain. Raises PosorError: a calibration, the chain or a parameter is invalid."""
         calibrations = {name: joint.load() for name, joint in settings.joints.items()}
         self.frames = {name: (each.frames.parent, each.frames.child) for name, each in calibrations.items()}
-        self.covariance_kinds = {name: joint.covariance for name, joint in settings.joints.items()}
         self._joints = {
-            name: _JointEstimator(calibrations[name], joint.covariance, joint.false_alarm)
-            for name, joint in settings.joints.items()
+            name: _JointEstimator(calibrations[name], joint.false_alarm) for name, joint in settings.joints.items()
         }
         loaded = settings.load_chain()
         self.endpoint = None if loaded is None else EndpointPipeline(*loaded, self.frames)
@@ -89,14 +86,13 @@ class ArmEstimator:
 class _JointEstimator:
     """Estimates the transforms of one joint, each scan from the pose before; counts scans, lost ones also by fault."""
 
-    def __init__(self, calibration: Calibration, kind: CovarianceKind, false_alarm: float) -> None:
+    def __init__(self, calibration: Calibration, false_alarm: float) -> None:
         self._posor = Posor(calibration, false_alarm=false_alarm)
-        self._kind = kind
         self.scans = self.lost = 0
         self.faults: Counter[str] = Counter()
 
     def estimate(self, scans: Sequence[RecordedScans]) -> Estimates:
-        parts = [estimate_joint(self._posor, each, self._kind) for each in scans]
+        parts = [estimate_joint(self._posor, each) for each in scans]
         estimates = Estimates.concatenate(parts) if parts else self._posor.estimate_all(NO_SCANS)
         lost = estimates.states == int(State.LOST)
         self.scans += len(estimates)
@@ -159,11 +155,16 @@ class EndpointPipeline:
         all_usable: BoolArray = np.all(usable, axis=0)
         if not all_usable.all():
             complete = [each[all_usable] for each in complete]
+
+        def of_joints(name: str) -> FloatArray:
+            return np.stack([each[name] for each in complete], axis=1)
+
         endpoints = self._estimator.estimate_all(
-            np.stack([each["pose"] for each in complete], axis=1),
-            np.stack([each["covariance"] for each in complete], axis=1),
+            of_joints("pose"),
+            of_joints("covariance_random"),
+            of_joints("covariance_systematic"),
             complete[0]["stamp_ns"],
-            np.stack([each["theta"] for each in complete], axis=1),
+            of_joints("theta"),
         )
         usable[:, all_usable] &= endpoints.faults.T == 0
         self._count(states, usable)
@@ -191,13 +192,20 @@ class EndpointPipeline:
 
     def _endpoint_estimates(self, complete: Sequence[NDArray[np.void]], endpoints: Endpoints) -> EndpointEstimates:
         """Return the valid endpoints, relative to the first one if requested."""
-        sound, poses, covariances = endpoints.usable, endpoints.poses, endpoints.covariances
+        sound = endpoints.usable
         if self._relative and sound.any():
             if self._home is None:
-                self._home = poses[int(np.argmax(sound))].copy()
-            poses, covariances = endpoints.relative_to(self._home)
+                self._home = endpoints.poses[int(np.argmax(sound))].copy()
+            endpoints = endpoints.relative_to(self._home)
         log_times_ns = np.max([each["log_time_ns"] for each in complete], axis=0)
-        found = EndpointEstimates(log_times_ns, complete[0]["stamp_ns"], poses, covariances, endpoints.angles)
+        found = EndpointEstimates(
+            log_times_ns,
+            complete[0]["stamp_ns"],
+            endpoints.poses,
+            endpoints.covariances_random,
+            endpoints.covariances_systematic,
+            endpoints.angles,
+        )
         return found if sound.all() else found.select(sound)
 
 
@@ -205,5 +213,6 @@ def _joint_rows(estimates: Estimates, order: IntArray) -> NDArray[np.void]:
     rows: NDArray[np.void] = np.empty(len(estimates), dtype=JOINT_ROWS)
     rows["order"], rows["log_time_ns"], rows["stamp_ns"] = order, estimates.log_times_ns, estimates.stamps_ns
     rows["state"], rows["theta"], rows["pose"] = estimates.states, estimates.thetas, estimates.poses
-    rows["covariance"] = estimates.covariances()
+    rows["covariance_random"] = estimates.covariances_random
+    rows["covariance_systematic"] = estimates.covariances_systematic
     return rows

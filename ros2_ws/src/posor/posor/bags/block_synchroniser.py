@@ -27,7 +27,8 @@ JOINT_ROWS = np.dtype(  # a joint's transform as the chain needs it
         ("state", "i8"),
         ("theta", "f8"),
         ("pose", "f8", (7,)),
-        ("covariance", "f8", (6, 6)),
+        ("covariance_random", "f8", (6, 6)),
+        ("covariance_systematic", "f8", (6, 6)),
     ]
 )
 MOST_OPEN = 65_536  # transforms of a joint that may wait for others; then the oldest are given up, to bound memory

@@ -23,8 +23,11 @@ Result = ArmEstimates | Estimates | EndpointEstimates | Scans | ErrorBudget | Re
 POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
 NATIVE = tuple(f"native_{name}" for name in ("x", "y", "gap", "alpha", "beta", "theta"))
 AXES = ("x", "y", "z", "rx", "ry", "rz")
-COVARIANCE = tuple(f"cov_{row}_{column}" for row in AXES for column in AXES)
-"""Covariance of x, y, z [m] and small turns about X, Y, Z [rad], row by row (``posor_msgs/JointTransform``)."""
+COVARIANCES = {
+    f"covariances_{part}": tuple(f"cov_{part}_{row}_{column}" for row in AXES for column in AXES)
+    for part in ("random", "systematic")
+}
+"""Columns of each covariance of x, y, z [m] and small turns about X, Y, Z [rad], row by row, by its attribute."""
 JOINT_COLUMNS = {
     "scan": ("numbers", np.uint64),
     "residual": ("residuals", np.float64),
@@ -42,8 +45,7 @@ def joint_columns(estimates: Estimates) -> dict[str, Any]:
     columns |= {name: getattr(estimates, of).astype(kind) for name, (of, kind) in JOINT_COLUMNS.items()}
     columns |= _split(POSE, estimates.poses)
     columns |= _split(NATIVE, estimates.natives)
-    columns |= _split(COVARIANCE, estimates.covariances().reshape(-1, 36))
-    return columns
+    return columns | _covariance_columns(estimates)
 
 
 def endpoint_columns(estimates: EndpointEstimates, joints: Sequence[str] = ()) -> dict[str, Any]:
@@ -51,7 +53,7 @@ def endpoint_columns(estimates: EndpointEstimates, joints: Sequence[str] = ()) -
     joints = joints or [str(n) for n in range(estimates.angles.shape[1])]
     columns: dict[str, Any] = {"log_time_ns": estimates.log_times_ns, "stamp_ns": estimates.stamps_ns}
     columns |= _split(POSE, estimates.poses)
-    columns |= _split(COVARIANCE, estimates.covariances.reshape(-1, 36))
+    columns |= _covariance_columns(estimates)
     columns |= _split([f"angle_{joint}" for joint in joints], estimates.angles)
     return columns
 
@@ -67,6 +69,11 @@ def scan_columns(scans: Scans) -> dict[str, Any]:
     columns |= _split([f"lit_source_{n}" for n in range(scans.lit_sources.shape[1])], scans.lit_sources)
     columns |= {"supply_voltage": scans.supply_voltages, "temperature": scans.temperatures}
     return columns | {"at_home": scans.at_home.astype(np.bool_)}
+
+
+def _covariance_columns(estimates: Estimates | EndpointEstimates) -> dict[str, Any]:
+    parts = (_split(names, getattr(estimates, of).reshape(-1, 36)) for of, names in COVARIANCES.items())
+    return {name: column for part in parts for name, column in part.items()}
 
 
 def _split(names: Sequence[str], numbers: FloatArray | IntArray) -> dict[str, FloatArray | IntArray]:

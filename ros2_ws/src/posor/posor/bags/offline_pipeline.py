@@ -31,7 +31,6 @@ if TYPE_CHECKING:
 
     from posor.bags.block_reader import MessageBlock
     from posor.bags.reprocess_task import JointSettings
-    from posor.node_parameters import CovarianceKind
 
 
 def topics_of(bag: Path, joints: Mapping[str, JointSettings]) -> BagTopics:
@@ -158,25 +157,20 @@ def _open_output(task: Task, folder: Path, topics: BagTopics, estimator: ArmEsti
 class Arm(ArmFile):
     """An arm file with its paths resolved, which estimates recorded scans."""
 
-    def estimate(
-        self, bag: Path | str, *, covariance: CovarianceKind | None = None, false_alarm: float | None = None
-    ) -> ArmEstimates:
+    def estimate(self, bag: Path | str, *, false_alarm: float | None = None) -> ArmEstimates:
         """Return the poses and covariances of all joints and of the endpoint, as the nodes would have published them.
 
         Args:
             bag: Folder with metadata.yaml, or a single .mcap or .db3 file, with scans on topics ``.../<joint>/raw``.
-            covariance: Part of the uncertainty in the endpoint's covariances, and in ``Estimates.covariances()`` of
-                the joints: from the readings' noise (random), from the calibration (systematic), or both (total).
-                None: the part that the arm file states for each joint; total where the file states no part.
             false_alarm: Probability that the chi-square test rejects a correct scan; None: as the arm file states.
 
         Raises:
-            ParameterError: There is no such part of the uncertainty, or ``false_alarm`` is not a probability.
+            ParameterError: ``false_alarm`` is not a probability.
             PosorError: The bag, a calibration or the kinematic chain cannot be used.
 
         """
         path = checked_path(bag, "Arm.estimate", "the path of a bag")
-        settings = Settings.of_arm(self).with_estimation(covariance=covariance, false_alarm=false_alarm)
+        settings = Settings.of_arm(self).with_false_alarm(false_alarm)
         estimator = ArmEstimator(settings)
         parts = list(estimate_bag(path, topics_of(path, settings.joints), estimator))
         joints = {name: Estimates.concatenate([part.joints[name] for part in parts]) for name in settings.joints}

@@ -32,7 +32,6 @@ if TYPE_CHECKING:
 
 
 WIDTH = 118
-COVARIANCES = ("total", "random", "systematic")
 
 
 def parser() -> CommandLineParser:
@@ -53,7 +52,6 @@ def parser() -> CommandLineParser:
     command.add_argument("--endpoint-frame", metavar="LINK", help="link of the URDF that is the endpoint")
     command.add_argument("--acceleration-window", type=float, metavar="S", help="as the parameter of chain_node [s]")
     command.add_argument("--reference", choices=("absolute", "home"), help="as the parameter of chain_node")
-    command.add_argument("--covariance", choices=COVARIANCES, help="as the parameter of posor_node")
     command.add_argument("--false-alarm", type=float, metavar="P", help="as the parameter of posor_node")
     text = "folder for the results; of several bags, a folder of such folders (default: only a summary)"
     command.add_argument("--output", type=Path, help=text)
@@ -142,8 +140,7 @@ def _settings(options: argparse.Namespace) -> Settings:
     if chain and "urdf" not in chain:
         option = next(iter(chain)).replace("_", "-")
         raise ParameterError("there is no robot description", where=f"option --{option}", expected="--urdf too")
-    settings = Settings(joints, chain or None)
-    return settings.with_estimation(covariance=options.covariance, false_alarm=options.false_alarm)
+    return Settings(joints, chain or None).with_false_alarm(options.false_alarm)
 
 
 def _by_joint(option: str, given: Sequence[str], joints: Collection[str] = ()) -> dict[str, str]:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 from posor.calibration.calibration_file import load_calibration
 from posor.chain.arm_file import CHAIN_NODE, POSOR_NODE, chain_parameters, posor_parameters
 from posor.chain.kinematic_chain import load_chain
-from posor.errors import ParameterError, check_probability
-from posor.node_parameters import COVARIANCE_KINDS, ChainParameters, PosorParameters
+from posor.errors import check_probability
+from posor.node_parameters import ChainParameters, PosorParameters
 from posor.parameter_model import validate_parameters
 from posor.ros_names import RAW_TOPIC, TRANSFORM_TOPIC
 
@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from posor.chain.arm_file import ArmFile, ParameterValue
     from posor.chain.kinematic_chain import Chain
     from posor.messages.cdr_schema import Schema
-    from posor.node_parameters import CovarianceKind
 
 Format = Literal["bag", "parquet", "csv"]
 FORMATS: tuple[Format, ...] = ("bag", "parquet", "csv")
@@ -36,7 +35,6 @@ class JointSettings:
     calibration: Path  # path of the file
     session: str = ""  # of the calibration; empty: none
     topic: str = ""  # of the raw scans; empty: the only one of the bag that ends in ``/<joint>/raw``
-    covariance: CovarianceKind = "total"  # part of the uncertainty in the transforms' covariances
     false_alarm: float = 1e-3  # see ``Posor``
 
     def load(self) -> Calibration:
@@ -60,22 +58,20 @@ class Settings:
         joints = {}
         for name, calibration in arm.calibrations.items():
             node = validate_parameters(PosorParameters, posor_parameters(arm, name), node=f"{name}/{POSOR_NODE}")
-            joints[name] = JointSettings(
-                calibration, arm.sessions[name], covariance=node.covariance, false_alarm=node.false_alarm
-            )
+            joints[name] = JointSettings(calibration, arm.sessions[name], false_alarm=node.false_alarm)
         return Settings(joints, chain_parameters(arm))
 
-    def with_estimation(self, *, covariance: CovarianceKind | None, false_alarm: float | None) -> Settings:
-        """Return the settings with other values of all joints; None: as they are.
+    def with_false_alarm(self, false_alarm: float | None) -> Settings:
+        """Return the settings with this probability for all joints; None: as they are.
 
-        Raises ParameterError: there is no such part of the uncertainty, or ``false_alarm`` is not a probability.
+        Raises ParameterError: ``false_alarm`` is not a probability.
         """
-        changes: dict[str, Any] = {"covariance": covariance, "false_alarm": false_alarm}
-        changes = {name: value for name, value in changes.items() if value is not None}
-        if (kind := str(changes.get("covariance", "total"))) not in COVARIANCE_KINDS:
-            raise ParameterError(f"'{kind}' is unknown", where="covariance", expected=", ".join(COVARIANCE_KINDS))
-        check_probability(changes.get("false_alarm", 0.5), "false_alarm")
-        return replace(self, joints={name: replace(joint, **changes) for name, joint in self.joints.items()})
+        if false_alarm is None:
+            return self
+        check_probability(false_alarm, "false_alarm")
+        return replace(
+            self, joints={name: replace(joint, false_alarm=false_alarm) for name, joint in self.joints.items()}
+        )
 
     def load_chain(self) -> tuple[Chain, ChainParameters] | None:
         """Return the kinematic chain and the parameters of chain_node; None without a chain.

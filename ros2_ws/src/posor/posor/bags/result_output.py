@@ -59,7 +59,7 @@ class BagOutput:
         self._joints = {
             name: (
                 self._add_topic(topic, JOINT_TRANSFORM, topics.offered),
-                joint_transform_layout(transform, *estimator.frames[name], estimator.covariance_kinds[name]),
+                joint_transform_layout(transform, *estimator.frames[name]),
             )
             for name, topic in topics.transforms.items()
         }

@@ -31,14 +31,15 @@ if TYPE_CHECKING:
 class EndpointEstimator:
     """Estimates endpoints scan after scan; ``Chain.estimator`` makes one.
 
-    Fill ``poses``, ``covariances`` and ``thetas`` in place and call ``estimate``, or fill ``rows`` and call
+    Fill ``poses``, both covariances and ``thetas`` in place and call ``estimate``, or fill ``rows`` and call
     ``estimate_rows``. All arrays stay the same objects from scan to scan. If a joint is unusable, every number of the
     endpoint is NaN. One scan and many give the same bits; both continue the motion seen before.
 
     Attributes:
         joints: Names of the joints, in the order of all arrays of joints.
         poses: Target plates in receiving plates, (j, 7): x, y, z [m], unit quaternion x, y, z, w.
-        covariances: Of the same, (j, 6, 6), as ``MeasuredJoint.covariance``.
+        covariances_random: Of the same, (j, 6, 6), as ``MeasuredJoint.covariance_random``.
+        covariances_systematic: Of the same, (j, 6, 6), as ``MeasuredJoint.covariance_systematic``.
         thetas: Counted large rotations of the joints [rad], (j,), for ``angles``; NaN: not counted.
         beam_transforms: Plates at the beams' ends in the plates at their starts, with the sag of the last scan, (b, 7),
             as ``poses``.
@@ -46,11 +47,13 @@ class EndpointEstimator:
             if there is none.
         rows: Serialised measurements of one scan, (j, bytes).
         pose: Endpoint in the base frame, (7,), as ``poses``.
-        covariance: Of the same, (6, 6), as ``Endpoint.covariance``.
+        covariance_random: Of the same, (6, 6), as ``Endpoint.covariance_random``.
+        covariance_systematic: Of the same, (6, 6), as ``Endpoint.covariance_systematic``.
         angles: Joint angles about the nominal axes [rad], (j,).
         faults: Of the joints, (j,): zero, or a key of ``joint_measurements.FAULT_TEXTS``.
         relative_pose: Endpoint in the axes at home, (7,), written by ``estimate_relative_to``.
-        relative_covariance: Of the same, (6, 6).
+        relative_covariance_random: Of the same, (6, 6).
+        relative_covariance_systematic: Of the same, (6, 6).
 
     """
 
@@ -72,23 +75,27 @@ class EndpointEstimator:
         self._history = BeamHistory.allocate(acceleration_window, len(arm.beams))
         self._measurements = JointMeasurements.allocate(1, len(joints))
         self._endpoints = Endpoints.allocate(1, len(joints))
-        self._relative = self._endpoints._replace(poses=np.full((1, 7), np.nan), covariances=np.full((1, 6, 6), np.nan))
+        self._relative = self._endpoints.with_own_poses()
         self._rows = JointRows.allocate(row_layouts)
         self.rows = self._rows.octets
         self._stamp_ns, *measured = self._measurements
-        self.poses, self.covariances, self.thetas = (array[0] for array in measured)
+        self.poses, self.covariances_random, self.covariances_systematic, self.thetas = (array[0] for array in measured)
         self.accelerations = self._history.accelerations.reshape(-1, 3)
         self.beam_transforms = self._history.transforms
         for row, beam in zip(self.beam_transforms, arm.beams, strict=True):  # without sag; stays of beams off the way
             row[:] = pin.SE3ToXYZQUAT(pin.SE3(beam["rotation"], beam["translation"]))
-        self.pose, self.covariance, self.angles, self.faults = (array[0] for array in self._endpoints)
-        self.relative_pose, self.relative_covariance = self._relative.poses[0], self._relative.covariances[0]
+        self.pose, self.covariance_random, self.covariance_systematic, self.angles, self.faults = (
+            array[0] for array in self._endpoints
+        )
+        self.relative_pose, self.relative_covariance_random, self.relative_covariance_systematic = (
+            array[0] for array in self._relative[:3]
+        )
         self._prepare_arguments()
         self._estimate = compile_for(estimate_endpoints, self._arguments)
         self._estimate_rows = compile_for(estimate_endpoint_of_rows, self._row_arguments)
 
     def set_measurements(self, measured: Mapping[str, MeasuredJoint]) -> None:
-        """Fill ``poses`` and ``covariances`` with measurements by joint name.
+        """Fill ``poses`` and both covariances with measurements by joint name.
 
         Raises ChainError: the measurement of a joint is missing.
         """
@@ -100,10 +107,11 @@ class EndpointEstimator:
                     expected=f"a measurement of each of {', '.join(self.joints)}",
                 )
             self.poses[number] = pin.SE3ToXYZQUAT(measured[name].T_parent_child)
-            self.covariances[number] = measured[name].covariance
+            self.covariances_random[number] = measured[name].covariance_random
+            self.covariances_systematic[number] = measured[name].covariance_systematic
 
     def estimate(self, stamp_ns: int = 0) -> bool:
-        """Estimate the endpoint from ``poses``, ``covariances`` and ``thetas``; return whether there is one.
+        """Estimate the endpoint from ``poses``, both covariances and ``thetas``; return whether there is one.
 
         ``stamp_ns``: time of the scan, for the accelerations of the beams. If time goes back, their history is emptied.
         """
@@ -122,16 +130,17 @@ class EndpointEstimator:
     def estimate_all(
         self,
         poses: FloatArray,
-        covariances: FloatArray,
+        covariances_random: FloatArray,
+        covariances_systematic: FloatArray,
         stamps_ns: IntArray | None = None,
         thetas: FloatArray | None = None,
     ) -> Endpoints:
         """Return the endpoints of n scans, bit for bit as ``estimate`` gives them one after the other.
 
-        Of the attributes only ``accelerations`` are used. ``poses``: (n, j, 7), as the attribute; ``covariances``:
-        (n, j, 6, 6), as the attribute; ``stamps_ns``: times of the scans, (n,); required with an acceleration window;
-        ``thetas``: (n, j), as the attribute; None: turns are not counted. Raises ChainError: an array has the wrong
-        shape, or there is an acceleration window but no stamps.
+        Of the attributes only ``accelerations`` are used. ``poses``: (n, j, 7), ``covariances_random`` and
+        ``covariances_systematic``: (n, j, 6, 6), as the attributes; ``stamps_ns``: times of the scans, (n,); required
+        with an acceleration window; ``thetas``: (n, j), as the attribute; None: turns are not counted. Raises
+        ChainError: an array has the wrong shape, or there is an acceleration window but no stamps.
         """
         count, joints = len(poses), len(self.joints)
         if stamps_ns is None:
@@ -142,16 +151,18 @@ class EndpointEstimator:
         shapes = {
             "stamps_ns": (stamps_ns, (count,)),
             "poses": (poses, (count, joints, 7)),
-            "covariances": (covariances, (count, joints, 6, 6)),
+            "covariances_random": (covariances_random, (count, joints, 6, 6)),
+            "covariances_systematic": (covariances_systematic, (count, joints, 6, 6)),
             "thetas": (thetas, (count, joints)),
         }
         for name, (array, shape) in shapes.items():
             if array.shape != shape:
                 raise ChainError(f"{name} of shape {array.shape}", where="the chain", expected=f"{shape}")
         # The kernel is compiled for exactly these array types; read-only arrays are copied.
+        numbers = poses, covariances_random, covariances_systematic, thetas
         measurements = JointMeasurements(
             np.require(stamps_ns, np.int64, ["C", "A", "W"]),
-            *(np.require(array, np.float64, ["C", "A", "W"]) for array in (poses, covariances, thetas)),
+            *(np.require(array, np.float64, ["C", "A", "W"]) for array in numbers),
         )
         endpoints, done = Endpoints.allocate(count, joints), 0
         while (done := self._estimate(self._arm, self._history, measurements, endpoints, done)) < count:
@@ -159,13 +170,18 @@ class EndpointEstimator:
         return endpoints
 
     def estimate_relative_to(self, home: FloatArray) -> None:
-        """Write ``relative_pose`` and ``relative_covariance``; ``home``, (7,), is an endpoint taken as exact."""
-        endpoints, relative = self._endpoints, self._relative
-        write_relative(home, endpoints.poses, endpoints.covariances, relative.poses, relative.covariances)
+        """Write the relative pose and its covariances; ``home``, (7,), is an endpoint taken as exact."""
+        write_relative(home, self._endpoints, self._relative)
 
-    def result(self, *, relative: bool) -> tuple[FloatArray, FloatArray]:
-        """Return the arrays of pose and covariance of the endpoint in the base frame, or in the axes at home."""
-        return (self.relative_pose, self.relative_covariance) if relative else (self.pose, self.covariance)
+    def covariance(self) -> FloatArray:
+        """Return the sum of both covariances of the endpoint, (6, 6)."""
+        return self.covariance_random + self.covariance_systematic
+
+    def result(self, *, relative: bool) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return the arrays of pose, random and systematic covariance, in the base frame or in the axes at home."""
+        if relative:
+            return self.relative_pose, self.relative_covariance_random, self.relative_covariance_systematic
+        return self.pose, self.covariance_random, self.covariance_systematic
 
     def fault_text(self) -> str:
         """Return why the last scan has no endpoint; empty if it has one."""

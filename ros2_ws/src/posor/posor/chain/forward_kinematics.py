@@ -1,7 +1,8 @@
 """Pose and covariance of the endpoint in one pass along the arm, with the sag of its beams.
 
 The covariance of a point is of x, y, z [m], about X, Y, Z [rad], axes of the base, the small turn applied on the base's
-side at the point. It is propagated from joint to joint as ``Blocks``: position, position and turn, turn.
+side at the point. It is propagated from joint to joint as ``Blocks``: position, position and turn, turn. The random
+part (white from scan to scan) and the systematic part (common to all scans, with that of the beams) go separate ways.
 
 Checked against pinocchio's forward kinematics and Jacobian by ``test/chain/test_endpoint_estimator.py``.
 """
@@ -58,7 +59,8 @@ class Endpoints(NamedTuple):
     """Endpoints of n scans of an arm of j joints; all numbers of a scan are NaN where a joint has a fault."""
 
     poses: FloatArray  # endpoint in the chain's base frame, (n, 7): x, y, z [m], unit quaternion x, y, z, w
-    covariances: FloatArray  # (n, 6, 6), as ``Endpoint.covariance``
+    covariances_random: FloatArray  # (n, 6, 6), as ``Endpoint.covariance_random``
+    covariances_systematic: FloatArray  # (n, 6, 6), as ``Endpoint.covariance_systematic``
     angles: FloatArray  # joint angles about the nominal axes [rad], (n, j)
     faults: IntArray  # (n, j): zero, or a key of ``joint_measurements.FAULT_TEXTS``
 
@@ -67,7 +69,7 @@ class Endpoints(NamedTuple):
         """Return NaN for all scans, without faults."""
         return cls(
             np.full((scans, 7), np.nan),
-            np.full((scans, 6, 6), np.nan),
+            *np.full((2, scans, 6, 6), np.nan),
             np.full((scans, joints), np.nan),
             np.zeros((scans, joints), dtype=np.int64),
         )
@@ -78,11 +80,19 @@ class Endpoints(NamedTuple):
         usable: BoolArray = np.all(self.faults == 0, axis=1)
         return usable
 
-    def relative_to(self, home: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return poses (n, 7) and covariances (n, 6, 6) in the axes of the pose ``home``, (7,), taken as exact."""
-        result = self._replace(poses=np.empty_like(self.poses), covariances=np.empty_like(self.covariances))
-        write_relative(home, self.poses, self.covariances, result.poses, result.covariances)
-        return result.poses, result.covariances
+    def covariances(self) -> FloatArray:
+        """Return the sums of both covariances, (n, 6, 6)."""
+        return self.covariances_random + self.covariances_systematic
+
+    def relative_to(self, home: FloatArray) -> Endpoints:
+        """Return the endpoints in the axes of the pose ``home``, (7,), taken as exact."""
+        relative = self.with_own_poses()
+        write_relative(home, self, relative)
+        return relative
+
+    def with_own_poses(self) -> Endpoints:
+        """Return the same with NaN in new arrays of poses and covariances."""
+        return Endpoints.allocate(*self.angles.shape)._replace(angles=self.angles, faults=self.faults)
 
 
 @inlined
@@ -194,23 +204,18 @@ def bent_beam(beams: RecordArray, b: int, force: Vector) -> tuple[Matrix, Vector
 
 @inlined
 def compute_endpoint(
-    arm: ArmGeometry,
-    history: BeamHistory,
-    poses: FloatArray,
-    covariances: FloatArray,
-    endpoint: FloatArray,
-    endpoint_covariance: FloatArray,
+    arm: ArmGeometry, history: BeamHistory, measurements: JointMeasurements, endpoints: Endpoints, scan: int
 ) -> None:
-    """Compute pose and covariance of the endpoint.
+    """Compute pose and covariances of the endpoint of a scan.
 
-    ``history``: ``accelerations`` are read, ``centres`` and ``transforms`` are written; ``poses``: of the joints in
-    this scan, (j, 7); ``covariances``: of the joints in this scan, (j, 6, 6); ``endpoint``: pose to write, (7,), in the
-    base; ``endpoint_covariance``: covariance to write, (6, 6), ROS order, axes of the base.
+    ``history``: ``accelerations`` are read, ``centres`` and ``transforms`` are written.
     """
+    poses = measurements.poses[scan]
+    random_parts, systematic_parts = measurements.covariances_random[scan], measurements.covariances_systematic[scan]
     # ``unbent`` is the rotation if no beam before sagged: gravity across a beam needs it to first order only.
     rotation = unbent = IDENTITY
     last = translation = (0.0, 0.0, 0.0)
-    blocks = ZERO_COVARIANCE
+    random = systematic = ZERO_COVARIANCE
     for n in range(arm.elements.shape[0]):
         element = arm.elements[n]
         fixed = matrix(element["rotation"], 0)
@@ -222,7 +227,9 @@ def compute_endpoint(
             translation = plus(translation, applied(rotation, within(poses, j)))
             turn = rotation_of_pose(poses[j])
             rotation, unbent = product(rotation, turn), product(unbent, turn)
-            blocks = add_rotated(moved_along(blocks, minus(translation, last)), parent, covariances[j])
+            lever = minus(translation, last)
+            random = add_rotated(moved_along(random, lever), parent, random_parts[j])
+            systematic = add_rotated(moved_along(systematic, lever), parent, systematic_parts[j])
         elif b >= 0:
             beam = arm.beams[b]
             half_span = times(0.5, applied(rotation, at(beam["translation"], 0)))
@@ -233,15 +240,19 @@ def compute_endpoint(
             write_pose(turn, span, history.transforms[b])
             rotation, translation = product(rotation, turn), plus(translation, applied(rotation, span))
             unbent = product(unbent, matrix(beam["rotation"], 0))
-            blocks = add_rotated(moved_along(blocks, minus(translation, last)), parent, beam["covariance"])
+            lever = minus(translation, last)
+            random = moved_along(random, lever)
+            systematic = add_rotated(moved_along(systematic, lever), parent, beam["covariance"])
             shift = applied(parent, applied(matrix(beam["sigma_shift_gain"], 0), force))
             turn_vector = applied(parent, applied(matrix(beam["sigma_turn_gain"], 0), force))
-            blocks = add_outer_product(blocks, shift, turn_vector)
+            systematic = add_outer_product(systematic, shift, turn_vector)
         else:
-            blocks = moved_along(blocks, minus(translation, last))
+            lever = minus(translation, last)
+            random, systematic = moved_along(random, lever), moved_along(systematic, lever)
         last = translation
-    write_covariance(blocks, endpoint_covariance)
-    write_pose(rotation, translation, endpoint)
+    write_covariance(random, endpoints.covariances_random[scan])
+    write_covariance(systematic, endpoints.covariances_systematic[scan])
+    write_pose(rotation, translation, endpoints.poses[scan])
 
 
 @inlined
@@ -272,12 +283,13 @@ def estimate_endpoints(
     moving = history.window[0]["length_ns"] > 0
     count: int = measurements.stamps_ns.shape[0]
     for n in range(begin, count):
-        poses, covariances, stamp_ns = measurements.poses[n], measurements.covariances[n], measurements.stamps_ns[n]
-        faults, angles = endpoints.faults[n], endpoints.angles[n]
+        poses, stamp_ns = measurements.poses[n], measurements.stamps_ns[n]
+        random, systematic = measurements.covariances_random[n], measurements.covariances_systematic[n]
+        faults, angles, scratch = endpoints.faults[n], endpoints.angles[n], endpoints.covariances_random[n]
         usable = True
         for j in range(faults.shape[0]):
             theta, origin = measurements.thetas[n, j], arm.joint_positions[j]
-            faults[j] = measurement_fault(poses[j], covariances[j], theta, origin, endpoints.covariances[n])
+            faults[j] = measurement_fault(poses[j], random[j], systematic[j], theta, origin, scratch)
             usable = usable and faults[j] == 0
         if not usable:
             write_nan(endpoints, n)
@@ -287,7 +299,7 @@ def estimate_endpoints(
                 return n
             forget_after_gap(stamp_ns, history)
             estimate_accelerations(history)
-        compute_endpoint(arm, history, poses, covariances, endpoints.poses[n], endpoints.covariances[n])
+        compute_endpoint(arm, history, measurements, endpoints, n)
         if not is_finite(endpoints, n):
             write_nan(endpoints, n)
             for j in range(faults.shape[0]):
@@ -316,8 +328,9 @@ def estimate_endpoint_of_rows(
         write_nan(endpoints, 0)
         return UNUSABLE
     for j in range(rows.numbers.shape[0]):
+        random, systematic = measurements.covariances_random[0, j], measurements.covariances_systematic[0, j]
         measurements.thetas[0, j] = read_row(
-            rows.layouts, j, rows.numbers[j], measurements.poses[0, j], measurements.covariances[0, j]
+            rows.layouts, j, rows.numbers[j], measurements.poses[0, j], random, systematic
         )
     if estimate_endpoints(arm, history, measurements, endpoints, 0) == 0:
         return HISTORY_FULL
@@ -331,7 +344,7 @@ def is_finite(endpoints: Endpoints, n: int) -> bool:
     for i in range(7):
         total += abs(endpoints.poses[n, i])
     for i in range(6):
-        total += abs(endpoints.covariances[n, i, i])
+        total += abs(endpoints.covariances_random[n, i, i]) + abs(endpoints.covariances_systematic[n, i, i])
     return math.isfinite(total)
 
 
@@ -342,18 +355,19 @@ def write_nan(endpoints: Endpoints, n: int) -> None:
         endpoints.poses[n, i] = math.nan
     for i in range(6):
         for k in range(6):
-            endpoints.covariances[n, i, k] = math.nan
+            endpoints.covariances_random[n, i, k] = endpoints.covariances_systematic[n, i, k] = math.nan
     for j in range(endpoints.angles.shape[1]):
         endpoints.angles[n, j] = math.nan
 
 
 @in_place
-def write_relative(
-    home: FloatArray, poses: FloatArray, covariances: FloatArray, relative: FloatArray, relative_covariances: FloatArray
-) -> None:
-    """Write poses (n, 7) and covariances (n, 6, 6) in the axes of the pose ``home``, (7,), which is taken as exact."""
+def write_relative(home: FloatArray, endpoints: Endpoints, relative: Endpoints) -> None:
+    """Write poses and covariances in the axes of the pose ``home``, (7,), which is taken as exact."""
     back = transposed(rotation_of_pose(home))
-    for n in range(poses.shape[0]):
-        translation = applied(back, minus(within(poses, n), at(home, 0)))
-        write_pose(product(back, rotation_of_pose(poses[n])), translation, relative[n])
-        write_covariance(add_rotated(ZERO_COVARIANCE, back, covariances[n]), relative_covariances[n])
+    for n in range(endpoints.poses.shape[0]):
+        translation = applied(back, minus(within(endpoints.poses, n), at(home, 0)))
+        write_pose(product(back, rotation_of_pose(endpoints.poses[n])), translation, relative.poses[n])
+        random = add_rotated(ZERO_COVARIANCE, back, endpoints.covariances_random[n])
+        systematic = add_rotated(ZERO_COVARIANCE, back, endpoints.covariances_systematic[n])
+        write_covariance(random, relative.covariances_random[n])
+        write_covariance(systematic, relative.covariances_systematic[n])

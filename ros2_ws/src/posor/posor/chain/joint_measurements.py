@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import numpy as np
@@ -44,7 +44,9 @@ SYMMETRY_TOLERANCE = 1e-6  # largest difference of opposite covariances, relativ
 PIVOT_TOLERANCE = 1e-9  # part of a variance that counts as rounding in the test for a positive semi-definite covariance
 LARGEST_FLOAT = sys.float_info.max
 
-ROW_LAYOUT = np.dtype([("pose", np.int64), ("native", np.int64), ("covariance", np.int64), ("state", np.int64)])
+ROW_LAYOUT = np.dtype(
+    [(name, np.int64) for name in ("pose", "native", "covariance_random", "covariance_systematic", "state")]
+)
 """Where a row of message bytes holds its fields: indices of 8-byte numbers, and of the byte ``state``."""
 
 
@@ -53,8 +55,11 @@ class MeasuredJoint:
     """Measurement of one POSOR."""
 
     T_parent_child: pin.SE3  # pose of the target plate in the receiving plate
-    # (6, 6) of x, y, z [m], about X, Y, Z [rad], axes of the parent (as ``posor_msgs/JointTransform``)
-    covariance: FloatArray
+    # White from scan to scan, (6, 6) of x, y, z [m], about X, Y, Z [rad], axes of the parent (as
+    # ``posor_msgs/JointTransform``)
+    covariance_random: FloatArray = field(default_factory=lambda: np.zeros((6, 6)))
+    # The same, common to all scans of one calibration
+    covariance_systematic: FloatArray = field(default_factory=lambda: np.zeros((6, 6)))
 
 
 class JointMeasurements(NamedTuple):
@@ -62,17 +67,17 @@ class JointMeasurements(NamedTuple):
 
     stamps_ns: IntArray  # times of the scans, (n,)
     poses: FloatArray  # target plate in receiving plate, (n, j, 7): x, y, z [m], unit quaternion x, y, z, w
-    covariances: FloatArray  # as ``MeasuredJoint.covariance``, (n, j, 6, 6)
+    covariances_random: FloatArray  # as ``MeasuredJoint.covariance_random``, (n, j, 6, 6)
+    covariances_systematic: FloatArray  # as ``MeasuredJoint.covariance_systematic``, (n, j, 6, 6)
     thetas: FloatArray  # counted large rotations [rad], (n, j); NaN: not counted; infinite: see NATIVE_DISAGREES
 
     @classmethod
     def allocate(cls, scans: int, joints: int) -> JointMeasurements:
-        """Return measurements at the identity, without covariance and without a counted theta."""
+        """Return measurements at the identity, without covariances and without a counted theta."""
         poses = np.zeros((scans, joints, 7))
         poses[..., 6] = 1.0
-        return cls(
-            np.zeros(scans, dtype=np.int64), poses, np.zeros((scans, joints, 6, 6)), np.full((scans, joints), np.nan)
-        )
+        random, systematic = np.zeros((2, scans, joints, 6, 6))
+        return cls(np.zeros(scans, dtype=np.int64), poses, random, systematic, np.full((scans, joints), np.nan))
 
 
 @dataclass(frozen=True)
@@ -81,7 +86,8 @@ class JointRowLayout:
 
     pose: int  # x, y, z [m] and the quaternion x, y, z, w, each a float of 8 bytes; a multiple of 8
     native: int  # six native coordinates, of which the counted large rotation [rad] is the last, likewise
-    covariance: int  # 36 numbers, row by row, likewise
+    covariance_random: int  # 36 numbers, row by row, likewise
+    covariance_systematic: int  # the same
     state: int  # ``State``, one byte
     size: int  # length of the row
 
@@ -91,10 +97,11 @@ class JointRowLayout:
 
         Raises ValueError: the offset of a number is not a multiple of 8.
         """
-        if any(offset % 8 for offset in (self.pose, self.native, self.covariance)):
+        numbers = self.pose, self.native, self.covariance_random, self.covariance_systematic
+        if any(offset % 8 for offset in numbers):
             message = f"{self}: expected offsets of numbers that are multiples of 8"
             raise ValueError(message)
-        return np.array([(self.pose // 8, self.native // 8, self.covariance // 8, self.state)], dtype=ROW_LAYOUT)
+        return np.array([(*(offset // 8 for offset in numbers), self.state)], dtype=ROW_LAYOUT)
 
 
 class JointRows(NamedTuple):
@@ -158,12 +165,12 @@ def is_positive_semidefinite(covariance: FloatArray, scratch: FloatArray) -> boo
 
 @inlined
 def measurement_fault(
-    pose: FloatArray, covariance: FloatArray, theta: float, origin: FloatArray, scratch: FloatArray
+    pose: FloatArray, random: FloatArray, systematic: FloatArray, theta: float, origin: FloatArray, scratch: FloatArray
 ) -> int:
     """Return what is wrong with the measurement of a joint: a key of ``FAULT_TEXTS``, or zero.
 
-    ``pose``: target plate in receiving plate, (7,); ``covariance``: (6, 6); ``theta``: as in
-    ``JointMeasurements.thetas``; ``origin``: of the nominal joint in the receiving plate [m], (3,); ``scratch``:
+    ``pose``: target plate in receiving plate, (7,); ``random``, ``systematic``: its covariances, (6, 6); ``theta``: as
+    in ``JointMeasurements.thetas``; ``origin``: of the nominal joint in the receiving plate [m], (3,); ``scratch``:
     (6, 6), is written.
     """
     for i in range(7):
@@ -177,7 +184,7 @@ def measurement_fault(
         return POSE_TOO_FAR
     if math.isinf(theta):
         return NATIVE_DISAGREES
-    return covariance_fault(covariance, scratch)
+    return covariance_fault(random, scratch) or covariance_fault(systematic, scratch)
 
 
 @inlined
@@ -196,18 +203,23 @@ def native_agrees(native: FloatArray, pose: FloatArray) -> bool:
 
 
 @inlined
-def read_row(layouts: RecordArray, joint: int, numbers: FloatArray, pose: FloatArray, covariance: FloatArray) -> float:
-    """Copy a row of numbers (w,) into ``pose`` (7,) and ``covariance`` (6, 6).
+def read_row(
+    layouts: RecordArray, joint: int, numbers: FloatArray, pose: FloatArray, random: FloatArray, systematic: FloatArray
+) -> float:
+    """Copy a row of numbers (w,) into ``pose`` (7,) and into both covariances, (6, 6).
 
     Return theta; infinite where the native coordinates do not agree with the pose.
     """
     layout = layouts[joint]
-    first_of_pose, first_of_covariance, first_of_native = layout["pose"], layout["covariance"], layout["native"]
+    first_of_pose, first_of_native = layout["pose"], layout["native"]
+    first_of_random, first_of_systematic = layout["covariance_random"], layout["covariance_systematic"]
     for k in range(7):
         pose[k] = numbers[first_of_pose + k]
-    entries = numbers[first_of_covariance : first_of_covariance + 36]
+    random_entries = numbers[first_of_random : first_of_random + 36]
+    systematic_entries = numbers[first_of_systematic : first_of_systematic + 36]
     for i in range(6):
         for k in range(6):
-            covariance[i, k] = entries[6 * i + k]
+            random[i, k] = random_entries[6 * i + k]
+            systematic[i, k] = systematic_entries[6 * i + k]
     native = numbers[first_of_native : first_of_native + 6]
     return float(native[5]) if native_agrees(native, pose) else math.inf

@@ -1,8 +1,8 @@
 """The kinematic chain: POSORs as floating joints, measuring beams between them, the endpoint on the last one.
 
 Pinocchio reads the URDF and finds the elements on the way from the base to the endpoint. A beam of the beams file is a
-floating joint of its model too: its transform includes the sag under gravity in the present posture, its covariance is
-that of the beams file. ``chain.forward_kinematics`` computes the endpoint.
+floating joint of its model too: its transform includes the sag under gravity in the present posture, its systematic
+covariance is that of the beams file. ``chain.forward_kinematics`` computes the endpoint.
 """
 
 from __future__ import annotations
@@ -36,9 +36,14 @@ class Endpoint:
     """The endpoint in the chain's base frame."""
 
     T_base_endpoint: pin.SE3  # its pose
-    # (6, 6) of x, y, z [m], about X, Y, Z [rad], axes of the base frame, the small turn applied on the base's side at
-    # the endpoint (ROS order, REP-103)
-    covariance: FloatArray
+    # White from scan to scan, (6, 6) of x, y, z [m], about X, Y, Z [rad], axes of the base frame, the small turn
+    # applied on the base's side at the endpoint (ROS order, REP-103)
+    covariance_random: FloatArray
+    covariance_systematic: FloatArray  # the same, from calibrations and beams, common to all scans
+
+    def covariance(self) -> FloatArray:
+        """Return the sum of both covariances, (6, 6)."""
+        return self.covariance_random + self.covariance_systematic
 
 
 @dataclass(frozen=True)
@@ -147,7 +152,7 @@ class Chain:
     def estimate(
         self, measured: Mapping[str, MeasuredJoint], accelerations: Mapping[str, FloatArray] | None = None
     ) -> Endpoint:
-        """Return pose and covariance of the endpoint, corrected for the sag of the beams.
+        """Return pose and covariances of the endpoint, corrected for the sag of the beams.
 
         ``measured``: measurement of each floating joint, by joint name. Joints are taken as independent;
         ``accelerations``: accelerations of beams [m/s^2], (3,), axes of the base, by name; a beam without is at rest.
@@ -159,18 +164,21 @@ class Chain:
         estimator.set_measurements(measured)
         if not estimator.estimate():
             raise ChainError(estimator.fault_text(), where="the chain", expected="numbers that can be used")
-        return Endpoint(pin.XYZQUATToSE3(estimator.pose), estimator.covariance.copy())
+        covariances = estimator.covariance_random.copy(), estimator.covariance_systematic.copy()
+        return Endpoint(pin.XYZQUATToSE3(estimator.pose), *covariances)
 
     def estimate_all(
         self,
         poses: FloatArray,
-        covariances: FloatArray,
+        covariances_random: FloatArray,
+        covariances_systematic: FloatArray,
         stamps_ns: IntArray | None = None,
         *,
         acceleration_window: float = 0.0,
     ) -> Endpoints:
         """Return the endpoints of consecutive scans, see ``EndpointEstimator.estimate_all``."""
-        return self.estimator(acceleration_window).estimate_all(poses, covariances, stamps_ns)
+        estimator = self.estimator(acceleration_window)
+        return estimator.estimate_all(poses, covariances_random, covariances_systematic, stamps_ns)
 
     def estimator(
         self, acceleration_window: float = 0.0, row_layouts: Sequence[JointRowLayout] = ()

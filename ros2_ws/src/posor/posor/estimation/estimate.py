@@ -8,11 +8,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from posor.errors import ParameterError
 from posor.model.fault import Fault, State
 from posor.model.native_coordinates import native_from_rotation
 from posor.model.scan import Scans
-from posor.node_parameters import COVARIANCE_KINDS
 from posor.numerics.stamps import NS, span_text
 
 if TYPE_CHECKING:
@@ -22,7 +20,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from posor.model.scan import Scan
-    from posor.node_parameters import CovarianceKind
     from posor.numerics.array_types import BoolArray, FloatArray, IntArray
 
 ESTIMATE = np.dtype(  # the estimate of one scan as the kernels write it; fields as in ``Estimate`` and ``Estimates``
@@ -65,16 +62,6 @@ _ATTRIBUTES = {  # attributes of ``Estimates`` that are fields of the records
 }
 
 
-def select_covariance(random: FloatArray, systematic: FloatArray, kind: CovarianceKind) -> FloatArray:
-    """Return the part of a covariance that ``kind`` selects: random, systematic, or total, the sum of both.
-
-    Raises ParameterError: there is no such part.
-    """
-    if str(kind) not in COVARIANCE_KINDS:
-        raise ParameterError(f"'{kind}' is unknown", where="covariance", expected=", ".join(COVARIANCE_KINDS))
-    return random + systematic if kind == "total" else (random if kind == "random" else systematic)
-
-
 class Estimate(NamedTuple):
     """The pose ``T_R_T`` that one scan gives.
 
@@ -85,8 +72,9 @@ class Estimate(NamedTuple):
         reason: One sentence on the fault, empty when there is none.
         T_R_T: The pose; None when the state is LOST.
         theta: The large rotation, turns counted [rad]; NaN when the state is LOST.
-        covariance_random: From the noise of the readings, (6, 6): x, y, z [m], about X, Y, Z [rad], axes of R, the
-            small turn applied on the parent's side at the origin of T (ROS order, REP-103). JCGM 100, 5.1.
+        covariance_random: From the noise of the readings, white from scan to scan, (6, 6): x, y, z [m], about X, Y, Z
+            [rad], axes of R, the small turn applied on the parent's side at the origin of T (ROS order, REP-103).
+            JCGM 100, 5.1.
         covariance_systematic: From the uncertainties of the calibration parameters, the same order; common to all
             scans of one calibration. JCGM 100, 5.2.
         residual: Chi-square of the redundant readings, weighted by their random and systematic variances.
@@ -119,9 +107,9 @@ class Estimate(NamedTuple):
         alpha, beta, _ = native_from_rotation(self.T_R_T.rotation)
         return np.array([*self.T_R_T.translation, alpha, beta, self.theta])
 
-    def covariance(self, kind: CovarianceKind = "total") -> FloatArray:
-        """Return the random, systematic or total covariance, (6, 6)."""
-        return select_covariance(self.covariance_random, self.covariance_systematic, kind)
+    def covariance(self) -> FloatArray:
+        """Return the sum of the random and the systematic covariance, (6, 6)."""
+        return self.covariance_random + self.covariance_systematic
 
     def __repr__(self) -> str:
         place = "" if self.T_R_T is None else ", x, y, z [m]: " + ", ".join(f"{x:.7g}" for x in self.T_R_T.translation)
@@ -171,7 +159,6 @@ class Estimates:
         redundancies: Degrees of freedom of each chi-square; 0 of a LOST scan, shape (n,).
         covariances_random: From the noise of the readings, see ``Estimate``, shape (n, 6, 6).
         covariances_systematic: From the uncertainties of the calibration, shape (n, 6, 6).
-        covariance_kind: Part of the uncertainty in ``covariances()``, ``standard_uncertainties`` and tables.
 
     """
 
@@ -193,13 +180,11 @@ class Estimates:
         scans: Scans,
         explain: Callable[[Scan, Any], str],
         *,
-        covariance_kind: CovarianceKind = "total",
         log_times_ns: IntArray | None = None,
         header_stamps: IntArray | None = None,
     ) -> None:
         self._records = records.view()
         self._scans, self._explain = scans, explain
-        self.covariance_kind = covariance_kind
         self.log_times_ns = (np.zeros(len(records), dtype=np.int64) if log_times_ns is None else log_times_ns).view()
         if header_stamps is None:
             header_stamps = np.column_stack(np.divmod(records["stamp_ns"], NS))
@@ -238,17 +223,12 @@ class Estimates:
         """See the class."""
         return np.where(self.states == int(State.LOST), np.nan, self._records["residual"])
 
-    def covariances(self, kind: CovarianceKind | None = None) -> FloatArray:
-        """Return the random, systematic or total covariances, shape (n, 6, 6); None: ``covariance_kind``.
+    def covariances(self) -> FloatArray:
+        """Return the sums of the random and the systematic covariances, shape (n, 6, 6).
 
         They are of x, y, z [m] and small turns about X, Y, Z [rad], axes of the receiving plate (ROS order, REP-103).
-
-        Raises:
-            ParameterError: There is no such part of the uncertainty.
-
         """
-        kind = self.covariance_kind if kind is None else kind
-        return select_covariance(self.covariances_random, self.covariances_systematic, kind)
+        return self.covariances_random + self.covariances_systematic
 
     @property
     def standard_uncertainties(self) -> FloatArray:
@@ -276,7 +256,6 @@ class Estimates:
             self._records[which],
             self._scans.select(which),
             self._explain,
-            covariance_kind=self.covariance_kind,
             log_times_ns=self.log_times_ns[which],
             header_stamps=self.header_stamps[which],
         )

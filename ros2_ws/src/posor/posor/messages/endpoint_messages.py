@@ -46,7 +46,7 @@ def pack_endpoint(layouts: Sequence[TableLayout], estimates: EndpointEstimates) 
     for table in tables:
         table["header.stamp.sec"], table["header.stamp.nanosec"] = np.divmod(estimates.stamps_ns, NS)
     pose.span(POSE, 7)[:] = with_covariance.span(COVARIANCE_POSE, 7)[:] = estimates.poses
-    with_covariance["pose.covariance"] = estimates.covariances.reshape(-1, 36)
+    with_covariance["pose.covariance"] = estimates.covariances().reshape(-1, 36)
     joint_states["position"] = estimates.angles
     return tables
 
@@ -80,18 +80,24 @@ class EndpointWriter:
 
     Attributes:
         pose: Of ``PoseStamped``.
-        pose_with_covariance: Of ``PoseWithCovarianceStamped``.
         joint_states: Of ``JointState``, the positions only.
 
     """
 
     def __init__(self, estimator: EndpointEstimator, frame: str, *, relative: bool) -> None:
-        pose, covariance = estimator.result(relative=relative)
+        pose, random, systematic = estimator.result(relative=relative)
+        covariance = np.empty((6, 6))
+        self._summands_and_sum = random, systematic, covariance
         arrays = ({POSE: pose}, {COVARIANCE_POSE: pose, "pose.covariance": covariance}, {"position": estimator.angles})
         values = _constant_values(frame, estimator.joints).items()
-        self.pose, self.pose_with_covariance, self.joint_states = (
+        self.pose, self._pose_with_covariance, self.joint_states = (
             MessageWriter(name, same, numbers) for (name, same), numbers in zip(values, arrays, strict=True)
         )
+
+    def write_pose_with_covariance(self, stamp: bytes) -> bytes:
+        """Return ``PoseWithCovarianceStamped`` with the sum of both covariances; ``stamp``: as ``MessageWriter``."""
+        np.add(*self._summands_and_sum)
+        return self._pose_with_covariance.write(stamp)
 
 
 class EndpointVerdict(NamedTuple):
@@ -110,7 +116,7 @@ class EndpointVerdict(NamedTuple):
 
 
 class EndpointStateWriter:
-    """Writes ``EndpointState``; pose, covariance and protection level are NaN without a pose.
+    """Writes ``EndpointState``; pose, covariances and protection level are NaN without a pose.
 
     Attributes:
         protection_level: Written into every message with a pose, (6,) [m], [rad]; NaN: not known.
@@ -118,10 +124,11 @@ class EndpointStateWriter:
     """
 
     def __init__(self, estimator: EndpointEstimator, frame: str, child_frame: str, *, relative: bool) -> None:
-        pose, covariance = estimator.result(relative=relative)
+        pose, random, systematic = estimator.result(relative=relative)
         self.protection_level = np.full(6, np.nan)
         self._age = np.full(1, np.nan)
-        endpoint = {POSE: pose, "covariance": covariance, "protection_level": self.protection_level}
+        endpoint = {POSE: pose, "covariance_random": random, "covariance_systematic": systematic}
+        endpoint["protection_level"] = self.protection_level
         nothing = {name: np.full(numbers.shape, np.nan) for name, numbers in endpoint.items()}
         frames = {"header.frame_id": frame, "child_frame_id": child_frame}
 

@@ -17,7 +17,6 @@ if TYPE_CHECKING:
 
     from posor.estimation.posor import Posor
     from posor.messages.raw_scan import RecordedScans
-    from posor.node_parameters import CovarianceKind
     from posor.numerics.array_types import BoolArray
 
 
@@ -29,7 +28,9 @@ class EndpointEstimates:
         log_times_ns: When the last of the joints' scans was logged, shape (n,).
         stamps_ns: Middle of the exposure, shape (n,).
         poses: x, y, z [m] and unit quaternion x, y, z, w, in the base frame or relative to home, shape (n, 7).
-        covariances: Of x, y, z [m] and small turns about X, Y, Z [rad], axes of the same frame, shape (n, 6, 6).
+        covariances_random: White from scan to scan, of x, y, z [m] and small turns about X, Y, Z [rad], axes of the
+            same frame, shape (n, 6, 6).
+        covariances_systematic: The same, from calibrations and beams, common to all scans, shape (n, 6, 6).
         angles: Of each joint about its nominal axis [rad], shape (n, joints).
 
     """
@@ -37,7 +38,8 @@ class EndpointEstimates:
     log_times_ns: IntArray
     stamps_ns: IntArray
     poses: FloatArray
-    covariances: FloatArray
+    covariances_random: FloatArray
+    covariances_systematic: FloatArray
     angles: FloatArray
 
     def __post_init__(self) -> None:
@@ -49,10 +51,14 @@ class EndpointEstimates:
     def __repr__(self) -> str:
         return f"<{len(self)} EndpointEstimates, {self.angles.shape[1]} angles{span_text(self.stamps_ns)}>"
 
+    def covariances(self) -> FloatArray:
+        """Return the sums of the random and the systematic covariances, shape (n, 6, 6)."""
+        return self.covariances_random + self.covariances_systematic
+
     @property
     def standard_uncertainties(self) -> FloatArray:
-        """Square roots of the variances: x, y, z [m], about X, Y, Z [rad], shape (n, 6)."""
-        return np.sqrt(np.diagonal(self.covariances, axis1=1, axis2=2))
+        """Square roots of the variances of ``covariances()``: x, y, z [m], about X, Y, Z [rad], shape (n, 6)."""
+        return np.sqrt(np.diagonal(self.covariances(), axis1=1, axis2=2))
 
     def select(self, which: BoolArray | IntArray | slice) -> EndpointEstimates:
         """Return some of the poses."""
@@ -67,8 +73,8 @@ class EndpointEstimates:
     @staticmethod
     def none() -> EndpointEstimates:
         """Return no estimates, of an arm without a chain."""
-        integers = np.empty(0, dtype=np.int64)
-        return EndpointEstimates(integers, integers, np.empty((0, 7)), np.empty((0, 6, 6)), np.empty((0, 0)))
+        integers, matrices = np.empty(0, dtype=np.int64), np.empty((0, 6, 6))
+        return EndpointEstimates(integers, integers, np.empty((0, 7)), matrices, matrices, np.empty((0, 0)))
 
 
 @dataclass(frozen=True, repr=False)
@@ -91,10 +97,10 @@ class ArmEstimates:
         return "\n".join([f"<ArmEstimates of {len(self.joints)} joints:", *lines]) + ">"
 
 
-def estimate_joint(posor: Posor, recorded: RecordedScans, kind: CovarianceKind) -> Estimates:
+def estimate_joint(posor: Posor, recorded: RecordedScans) -> Estimates:
     """Return the transforms of recorded scans; scans of another frame or without a valid stamp are LOST.
 
-    ``posor``: the estimator; it continues from the scan before; ``kind``: part of the uncertainty in the covariances.
+    ``posor``: the estimator; it continues from the scan before.
     """
     scans = recorded.scans
     usable, code = scans.stamps_ns != 0, NO_STAMP
@@ -105,12 +111,7 @@ def estimate_joint(posor: Posor, recorded: RecordedScans, kind: CovarianceKind) 
         found, records = records, lost_records(recorded, code)
         records[usable] = found
     return Estimates(
-        records,
-        scans,
-        posor.reason,
-        covariance_kind=kind,
-        log_times_ns=recorded.log_times_ns,
-        header_stamps=recorded.header_stamps,
+        records, scans, posor.reason, log_times_ns=recorded.log_times_ns, header_stamps=recorded.header_stamps
     )
 
 

@@ -14,7 +14,6 @@ from posor.estimation.estimate_scan import LOST
 from posor.messages.cdr_schema import LITTLE_ENDIAN, STAMP
 from posor.messages.message_definitions import installed_schema
 from posor.messages.message_table import LEAD, MessageRows, MessageTable, TableLayout
-from posor.node_parameters import COVARIANCE_KINDS
 from posor.numerics.compiled import in_place, inlined, record_view
 from posor.numerics.stamps import time_ns
 from posor.ros_names import JOINT_TRANSFORM
@@ -24,7 +23,6 @@ if TYPE_CHECKING:
 
     from posor.estimation.estimate import Estimates
     from posor.messages.cdr_schema import Schema
-    from posor.node_parameters import CovarianceKind
     from posor.numerics.array_types import FloatArray
 
 FIELDS = {  # fields that an estimate fills, by their names in TRANSFORM_LAYOUT
@@ -36,20 +34,19 @@ FIELDS = {  # fields that an estimate fills, by their names in TRANSFORM_LAYOUT
     "pose": "pose.position.x",
     "native": "native",
     "residual": "residual",
-    "covariance": "covariance",
+    "covariance_random": "covariance_random",
+    "covariance_systematic": "covariance_systematic",
 }
-TRANSFORM_LAYOUT = np.dtype([(name, "i8") for name in (*FIELDS, "covariance_kind")])
-"""Byte offsets of the fields in a row of bytes, and the kind of covariance: RANDOM, SYSTEMATIC or TOTAL."""
-RANDOM, SYSTEMATIC, TOTAL = 0, 1, 2  # kinds of covariance, as in ``posor_msgs/JointTransform``
+TRANSFORM_LAYOUT = np.dtype([(name, "i8") for name in FIELDS])
+"""Byte offsets of the fields in a row of bytes."""
 
 _STAMP = struct.Struct("<iI")
 _FAULTS = struct.Struct("<I")
 
 
-def joint_transform_layout(schema: Schema, parent: str, child: str, kind: CovarianceKind) -> TableLayout:
-    """Return the layout of transforms between two frames with one kind of covariance; ``schema``: JointTransform."""
-    values = {"header.frame_id": parent, "child_frame_id": child, "covariance_kind": COVARIANCE_KINDS[kind]}
-    return TableLayout.of(schema.encode(values), schema)
+def joint_transform_layout(schema: Schema, parent: str, child: str) -> TableLayout:
+    """Return the layout of transforms between two frames; ``schema``: JointTransform."""
+    return TableLayout.of(schema.encode({"header.frame_id": parent, "child_frame_id": child}), schema)
 
 
 def packing_layout(transforms: TableLayout) -> NDArray[np.void]:
@@ -57,7 +54,6 @@ def packing_layout(transforms: TableLayout) -> NDArray[np.void]:
     layout = np.zeros(1, dtype=TRANSFORM_LAYOUT)
     for name, path in FIELDS.items():
         layout[name] = LEAD + transforms.offset(path)
-    layout["covariance_kind"] = transforms.row[LEAD + transforms.offset("covariance_kind")]
     return layout
 
 
@@ -74,13 +70,11 @@ def pack_estimate(estimate: Any, layout: Any, template: FloatArray, rows: Messag
     for k in range(6):
         floats[n, layout.native // 8 + k] = estimate.native[k]
     floats[n, layout.residual // 8] = math.nan if estimate.state == LOST else estimate.residual
-    covariance, kind = layout.covariance // 8, layout.covariance_kind
+    random, systematic = layout.covariance_random // 8, layout.covariance_systematic // 8
     for i in range(6):
         for j in range(6):
-            value = estimate.systematic[i, j] if kind == SYSTEMATIC else estimate.random[i, j]
-            if kind == TOTAL:
-                value += estimate.systematic[i, j]
-            floats[n, covariance + 6 * i + j] = value
+            floats[n, random + 6 * i + j] = estimate.random[i, j]
+            floats[n, systematic + 6 * i + j] = estimate.systematic[i, j]
 
 
 @in_place
@@ -114,7 +108,8 @@ def row_layout_of(layout: TableLayout) -> JointRowLayout:
     return JointRowLayout(
         pose=LEAD + layout.offset("pose.position.x"),
         native=LEAD + layout.offset("native"),
-        covariance=LEAD + layout.offset("covariance"),
+        covariance_random=LEAD + layout.offset("covariance_random"),
+        covariance_systematic=LEAD + layout.offset("covariance_systematic"),
         state=LEAD + layout.offset("state"),
         size=LEAD + layout.size,
     )

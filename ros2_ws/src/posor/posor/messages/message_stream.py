@@ -30,7 +30,6 @@ if TYPE_CHECKING:
 
     from posor.estimation.posor import Posor
     from posor.estimation.workspace import Model
-    from posor.node_parameters import CovarianceKind
     from posor.numerics.array_types import ByteArray, FloatArray, WordArray
 
 STATUS = np.dtype(  # status of a stream of scans
@@ -245,14 +244,11 @@ class RawScanStream:
 
     """
 
-    def __init__(self, posor: Posor, example: bytes, kind: CovarianceKind) -> None:
-        """Take the layout of an ``example`` in plain CDR; ``kind``: the part of the covariance to write.
-
-        Raises TopicError: the example is not a raw scan.
-        """
+    def __init__(self, posor: Posor, example: bytes) -> None:
+        """Take the layout of an ``example`` in plain CDR. Raises TopicError: the example is not a raw scan."""
         frames = posor.calibration.frames
         raw = TableLayout.of(example, installed_schema(RAW_SCAN))
-        transform = joint_transform_layout(installed_schema(JOINT_TRANSFORM), frames.parent, frames.child, kind)
+        transform = joint_transform_layout(installed_schema(JOINT_TRANSFORM), frames.parent, frames.child)
         self._posor, self._parent, self.frame = posor, frames.parent, raw.strings["header.frame_id"]
         row, out = raw.row[None].copy(), transform.row[None].copy()
         self._estimator = MessageEstimator(posor, MessageStream.of(raw, transform, row, out, check=True))

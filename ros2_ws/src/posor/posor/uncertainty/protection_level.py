@@ -143,13 +143,13 @@ def arm_reliability(
     """
     poses = {joint.name: chain.nominal_joint(joint.name, angles[joint.name]) for joint in chain.joints}
     random, systematic = model_covariances(calibrations, chain, angles)
-    measured = {name: MeasuredJoint(pose, random[name] + systematic[name]) for name, pose in poses.items()}
+    measured = {name: MeasuredJoint(pose, random[name], systematic[name]) for name, pose in poses.items()}
     joints, endpoint_shifts = {}, {}
     for name, effect in endpoint_effects(chain, poses).items():
         posor = Posor(calibrations[name])
         joints[name] = joint_reliability(posor, scan_at(posor, poses[name]), poses[name])
         endpoint_shifts[name] = transformed(effect, joints[name].shifts)
     shifts, unchanged = list(endpoint_shifts.values()), np.eye(6)
-    covariance, expansions = chain.estimate(measured).covariance, expansion_shifts(chain, poses)
+    covariance, expansions = chain.estimate(measured).covariance(), expansion_shifts(chain, poses)
     level = endpoint_protection_level(shifts, [unchanged] * len(shifts), covariance, expansions)
     return ArmReliability(angles, joints, endpoint_shifts, expansions, level)

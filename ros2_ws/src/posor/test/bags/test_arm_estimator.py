@@ -72,8 +72,7 @@ def test_each_joint_gets_the_poses_of_its_scans_one_by_one(settings: Settings) -
             assert joint.states.tolist() == [each.state for each in expected]
             assert joint.numbers.tolist() == [each.number for each in expected]
             for n, each in enumerate(expected):
-                total = each.covariance_random + each.covariance_systematic
-                assert joint.covariances()[n].tobytes() == total.tobytes()
+                assert joint.covariances()[n].tobytes() == each.covariance().tobytes()
                 np.testing.assert_allclose(joint.natives[n], each.native, rtol=0.0, atol=1e-14)
                 assert joint.residuals[n] == each.residual or np.isnan(each.residual)
     summary, endpoint = estimator.summarise()
@@ -81,8 +80,7 @@ def test_each_joint_gets_the_poses_of_its_scans_one_by_one(settings: Settings) -
     assert [joint.scans for joint in summary.values()] == [111, 120, 80]
 
 
-@pytest.mark.parametrize("kind", ["random", "systematic"])
-def test_scans_of_another_frame_or_without_a_stamp_are_lost_and_the_others_are_as_without_them(kind: str) -> None:
+def test_scans_of_another_frame_or_without_a_stamp_are_lost_and_the_others_are_as_without_them() -> None:
     calibration = design("triad_diodes")
     scans = recorded_scans(calibration, 0, 30)
     spoilt = recorded_scans(calibration, 0, 30)
@@ -90,8 +88,8 @@ def test_scans_of_another_frame_or_without_a_stamp_are_lost_and_the_others_are_a
     without[[0, 7, 8]] = True
     stamps_ns = np.where(without, 0, spoilt.scans.stamps_ns)
     spoilt = replace(spoilt, scans=spoilt.scans.with_fields({"stamps_ns": stamps_ns}))
-    found = estimate_joint(Posor(calibration), spoilt, kind)  # type: ignore[arg-type]
-    expected = estimate_joint(Posor(calibration), scans.select(~without), kind)  # type: ignore[arg-type]
+    found = estimate_joint(Posor(calibration), spoilt)
+    expected = estimate_joint(Posor(calibration), scans.select(~without))
     kept = found.select(~without)
     assert kept.poses.tobytes() == expected.poses.tobytes()
     assert kept.covariances().tobytes() == expected.covariances().tobytes()
@@ -103,12 +101,12 @@ def test_scans_of_another_frame_or_without_a_stamp_are_lost_and_the_others_are_a
     assert found.lost_reasons() == {
         "scan 0: the stamp is zero, or its nanoseconds are a second or more; expected the time of exposure.": 3
     }
-    elsewhere = estimate_joint(Posor(calibration), replace(scans, frame="elsewhere"), "total")
+    elsewhere = estimate_joint(Posor(calibration), replace(scans, frame="elsewhere"))
     assert elsewhere.lost_reasons() == {"scan 0: comes from another frame than that of the calibration.": 30}
 
 
 def test_estimates_in_parts_are_those_of_the_whole() -> None:
-    found = estimate_joint(Posor(design("triad_diodes")), recorded_scans(design("triad_diodes"), 0, 9), "random")
+    found = estimate_joint(Posor(design("triad_diodes")), recorded_scans(design("triad_diodes"), 0, 9))
     again = Estimates.concatenate([found.select(slice(4)), found.select(np.arange(4, 9))])
     for name in ("numbers", "poses", "log_times_ns", "header_stamps", "statuses", "standard_uncertainties"):
         np.testing.assert_array_equal(getattr(again, name), getattr(found, name))

@@ -19,8 +19,11 @@ from .six_axis_arm import FOLDER, JOINTS, PERIOD_NS, SCANS, WINDOW_S, assert_bit
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from posor.chain.endpoint_estimator import EndpointEstimator
     from posor.chain.forward_kinematics import Endpoints
     from posor.numerics.array_types import FloatArray, IntArray
+
+RESULTS = ("pose", "covariance_random", "covariance_systematic", "angles")
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +48,8 @@ def poses(random_rotation: Callable[[], FloatArray], rng: np.random.Generator) -
 
 @pytest.fixture
 def covariances(rng: np.random.Generator) -> FloatArray:
-    root = rng.normal(size=(SCANS, JOINTS, 6, 6)) * 1e-6
+    """Random and systematic part, (2, n, j, 6, 6)."""
+    root = rng.normal(size=(2, SCANS, JOINTS, 6, 6)) * 1e-6
     return np.asarray(root @ np.swapaxes(root, -1, -2))
 
 
@@ -55,19 +59,20 @@ def pinocchio_endpoint(
     """Return the endpoint by pinocchio's model of the arm: forward kinematics, and the Jacobian of the endpoint.
 
     First with beams that do not sag, which tells how they lie; then with the sag of ``MeasuringBeam``.
+    ``covariances``: random and systematic part, (2, j, 6, 6).
     """
     robot = chain._robot
     model, data = robot.model, robot.model.createData()
-    q, covariance = pin.neutral(model), np.zeros((model.nv, model.nv))
+    q, covariance = pin.neutral(model), np.zeros((2, model.nv, model.nv))
 
     def put(index: int, motion: pin.SE3, turn: FloatArray, own: FloatArray) -> None:
         joint = model.joints[index]
         q[joint.idx_q : joint.idx_q + 7] = pin.SE3ToXYZQUAT(motion)
         local = np.kron(np.eye(2), turn.T)
         block = slice(joint.idx_v, joint.idx_v + 6)
-        covariance[block, block] = local @ own @ local.T
+        covariance[:, block, block] = local @ own @ local.T
 
-    for joint, pose, own in zip(robot.joints, poses, covariances, strict=True):
+    for joint, pose, own in zip(robot.joints, poses, np.swapaxes(covariances, 0, 1), strict=True):
         measured = pin.XYZQUATToSE3(pose)
         put(joint.index, joint.T_parent_joint.inverse() * measured, measured.rotation, own)
     pin.forwardKinematics(model, data, q)
@@ -75,23 +80,27 @@ def pinocchio_endpoint(
     for number, (beam, joint, start) in enumerate(zip(chain.beams, robot.freed, starts, strict=True)):
         force = start.T @ (chain.gravity - (0.0 if accelerations is None else accelerations[number]))
         under = beam.T_under(force)
-        put(joint.index, joint.T_parent_joint.inverse() * under, under.rotation, beam.covariance_under(force))
+        own = np.stack([np.zeros((6, 6)), beam.covariance_under(force)])  # a beam is common to all scans
+        put(joint.index, joint.T_parent_joint.inverse() * under, under.rotation, own)
     jacobian = pin.computeFrameJacobian(model, data, q, robot.endpoint, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)
     pose = pin.updateFramePlacement(model, data, robot.endpoint)
-    return Endpoint(pin.SE3(pose), jacobian @ covariance @ jacobian.T)
+    return Endpoint(pin.SE3(pose), *(jacobian @ covariance @ jacobian.T))
 
 
 def one_by_one(
     chain: Chain, poses: FloatArray, covariances: FloatArray, stamps: IntArray, window_s: float = 0.0
-) -> tuple[FloatArray, FloatArray, FloatArray]:
+) -> list[FloatArray]:
     estimator = chain.estimator(window_s)
     found = []
-    for pose, covariance, stamp in zip(poses, covariances, stamps, strict=True):
-        estimator.poses[:], estimator.covariances[:] = pose, covariance
+    for n, stamp in enumerate(stamps):
+        set_scan(estimator, poses[n], covariances[:, n])
         estimator.estimate(int(stamp))
-        found.append((estimator.pose.copy(), estimator.covariance.copy(), estimator.angles.copy()))
-    first, second, third = (np.array(each) for each in zip(*found, strict=True))
-    return first, second, third
+        found.append([np.copy(getattr(estimator, name)) for name in RESULTS])
+    return [np.array(each) for each in zip(*found, strict=True)]
+
+
+def set_scan(estimator: EndpointEstimator, poses: FloatArray, covariances: FloatArray) -> None:
+    estimator.poses[:], (estimator.covariances_random[:], estimator.covariances_systematic[:]) = poses, covariances
 
 
 @pytest.mark.parametrize("which", ["chain", "straight"])
@@ -99,19 +108,19 @@ def test_pose_and_covariance_agree_with_pinocchio(
     which: str, request: pytest.FixtureRequest, poses: FloatArray, covariances: FloatArray
 ) -> None:
     arm: Chain = request.getfixturevalue(which)
-    found = arm.estimate_all(poses, covariances)
+    found = arm.estimate_all(poses, *covariances)
     for n in range(SCANS):
-        expected = pinocchio_endpoint(arm, poses[n], covariances[n])
+        expected = pinocchio_endpoint(arm, poses[n], covariances[:, n])
         T = expected.T_base_endpoint
         np.testing.assert_allclose(found.poses[n], pin.SE3ToXYZQUAT(T), rtol=0.0, atol=3e-15)
-        scale = np.sqrt(np.diag(expected.covariance))
-        np.testing.assert_allclose(
-            found.covariances[n] / np.outer(scale, scale),
-            expected.covariance / np.outer(scale, scale),
-            rtol=0.0,
-            atol=1e-12,
-        )
-        np.testing.assert_array_equal(found.covariances[n], found.covariances[n].T)
+        for own, other in (
+            (found.covariances_random[n], expected.covariance_random),
+            (found.covariances_systematic[n], expected.covariance_systematic),
+            (found.covariances()[n], expected.covariance()),
+        ):
+            scale = np.sqrt(np.outer(np.diag(other), np.diag(other)))
+            np.testing.assert_allclose(own / scale, other / scale, rtol=0.0, atol=1e-12)
+            np.testing.assert_array_equal(own, own.T)
 
 
 def test_a_link_between_two_joints_can_be_the_endpoint(poses: FloatArray, covariances: FloatArray) -> None:
@@ -119,20 +128,20 @@ def test_a_link_between_two_joints_can_be_the_endpoint(poses: FloatArray, covari
     text = (FOLDER / "six_axis.urdf").read_text(encoding="utf-8")
     link = Chain(text, "endpoint").joints[3].parent
     arm = Chain(text, link)
-    found = arm.estimate_all(poses, covariances)
-    expected = pinocchio_endpoint(arm, poses[0], covariances[0])
+    found = arm.estimate_all(poses, *covariances)
+    expected = pinocchio_endpoint(arm, poses[0], covariances[:, 0])
     np.testing.assert_allclose(found.poses[0], pin.SE3ToXYZQUAT(expected.T_base_endpoint), rtol=0.0, atol=3e-15)
     others = poses.copy()
     others[:, 3:] = poses[::-1, 3:]
-    assert_bits(arm.estimate_all(others, covariances).covariances, found.covariances)
+    assert_bits(arm.estimate_all(others, *covariances).covariances(), found.covariances())
 
 
 @pytest.mark.parametrize("window_s", [0.0, WINDOW_S])
 def test_many_scans_give_the_bits_of_single_scans(chain: Chain, covariances: FloatArray, window_s: float) -> None:
     poses, stamps = swinging(chain, SCANS)
-    found = chain.estimate_all(poses, covariances, stamps, acceleration_window=window_s)
+    found = chain.estimate_all(poses, *covariances, stamps, acceleration_window=window_s)
     alone = one_by_one(chain, poses, covariances, stamps, window_s)
-    for together, single in zip((found.poses, found.covariances, found.angles), alone, strict=True):
+    for together, single in zip(found[:4], alone, strict=True):
         assert_bits(together, single)
     assert found.usable.all()
 
@@ -141,14 +150,15 @@ def test_chunks_continue_the_motion_of_the_chunk_before(chain: Chain) -> None:
     """Chunks of all sizes, also shorter than MINIMUM_SCANS, with stamps that start over."""
     poses, stamps = swinging(chain, SCANS)
     poses, stamps = np.tile(poses, (2, 1, 1)), np.tile(stamps, 2)
-    covariances = np.zeros((2 * SCANS, JOINTS, 6, 6))
-    whole = chain.estimate_all(poses, covariances, stamps, acceleration_window=WINDOW_S)
+    exact = np.zeros((2 * SCANS, JOINTS, 6, 6))
+    whole = chain.estimate_all(poses, exact, exact, stamps, acceleration_window=WINDOW_S)
     estimator = chain.estimator(WINDOW_S)
     chunks: list[Endpoints] = []
     begin = 0
     for size in (1, 2, MINIMUM_SCANS, 13, 30, 2 * SCANS):
         end = min(begin + size, 2 * SCANS)
-        chunks.append(estimator.estimate_all(poses[begin:end], covariances[begin:end], stamps[begin:end]))
+        part = slice(begin, end)
+        chunks.append(estimator.estimate_all(poses[part], exact[part], exact[part], stamps[part]))
         begin = end
     assert_bits(np.concatenate([chunk.poses for chunk in chunks]), whole.poses)
     assert_bits(whole.poses[:SCANS], whole.poses[SCANS:])  # the history was emptied in between
@@ -157,10 +167,10 @@ def test_chunks_continue_the_motion_of_the_chunk_before(chain: Chain) -> None:
 def test_a_window_of_more_scans_than_the_initial_capacity(chain: Chain) -> None:
     scans = 2 * INITIAL_CAPACITY + MINIMUM_SCANS
     poses, stamps = swinging(chain, scans)
-    covariances = np.zeros((scans, JOINTS, 6, 6))
+    covariances = np.zeros((2, scans, JOINTS, 6, 6))
     window_s = 1.5 * INITIAL_CAPACITY * PERIOD_NS * 1e-9
     assert_bits(
-        chain.estimate_all(poses, covariances, stamps, acceleration_window=window_s).poses,
+        chain.estimate_all(poses, *covariances, stamps, acceleration_window=window_s).poses,
         one_by_one(chain, poses, covariances, stamps, window_s)[0],
     )
 
@@ -179,25 +189,25 @@ def test_scans_close_together_give_no_acceleration(chain: Chain) -> None:
 
 def test_accelerations_of_the_beams_change_their_sag(chain: Chain) -> None:
     poses, stamps = swinging(chain, SCANS)
-    covariances = np.zeros((SCANS, JOINTS, 6, 6))
+    covariances = np.zeros((2, SCANS, JOINTS, 6, 6))
     estimator = chain.estimator(WINDOW_S)
     for n in range(SCANS):
         estimator.poses[:] = poses[n]
         assert estimator.estimate(int(stamps[n]))
-        expected = pinocchio_endpoint(chain, poses[n], covariances[n], estimator.accelerations)
+        expected = pinocchio_endpoint(chain, poses[n], covariances[:, n], estimator.accelerations)
         np.testing.assert_allclose(estimator.pose, pin.SE3ToXYZQUAT(expected.T_base_endpoint), rtol=0.0, atol=3e-15)
         spans_half = n > 0 and 2 * (stamps[n - 1] - stamps[0]) >= WINDOW_S * 1e9
         assert estimator.accelerations.any() == (n >= MINIMUM_SCANS and spans_half)
     assert np.abs(estimator.accelerations).max() > 1.0
-    still = chain.estimate_all(poses, covariances).poses
+    still = chain.estimate_all(poses, *covariances).poses
     assert np.abs(estimator.pose - still[-1])[:3].max() > 1e-7
 
 
 def test_angles_are_counted_with_theta(chain: Chain, poses: FloatArray, covariances: FloatArray) -> None:
     rotations = [[pin.XYZQUATToSE3(pose).rotation for pose in scan] for scan in poses]
     own = np.array([[native_from_rotation(rotation)[2] for rotation in scan] for scan in rotations])
-    uncounted = chain.estimator().estimate_all(poses, covariances).angles
-    counted = chain.estimator().estimate_all(poses, covariances, thetas=own + 6.0 * math.pi).angles
+    uncounted = chain.estimator().estimate_all(poses, *covariances).angles
+    counted = chain.estimator().estimate_all(poses, *covariances, thetas=own + 6.0 * math.pi).angles
     for column, joint in enumerate(chain.joints):
         seen = [native_from_rotation(joint.T_parent_joint.rotation.T @ scan[column])[2] for scan in rotations]
         np.testing.assert_allclose(uncounted[:, column], seen, rtol=0.0, atol=1e-13)
@@ -206,33 +216,35 @@ def test_angles_are_counted_with_theta(chain: Chain, poses: FloatArray, covarian
 
 
 def test_pose_and_covariance_relative_to_home(chain: Chain, poses: FloatArray, covariances: FloatArray) -> None:
-    found = chain.estimate_all(poses, covariances)
+    found = chain.estimate_all(poses, *covariances)
     home = found.poses[0].copy()
-    relative, own = found.relative_to(home)
+    relative = found.relative_to(home)
     back = pin.XYZQUATToSE3(home).inverse()
     turn = np.kron(np.eye(2), back.rotation)
     estimator = chain.estimator()
     for n in range(SCANS):
         expected = pin.SE3ToXYZQUAT(back * pin.XYZQUATToSE3(found.poses[n]))
-        np.testing.assert_allclose(relative[n], expected, rtol=0.0, atol=3e-15)
-        scale = np.abs(own[n]).max()
-        np.testing.assert_allclose(own[n], turn @ found.covariances[n] @ turn.T, rtol=0.0, atol=1e-14 * scale)
-        estimator.poses[:], estimator.covariances[:] = poses[n], covariances[n]
+        np.testing.assert_allclose(relative.poses[n], expected, rtol=0.0, atol=3e-15)
+        for own, before in zip(relative[1:3], found[1:3], strict=True):
+            scale = np.abs(own[n]).max()
+            np.testing.assert_allclose(own[n], turn @ before[n] @ turn.T, rtol=0.0, atol=1e-14 * scale)
+        set_scan(estimator, poses[n], covariances[:, n])
         estimator.estimate()
         estimator.estimate_relative_to(home)
-        assert_bits(estimator.relative_pose, relative[n])
-        assert_bits(estimator.relative_covariance, own[n])
-    np.testing.assert_allclose(relative[0], [0, 0, 0, 0, 0, 0, 1], rtol=0.0, atol=1e-15)
+        for own, expected in zip(estimator.result(relative=True), relative[:3], strict=True):
+            assert_bits(own, expected[n])
+    np.testing.assert_allclose(relative.poses[0], [0, 0, 0, 0, 0, 0, 1], rtol=0.0, atol=1e-15)
+    assert_bits(relative.angles, found.angles)
 
 
 def test_a_quaternion_slightly_off_unit_length_is_normalised(chain: Chain, poses: FloatArray) -> None:
     """As from a sender of single precision."""
-    covariances = np.zeros((SCANS, JOINTS, 6, 6))
+    exact = np.zeros((SCANS, JOINTS, 6, 6))
     longer = poses.copy()
     longer[..., 3:] *= 1.0 + 0.9e-6
     np.testing.assert_allclose(
-        chain.estimate_all(longer, covariances).poses,
-        chain.estimate_all(poses, covariances).poses,
+        chain.estimate_all(longer, exact, exact).poses,
+        chain.estimate_all(poses, exact, exact).poses,
         rtol=0.0,
         atol=3e-15,
     )
@@ -240,10 +252,10 @@ def test_a_quaternion_slightly_off_unit_length_is_normalised(chain: Chain, poses
 
 def test_read_only_arrays_are_accepted(chain: Chain, poses: FloatArray, covariances: FloatArray) -> None:
     """As views of the bytes of a bag."""
-    expected = chain.estimate_all(poses, covariances).poses
+    expected = chain.estimate_all(poses, *covariances).poses
     for array in (poses, covariances):
         array.flags.writeable = False
-    assert_bits(chain.estimate_all(poses, covariances).poses, expected)
+    assert_bits(chain.estimate_all(poses, *covariances).poses, expected)
 
 
 def test_serialised_rows_give_the_bits_of_arrays(chain: Chain, covariances: FloatArray) -> None:
@@ -251,8 +263,7 @@ def test_serialised_rows_give_the_bits_of_arrays(chain: Chain, covariances: Floa
     scans = INITIAL_CAPACITY + 40
     poses, stamps = swinging(chain, scans)
     columns = [
-        JointRowLayout(pose=8 * (j + 1), native=8 * (j + 8), covariance=8 * (j + 14), state=3, size=440)
-        for j in range(JOINTS)
+        JointRowLayout(8 * (j + 1), 8 * (j + 8), 8 * (j + 14), 8 * (j + 50), state=3, size=728) for j in range(JOINTS)
     ]
     estimator, other = (chain.estimator(scans * PERIOD_NS * 1e-9, columns) for _ in range(2))
     numbers = estimator.rows.view(np.float64)
@@ -268,7 +279,7 @@ def test_serialised_rows_give_the_bits_of_arrays(chain: Chain, covariances: Floa
         for j in range(JOINTS):
             row = numbers[j]
             row[j + 1 : j + 8], row[j + 8 : j + 14] = poses[n, j], natives[n, j]
-            row[j + 14 : j + 50] = covariances[n % len(covariances), j].ravel()
+            row[j + 14 : j + 86] = covariances[:, n % SCANS, j].ravel()
             estimator.rows[j, 3] = states[j]
         if n == 22:
             numbers[0, 1] = math.nan
@@ -278,9 +289,9 @@ def test_serialised_rows_give_the_bits_of_arrays(chain: Chain, covariances: Floa
             assert bool(estimator.faults.any()) == (n == 22)
             continue
         assert worst == max(states)
-        other.poses[:], other.covariances[:] = poses[n], covariances[n % len(covariances)]
+        set_scan(other, poses[n], covariances[:, n % SCANS])
         other.thetas[:] = natives[n, :, 5]
         assert other.estimate(int(stamps[n]))
-        for name in ("pose", "covariance", "angles", "accelerations"):
+        for name in (*RESULTS, "accelerations"):
             assert_bits(getattr(estimator, name), getattr(other, name))
     assert other.accelerations.any()

@@ -27,7 +27,8 @@ WRONG = {
     "shoulder has a pose that is not finite": ("poses", (1, 0), math.nan),
     "shoulder has a pose that is not finite ": ("poses", (1, 6), math.inf),
     "elbow has an orientation that is not a unit quaternion": ("poses", (2, slice(3, 7)), 0.6),
-    "tool_roll has a covariance that is not finite": ("covariances", (5, 4, 2), math.nan),
+    "tool_roll has a covariance that is not finite": ("random", (5, 4, 2), math.nan),
+    "tool_roll has a covariance that is not positive semi-definite": ("systematic", (5, 4, 4), -1e-9),
 }
 
 
@@ -35,30 +36,35 @@ WRONG = {
 def test_an_invalid_measurement_gives_no_endpoint_and_its_joint_is_named(chain: Chain, sentence: str) -> None:
     which, where, value = WRONG[sentence]
     poses, stamps = swinging(chain, SCANS)
-    covariances = np.zeros((SCANS, JOINTS, 6, 6))
+    numbers = {"poses": poses, **{part: np.zeros((SCANS, JOINTS, 6, 6)) for part in ("random", "systematic")}}
     bad = SCANS // 2
     others = np.arange(SCANS) != bad
-    without = chain.estimate_all(poses[others], covariances[others], stamps[others], acceleration_window=WINDOW_S)
-    {"poses": poses, "covariances": covariances}[which][bad][where] = value
-    found = chain.estimate_all(poses, covariances, stamps, acceleration_window=WINDOW_S)
+    undisturbed = [array[others] for array in numbers.values()]
+    without = chain.estimate_all(*undisturbed, stamps[others], acceleration_window=WINDOW_S)
+    numbers[which][bad][where] = value
+    found = chain.estimate_all(*numbers.values(), stamps, acceleration_window=WINDOW_S)
     assert np.flatnonzero(~found.usable).tolist() == [bad]
     assert np.isnan(found.poses[bad]).all()
-    assert np.isnan(found.covariances[bad]).all()
+    assert np.isnan(found.covariances_random[bad]).all()
+    assert np.isnan(found.covariances_systematic[bad]).all()
     assert np.isnan(found.angles[bad]).all()
     # All other scans are unaffected, also in their accelerations.
     assert_bits(found.poses[others], without.poses)
     estimator = chain.estimator()
-    estimator.poses[:], estimator.covariances[:] = poses[bad], covariances[bad]
+    inputs = estimator.poses, estimator.covariances_random, estimator.covariances_systematic
+    for array, values in zip(inputs, numbers.values(), strict=True):
+        array[:] = values[bad]
     assert not estimator.estimate()
     assert np.isnan(estimator.pose).all()
     assert estimator.fault_text() == sentence.strip()
-    estimator.poses[:], estimator.covariances[:] = poses[0], covariances[0]
+    for array, values in zip(inputs, numbers.values(), strict=True):
+        array[:] = values[0]
     assert estimator.estimate()
     assert estimator.fault_text() == ""
 
 
 def test_invalid_measurements_are_refused_by_joint(chain: Chain) -> None:
-    sound = {joint.name: MeasuredJoint(pin.SE3.Identity(), np.zeros((6, 6))) for joint in chain.joints}
+    sound = {joint.name: MeasuredJoint(pin.SE3.Identity()) for joint in chain.joints}
     unsound = {**sound, "elbow": MeasuredJoint(pin.SE3.Identity(), np.full((6, 6), np.nan))}
     assert refusal(ChainError, chain.estimate, unsound).what == "elbow has a covariance that is not finite"
     del sound["elbow"]
@@ -66,30 +72,37 @@ def test_invalid_measurements_are_refused_by_joint(chain: Chain) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "shape"), [("poses", (3, 5, 7)), ("covariances", (3, 6, 36)), ("stamps_ns", (2,)), ("thetas", (3, 5))]
+    ("name", "shape"),
+    [
+        ("poses", (3, 5, 7)),
+        ("covariances_random", (3, 6, 36)),
+        ("covariances_systematic", (2, 6, 6, 6)),
+        ("stamps_ns", (2,)),
+        ("thetas", (3, 5)),
+    ],
 )
 def test_arrays_of_the_wrong_shape_are_refused(chain: Chain, name: str, shape: tuple[int, ...]) -> None:
     shapes: dict[str, tuple[int, ...]] = {
         "poses": (3, JOINTS, 7),
-        "covariances": (3, JOINTS, 6, 6),
+        "covariances_random": (3, JOINTS, 6, 6),
+        "covariances_systematic": (3, JOINTS, 6, 6),
         "stamps_ns": (3,),
         "thetas": (3, JOINTS),
     }
     expected = shapes[name]
     shapes[name] = shape
-    poses, covariances, stamps, thetas = (np.zeros(each) for each in shapes.values())
-    error = refusal(ChainError, chain.estimator().estimate_all, poses, covariances, stamps.astype(np.int64), thetas)
+    arrays = {each: np.zeros(size, dtype=np.int64 if each == "stamps_ns" else float) for each, size in shapes.items()}
+    error = refusal(ChainError, chain.estimator().estimate_all, **arrays)
     assert (error.what, error.expected) == (f"{name} of shape {shape}", str(expected))
 
 
 def test_a_moving_arm_needs_stamps(chain: Chain) -> None:
-    poses, covariances = np.zeros((3, JOINTS, 7)), np.zeros((3, JOINTS, 6, 6))
-    error = refusal(ChainError, chain.estimator(WINDOW_S).estimate_all, poses, covariances)
+    poses, exact = np.zeros((3, JOINTS, 7)), np.zeros((3, JOINTS, 6, 6))
+    error = refusal(ChainError, chain.estimator(WINDOW_S).estimate_all, poses, exact, exact)
     assert (error.what, error.expected) == ("the endpoints of an arm in motion need stamps", "3 stamps")
 
 
 def test_no_scans_give_no_endpoints(chain: Chain) -> None:
-    found = chain.estimator(WINDOW_S).estimate_all(
-        np.zeros((0, 6, 7)), np.zeros((0, 6, 6, 6)), np.zeros(0, dtype=np.int64)
-    )
+    exact = np.zeros((0, JOINTS, 6, 6))
+    found = chain.estimator(WINDOW_S).estimate_all(np.zeros((0, 6, 7)), exact, exact, np.zeros(0, dtype=np.int64))
     assert len(found.poses) == len(found.usable) == 0

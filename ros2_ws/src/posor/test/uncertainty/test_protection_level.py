@@ -59,7 +59,7 @@ def poses_of(chain: Chain) -> dict[str, pin.SE3]:
 def endpoint_change(chain: Chain, shifts: dict[str, FloatArray]) -> FloatArray:
     poses = poses_of(chain)
     before, after = (
-        chain.estimate({name: MeasuredJoint(pose, NONE) for name, pose in case.items()}).T_base_endpoint
+        chain.estimate({name: MeasuredJoint(pose) for name, pose in case.items()}).T_base_endpoint
         for case in (poses, {name: disturbed(pose, shifts.get(name, np.zeros(6))) for name, pose in poses.items()})
     )
     turn = pin.log3(after.rotation @ before.rotation.T)
@@ -138,8 +138,8 @@ def test_the_level_contains_the_bound_of_the_beams_and_the_covariance_does_not(c
     found = endpoint_protection_level(shifts, effects, NONE, expansions)
     expected = endpoint_protection_level(shifts, effects, NONE) + expansion_bound(expansions)
     np.testing.assert_allclose(found, expected, rtol=1e-12)
-    measured = {name: MeasuredJoint(pose, NONE) for name, pose in poses.items()}
-    np.testing.assert_array_equal(with_beams.estimate(measured).covariance, NONE)
+    measured = {name: MeasuredJoint(pose) for name, pose in poses.items()}
+    np.testing.assert_array_equal(with_beams.estimate(measured).covariance(), NONE)
     np.testing.assert_array_equal(expansion_shifts(chain, poses), np.zeros((0, 6)))
 
 
@@ -155,7 +155,7 @@ def test_undetected_errors_of_a_reading_stay_within_the_level(chain: Chain) -> N
         estimate = posor.estimate_each(scans)
         covariances[name] = estimate.covariances_random[0] + estimate.covariances_systematic[0]
     effects = endpoint_effects(chain, poses)
-    covariance = chain.estimate({n: MeasuredJoint(poses[n], covariances[n]) for n in poses}).covariance
+    covariance = chain.estimate({n: MeasuredJoint(poses[n], covariances[n]) for n in poses}).covariance()
     level = endpoint_protection_level([found[n].shifts for n in poses], [effects[n] for n in poses], covariance)
     assert np.isfinite(level).all()
     within = undetected = 0

@@ -38,7 +38,7 @@ def everything(tmp_path_factory: pytest.TempPathFactory) -> ArmSimulation:
 
 def by_chain(arm: ArmSimulation, truth: ArmTruth, n: int) -> pin.SE3:
     """Return the endpoint that chain_node would give if its POSORs were without error."""
-    measured = {joint: MeasuredJoint(truth.T_parent_child[joint][n], np.zeros((6, 6))) for joint in arm.joints}
+    measured = {joint: MeasuredJoint(truth.T_parent_child[joint][n]) for joint in arm.joints}
     return arm.chain.estimate(measured).T_base_endpoint
 
 
@@ -88,7 +88,7 @@ def test_perfect_posors_and_chain_give_the_endpoint(tmp_path: Path) -> None:
         assert np.all(found[joint].states == State.OK)
     for n in range(N):
         poses = {joint: pin.SE3(found[joint].rotations[n], found[joint].translations[n]) for joint in JOINTS}
-        measured = {joint: MeasuredJoint(pose, np.zeros((6, 6))) for joint, pose in poses.items()}
+        measured = {joint: MeasuredJoint(pose) for joint, pose in poses.items()}
         endpoint = arm.chain.estimate(measured).T_base_endpoint
         assert np.linalg.norm(endpoint.translation - truth.endpoint.translations[n]) < 1e-9
         assert np.linalg.norm(pin.log3(endpoint.rotation.T @ truth.endpoint.rotations[n])) < 1e-9
