@@ -96,8 +96,9 @@ def test_no_flipped_bit_changes_results_without_an_error(tmp_path: Path) -> None
             estimates = arm.estimate(bag)
         except BagError as error:
             return str(error)
-        parts = (*estimates.joints.values(), estimates.endpoint)
-        return b"".join(array.tobytes() for each in parts for array in (each.poses, each.covariances()))
+        arrays = [array for each in estimates.joints.values() for array in (each.poses, each.covariances())]
+        arrays += [estimates.endpoint.poses, estimates.endpoint.covariances()]
+        return b"".join(array.tobytes() for array in arrays)
 
     file, chance, refused = bag / "bag.mcap", np.random.default_rng(43), 0
     whole, known = file.read_bytes(), results()

@@ -192,10 +192,8 @@ class Observer:
         return ArmScan(
             stamp_ns,
             np.array([_usable_pose(values) for values in joints]),
-            *(
-                np.array([values[f"covariance_{part}"] for values in joints]).reshape(-1, 6, 6)
-                for part in ("random", "systematic")
-            ),
+            np.array([values["covariance_random"] for values in joints]).reshape(-1, 6, 6),
+            np.array([values["covariance_systematic"] for values in joints]).reshape(-1, 6, 6),
             np.array([values["native"][5] for values in joints]),
             np.array([values["residual"] / max(values["redundancy"], 1) for values in joints]),
             np.array([self._encoder(name, stamp_ns) for name in self._joints]),

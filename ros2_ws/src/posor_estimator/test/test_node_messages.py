@@ -100,7 +100,8 @@ def test_a_transform_is_recognised_and_read_for_the_chain() -> None:
         assert stamp_ns_of(data[STAMP]) == scan_from_message(scan).stamp_ns
         row[LEAD : LEAD + kind.size] = np.frombuffer(data, dtype=np.uint8)[: kind.size]
     for n, message in enumerate(messages):
-        _, pose, random, systematic, _ = (array[n, 0] if array.ndim > 1 else array for array in measured)
+        pose = measured.poses[n, 0]
+        random, systematic = measured.covariances_random[n, 0], measured.covariances_systematic[n, 0]
         measured.thetas[n, 0] = read_row(kind.row_layout.record, 0, rows[n].view(np.float64), pose, random, systematic)
         p, q = message.pose.position, message.pose.orientation
         assert measured.poses[n, 0].tobytes() == np.array([p.x, p.y, p.z, q.x, q.y, q.z, q.w]).tobytes()

@@ -175,7 +175,8 @@ class EndpointEstimator:
 
     def covariance(self) -> FloatArray:
         """Return the sum of both covariances of the endpoint, (6, 6)."""
-        return self.covariance_random + self.covariance_systematic
+        total: FloatArray = self.covariance_random + self.covariance_systematic
+        return total
 
     def result(self, *, relative: bool) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return the arrays of pose, random and systematic covariance, in the base frame or in the axes at home."""

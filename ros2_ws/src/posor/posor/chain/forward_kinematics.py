@@ -69,7 +69,8 @@ class Endpoints(NamedTuple):
         """Return NaN for all scans, without faults."""
         return cls(
             np.full((scans, 7), np.nan),
-            *np.full((2, scans, 6, 6), np.nan),
+            np.full((scans, 6, 6), np.nan),
+            np.full((scans, 6, 6), np.nan),
             np.full((scans, joints), np.nan),
             np.zeros((scans, joints), dtype=np.int64),
         )

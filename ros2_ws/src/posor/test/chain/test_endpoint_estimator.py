@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from posor.chain.forward_kinematics import Endpoints
     from posor.numerics.array_types import FloatArray, IntArray
 
+    Parts = tuple[FloatArray, FloatArray]
+
 RESULTS = ("pose", "covariance_random", "covariance_systematic", "angles")
 
 
@@ -47,19 +49,28 @@ def poses(random_rotation: Callable[[], FloatArray], rng: np.random.Generator) -
 
 
 @pytest.fixture
-def covariances(rng: np.random.Generator) -> FloatArray:
-    """Random and systematic part, (2, n, j, 6, 6)."""
-    root = rng.normal(size=(2, SCANS, JOINTS, 6, 6)) * 1e-6
-    return np.asarray(root @ np.swapaxes(root, -1, -2))
+def covariances(rng: np.random.Generator) -> Parts:
+    """Random and systematic part, (n, j, 6, 6) each."""
+    roots = rng.normal(size=(2, SCANS, JOINTS, 6, 6)) * 1e-6
+    random, systematic = roots @ np.swapaxes(roots, -1, -2)
+    return random, systematic
+
+
+def exact(scans: int) -> Parts:
+    return np.zeros((scans, JOINTS, 6, 6)), np.zeros((scans, JOINTS, 6, 6))
+
+
+def part_of(covariances: Parts, scans: int | slice) -> Parts:
+    return covariances[0][scans], covariances[1][scans]
 
 
 def pinocchio_endpoint(
-    chain: Chain, poses: FloatArray, covariances: FloatArray, accelerations: FloatArray | None = None
+    chain: Chain, poses: FloatArray, covariances: Parts, accelerations: FloatArray | None = None
 ) -> Endpoint:
     """Return the endpoint by pinocchio's model of the arm: forward kinematics, and the Jacobian of the endpoint.
 
     First with beams that do not sag, which tells how they lie; then with the sag of ``MeasuringBeam``.
-    ``covariances``: random and systematic part, (2, j, 6, 6).
+    ``covariances``: random and systematic part, (j, 6, 6) each.
     """
     robot = chain._robot
     model, data = robot.model, robot.model.createData()
@@ -72,8 +83,9 @@ def pinocchio_endpoint(
         block = slice(joint.idx_v, joint.idx_v + 6)
         covariance[:, block, block] = local @ own @ local.T
 
-    for joint, pose, own in zip(robot.joints, poses, np.swapaxes(covariances, 0, 1), strict=True):
+    for joint, pose, random, systematic in zip(robot.joints, poses, *covariances, strict=True):
         measured = pin.XYZQUATToSE3(pose)
+        own = np.stack([random, systematic])
         put(joint.index, joint.T_parent_joint.inverse() * measured, measured.rotation, own)
     pin.forwardKinematics(model, data, q)
     starts = [data.oMi[model.parents[joint.index]].rotation @ joint.T_before_parent.rotation for joint in robot.freed]
@@ -88,29 +100,29 @@ def pinocchio_endpoint(
 
 
 def one_by_one(
-    chain: Chain, poses: FloatArray, covariances: FloatArray, stamps: IntArray, window_s: float = 0.0
+    chain: Chain, poses: FloatArray, covariances: Parts, stamps: IntArray, window_s: float = 0.0
 ) -> list[FloatArray]:
     estimator = chain.estimator(window_s)
     found = []
     for n, stamp in enumerate(stamps):
-        set_scan(estimator, poses[n], covariances[:, n])
+        set_scan(estimator, poses[n], part_of(covariances, n))
         estimator.estimate(int(stamp))
         found.append([np.copy(getattr(estimator, name)) for name in RESULTS])
     return [np.array(each) for each in zip(*found, strict=True)]
 
 
-def set_scan(estimator: EndpointEstimator, poses: FloatArray, covariances: FloatArray) -> None:
+def set_scan(estimator: EndpointEstimator, poses: FloatArray, covariances: Parts) -> None:
     estimator.poses[:], (estimator.covariances_random[:], estimator.covariances_systematic[:]) = poses, covariances
 
 
 @pytest.mark.parametrize("which", ["chain", "straight"])
 def test_pose_and_covariance_agree_with_pinocchio(
-    which: str, request: pytest.FixtureRequest, poses: FloatArray, covariances: FloatArray
+    which: str, request: pytest.FixtureRequest, poses: FloatArray, covariances: Parts
 ) -> None:
     arm: Chain = request.getfixturevalue(which)
     found = arm.estimate_all(poses, *covariances)
     for n in range(SCANS):
-        expected = pinocchio_endpoint(arm, poses[n], covariances[:, n])
+        expected = pinocchio_endpoint(arm, poses[n], part_of(covariances, n))
         T = expected.T_base_endpoint
         np.testing.assert_allclose(found.poses[n], pin.SE3ToXYZQUAT(T), rtol=0.0, atol=3e-15)
         for own, other in (
@@ -123,13 +135,13 @@ def test_pose_and_covariance_agree_with_pinocchio(
             np.testing.assert_array_equal(own, own.T)
 
 
-def test_a_link_between_two_joints_can_be_the_endpoint(poses: FloatArray, covariances: FloatArray) -> None:
+def test_a_link_between_two_joints_can_be_the_endpoint(poses: FloatArray, covariances: Parts) -> None:
     """Joints beyond the link are checked but do not contribute."""
     text = (FOLDER / "six_axis.urdf").read_text(encoding="utf-8")
     link = Chain(text, "endpoint").joints[3].parent
     arm = Chain(text, link)
     found = arm.estimate_all(poses, *covariances)
-    expected = pinocchio_endpoint(arm, poses[0], covariances[:, 0])
+    expected = pinocchio_endpoint(arm, poses[0], part_of(covariances, 0))
     np.testing.assert_allclose(found.poses[0], pin.SE3ToXYZQUAT(expected.T_base_endpoint), rtol=0.0, atol=3e-15)
     others = poses.copy()
     others[:, 3:] = poses[::-1, 3:]
@@ -137,7 +149,7 @@ def test_a_link_between_two_joints_can_be_the_endpoint(poses: FloatArray, covari
 
 
 @pytest.mark.parametrize("window_s", [0.0, WINDOW_S])
-def test_many_scans_give_the_bits_of_single_scans(chain: Chain, covariances: FloatArray, window_s: float) -> None:
+def test_many_scans_give_the_bits_of_single_scans(chain: Chain, covariances: Parts, window_s: float) -> None:
     poses, stamps = swinging(chain, SCANS)
     found = chain.estimate_all(poses, *covariances, stamps, acceleration_window=window_s)
     alone = one_by_one(chain, poses, covariances, stamps, window_s)
@@ -150,15 +162,15 @@ def test_chunks_continue_the_motion_of_the_chunk_before(chain: Chain) -> None:
     """Chunks of all sizes, also shorter than MINIMUM_SCANS, with stamps that start over."""
     poses, stamps = swinging(chain, SCANS)
     poses, stamps = np.tile(poses, (2, 1, 1)), np.tile(stamps, 2)
-    exact = np.zeros((2 * SCANS, JOINTS, 6, 6))
-    whole = chain.estimate_all(poses, exact, exact, stamps, acceleration_window=WINDOW_S)
+    covariances = exact(2 * SCANS)
+    whole = chain.estimate_all(poses, *covariances, stamps, acceleration_window=WINDOW_S)
     estimator = chain.estimator(WINDOW_S)
     chunks: list[Endpoints] = []
     begin = 0
     for size in (1, 2, MINIMUM_SCANS, 13, 30, 2 * SCANS):
         end = min(begin + size, 2 * SCANS)
         part = slice(begin, end)
-        chunks.append(estimator.estimate_all(poses[part], exact[part], exact[part], stamps[part]))
+        chunks.append(estimator.estimate_all(poses[part], *part_of(covariances, part), stamps[part]))
         begin = end
     assert_bits(np.concatenate([chunk.poses for chunk in chunks]), whole.poses)
     assert_bits(whole.poses[:SCANS], whole.poses[SCANS:])  # the history was emptied in between
@@ -167,7 +179,7 @@ def test_chunks_continue_the_motion_of_the_chunk_before(chain: Chain) -> None:
 def test_a_window_of_more_scans_than_the_initial_capacity(chain: Chain) -> None:
     scans = 2 * INITIAL_CAPACITY + MINIMUM_SCANS
     poses, stamps = swinging(chain, scans)
-    covariances = np.zeros((2, scans, JOINTS, 6, 6))
+    covariances = exact(scans)
     window_s = 1.5 * INITIAL_CAPACITY * PERIOD_NS * 1e-9
     assert_bits(
         chain.estimate_all(poses, *covariances, stamps, acceleration_window=window_s).poses,
@@ -189,12 +201,12 @@ def test_scans_close_together_give_no_acceleration(chain: Chain) -> None:
 
 def test_accelerations_of_the_beams_change_their_sag(chain: Chain) -> None:
     poses, stamps = swinging(chain, SCANS)
-    covariances = np.zeros((2, SCANS, JOINTS, 6, 6))
+    covariances = exact(SCANS)
     estimator = chain.estimator(WINDOW_S)
     for n in range(SCANS):
         estimator.poses[:] = poses[n]
         assert estimator.estimate(int(stamps[n]))
-        expected = pinocchio_endpoint(chain, poses[n], covariances[:, n], estimator.accelerations)
+        expected = pinocchio_endpoint(chain, poses[n], part_of(covariances, n), estimator.accelerations)
         np.testing.assert_allclose(estimator.pose, pin.SE3ToXYZQUAT(expected.T_base_endpoint), rtol=0.0, atol=3e-15)
         spans_half = n > 0 and 2 * (stamps[n - 1] - stamps[0]) >= WINDOW_S * 1e9
         assert estimator.accelerations.any() == (n >= MINIMUM_SCANS and spans_half)
@@ -203,7 +215,7 @@ def test_accelerations_of_the_beams_change_their_sag(chain: Chain) -> None:
     assert np.abs(estimator.pose - still[-1])[:3].max() > 1e-7
 
 
-def test_angles_are_counted_with_theta(chain: Chain, poses: FloatArray, covariances: FloatArray) -> None:
+def test_angles_are_counted_with_theta(chain: Chain, poses: FloatArray, covariances: Parts) -> None:
     rotations = [[pin.XYZQUATToSE3(pose).rotation for pose in scan] for scan in poses]
     own = np.array([[native_from_rotation(rotation)[2] for rotation in scan] for scan in rotations])
     uncounted = chain.estimator().estimate_all(poses, *covariances).angles
@@ -215,7 +227,7 @@ def test_angles_are_counted_with_theta(chain: Chain, poses: FloatArray, covarian
         np.testing.assert_allclose(turns, np.round(turns), rtol=0.0, atol=1e-13)
 
 
-def test_pose_and_covariance_relative_to_home(chain: Chain, poses: FloatArray, covariances: FloatArray) -> None:
+def test_pose_and_covariance_relative_to_home(chain: Chain, poses: FloatArray, covariances: Parts) -> None:
     found = chain.estimate_all(poses, *covariances)
     home = found.poses[0].copy()
     relative = found.relative_to(home)
@@ -228,7 +240,7 @@ def test_pose_and_covariance_relative_to_home(chain: Chain, poses: FloatArray, c
         for own, before in zip(relative[1:3], found[1:3], strict=True):
             scale = np.abs(own[n]).max()
             np.testing.assert_allclose(own[n], turn @ before[n] @ turn.T, rtol=0.0, atol=1e-14 * scale)
-        set_scan(estimator, poses[n], covariances[:, n])
+        set_scan(estimator, poses[n], part_of(covariances, n))
         estimator.estimate()
         estimator.estimate_relative_to(home)
         for own, expected in zip(estimator.result(relative=True), relative[:3], strict=True):
@@ -239,26 +251,25 @@ def test_pose_and_covariance_relative_to_home(chain: Chain, poses: FloatArray, c
 
 def test_a_quaternion_slightly_off_unit_length_is_normalised(chain: Chain, poses: FloatArray) -> None:
     """As from a sender of single precision."""
-    exact = np.zeros((SCANS, JOINTS, 6, 6))
     longer = poses.copy()
     longer[..., 3:] *= 1.0 + 0.9e-6
     np.testing.assert_allclose(
-        chain.estimate_all(longer, exact, exact).poses,
-        chain.estimate_all(poses, exact, exact).poses,
+        chain.estimate_all(longer, *exact(SCANS)).poses,
+        chain.estimate_all(poses, *exact(SCANS)).poses,
         rtol=0.0,
         atol=3e-15,
     )
 
 
-def test_read_only_arrays_are_accepted(chain: Chain, poses: FloatArray, covariances: FloatArray) -> None:
+def test_read_only_arrays_are_accepted(chain: Chain, poses: FloatArray, covariances: Parts) -> None:
     """As views of the bytes of a bag."""
     expected = chain.estimate_all(poses, *covariances).poses
-    for array in (poses, covariances):
+    for array in (poses, *covariances):
         array.flags.writeable = False
     assert_bits(chain.estimate_all(poses, *covariances).poses, expected)
 
 
-def test_serialised_rows_give_the_bits_of_arrays(chain: Chain, covariances: FloatArray) -> None:
+def test_serialised_rows_give_the_bits_of_arrays(chain: Chain, covariances: Parts) -> None:
     """With a window above the initial capacity, and different offsets in each row."""
     scans = INITIAL_CAPACITY + 40
     poses, stamps = swinging(chain, scans)
@@ -279,7 +290,7 @@ def test_serialised_rows_give_the_bits_of_arrays(chain: Chain, covariances: Floa
         for j in range(JOINTS):
             row = numbers[j]
             row[j + 1 : j + 8], row[j + 8 : j + 14] = poses[n, j], natives[n, j]
-            row[j + 14 : j + 86] = covariances[:, n % SCANS, j].ravel()
+            row[j + 14 : j + 86] = np.ravel([part[j] for part in part_of(covariances, n % SCANS)])
             estimator.rows[j, 3] = states[j]
         if n == 22:
             numbers[0, 1] = math.nan
@@ -289,7 +300,7 @@ def test_serialised_rows_give_the_bits_of_arrays(chain: Chain, covariances: Floa
             assert bool(estimator.faults.any()) == (n == 22)
             continue
         assert worst == max(states)
-        set_scan(other, poses[n], covariances[:, n % SCANS])
+        set_scan(other, poses[n], part_of(covariances, n % SCANS))
         other.thetas[:] = natives[n, :, 5]
         assert other.estimate(int(stamps[n]))
         for name in (*RESULTS, "accelerations"):

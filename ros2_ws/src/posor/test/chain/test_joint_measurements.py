@@ -36,13 +36,14 @@ WRONG = {
 def test_an_invalid_measurement_gives_no_endpoint_and_its_joint_is_named(chain: Chain, sentence: str) -> None:
     which, where, value = WRONG[sentence]
     poses, stamps = swinging(chain, SCANS)
-    numbers = {"poses": poses, **{part: np.zeros((SCANS, JOINTS, 6, 6)) for part in ("random", "systematic")}}
+    random, systematic = np.zeros((2, SCANS, JOINTS, 6, 6))
     bad = SCANS // 2
     others = np.arange(SCANS) != bad
-    undisturbed = [array[others] for array in numbers.values()]
-    without = chain.estimate_all(*undisturbed, stamps[others], acceleration_window=WINDOW_S)
-    numbers[which][bad][where] = value
-    found = chain.estimate_all(*numbers.values(), stamps, acceleration_window=WINDOW_S)
+    without = chain.estimate_all(
+        poses[others], random[others], systematic[others], stamps[others], acceleration_window=WINDOW_S
+    )
+    {"poses": poses, "random": random, "systematic": systematic}[which][bad][where] = value
+    found = chain.estimate_all(poses, random, systematic, stamps, acceleration_window=WINDOW_S)
     assert np.flatnonzero(~found.usable).tolist() == [bad]
     assert np.isnan(found.poses[bad]).all()
     assert np.isnan(found.covariances_random[bad]).all()
@@ -51,15 +52,16 @@ def test_an_invalid_measurement_gives_no_endpoint_and_its_joint_is_named(chain: 
     # All other scans are unaffected, also in their accelerations.
     assert_bits(found.poses[others], without.poses)
     estimator = chain.estimator()
-    inputs = estimator.poses, estimator.covariances_random, estimator.covariances_systematic
-    for array, values in zip(inputs, numbers.values(), strict=True):
-        array[:] = values[bad]
-    assert not estimator.estimate()
+
+    def estimate(n: int) -> bool:
+        estimator.poses[:] = poses[n]
+        estimator.covariances_random[:], estimator.covariances_systematic[:] = random[n], systematic[n]
+        return estimator.estimate()
+
+    assert not estimate(bad)
     assert np.isnan(estimator.pose).all()
     assert estimator.fault_text() == sentence.strip()
-    for array, values in zip(inputs, numbers.values(), strict=True):
-        array[:] = values[0]
-    assert estimator.estimate()
+    assert estimate(0)
     assert estimator.fault_text() == ""
 
 

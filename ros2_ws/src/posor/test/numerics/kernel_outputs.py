@@ -126,15 +126,15 @@ def arm(rng: np.random.Generator) -> list[float]:
     poses = np.concatenate([rng.uniform(-1e-3, 1e-3, (scans, 2, 3)), quaternions], axis=2)
     poses[scans // 2, 1, 4] = math.nan
     roots = rng.normal(size=(2, scans + 1, 2, 6, 6)) * 1e-6
-    covariances = roots @ np.swapaxes(roots, 3, 4)
-    beams["covariance"] = covariances[0, -1]
+    random, systematic = roots @ np.swapaxes(roots, 3, 4)
+    beams["covariance"] = systematic[-1]
     stamps = np.cumsum(rng.integers(1, 1000, scans))
     thetas = rng.uniform(-9.0, 9.0, (scans, 2))
     endpoints = Endpoints.allocate(scans, 2)
     estimate_endpoints(
         ArmGeometry(elements, beams, rotations[:2], np.zeros((2, 3)), np.array([0.1, 0.2, -9.8])),
         BeamHistory.allocate(3e-6, 2),
-        JointMeasurements(stamps, poses, *covariances[:, :-1], thetas),
+        JointMeasurements(stamps, poses, random[:-1], systematic[:-1], thetas),
         endpoints,
         0,
     )

@@ -33,7 +33,7 @@ def errors(arm: ArmFile, truth: ArmTruth, window_s: float) -> np.ndarray:
     )
     exact = np.zeros((*poses.shape[:2], 6, 6))
     stamps = np.arange(len(TICKS)) * PERIOD_NS
-    found = chain.estimate_all(poses, exact, stamps, acceleration_window=window_s)
+    found = chain.estimate_all(poses, exact, exact, stamps, acceleration_window=window_s)
     return np.asarray(found.poses[:, :3] - truth.endpoint.translations[: len(TICKS)])
 
 
