@@ -84,7 +84,7 @@ def confirm_design(folder: Path, draws: int, seed: int) -> DesignConfirmation:
     variances = np.empty((draws, len(FREEDOMS)))
     for n in range(draws):
         rotation, translation = rotations[n : n + 1], translations[n : n + 1]
-        found = posor.estimate_each(posors.scan(rotation, translation, random), thetas[n : n + 1])
+        found = posor.estimate_each(posors.scans(rotation, translation, random), thetas[n : n + 1])
         known[n] = np.isfinite(found.thetas[0])
         if not known[n]:
             continue

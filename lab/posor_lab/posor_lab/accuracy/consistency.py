@@ -106,16 +106,17 @@ class DrawnPosors:
         self._middles = np.array([0.0 if part is None else np.mean(part.range.array) for part in parts])
         self._spreads = np.array([0.0 if part is None else part.spread.number for part in parts])
 
-    def scan(self, rotation: FloatArray, translation: FloatArray, noise: np.random.Generator | None = None) -> Scans:
-        """Return one scan of a new POSOR at a pose, (1, 3, 3), (1, 3); ``noise``: None, no noise."""
+    def scans(self, rotations: FloatArray, translations: FloatArray, noise: np.random.Generator | None = None) -> Scans:
+        """Return scans without stamps of a new POSOR at n poses, (n, 3, 3), (n, 3); ``noise``: None, no noise."""
         stack, random = self._stack, self._random
         real = stack.with_parameter_values(
             stack.parameter_values + stack.parameter_sigmas * random.normal(size=stack.parameter_sigmas.size)
         )
-        supply, temperature = (self._middles + self._spreads * random.normal(size=2))[:, None]
-        stamps, unknown = np.zeros(1, dtype=np.int64), np.full(1, np.nan)
+        count = len(rotations)
+        supply, temperature = np.repeat(self._middles + self._spreads * random.normal(size=2), count).reshape(2, count)
+        stamps, unknown = np.zeros(count, dtype=np.int64), np.full(count, np.nan)
         scans = scans_at(
-            real, rotation, translation, stamps, supply_voltages=supply, temperatures=temperature, noise=noise
+            real, rotations, translations, stamps, supply_voltages=supply, temperatures=temperature, noise=noise
         )
         return scans.with_fields({"supply_voltages": unknown, "temperatures": unknown})
 
@@ -140,7 +141,7 @@ def monte_carlo(stack: DesignName, draws: int, seed: int) -> MonteCarlo:
 
     posors, variances = DrawnPosors(posor, random), np.zeros(FREEDOMS)
     for n in range(draws):
-        scans = posors.scan(rotation, translation)
+        scans = posors.scans(rotation, translation)
         found = posor.estimate_each(scans, thetas[:1])
         errors[n] = errors_in_parent(found.rotations, found.translations, rotation, translation)[0]
         variances += np.diagonal(found.covariances_systematic[0]) / draws
