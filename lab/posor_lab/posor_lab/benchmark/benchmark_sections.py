@@ -10,7 +10,8 @@ from statistics import fmean
 from time import process_time
 from typing import TYPE_CHECKING, Any
 
-from posor.bags.bag_reader import counted_messages, opened_bag
+from posor.bags.bag_reader import opened_bag
+from posor.bags.block_reader import read_messages
 from posor.estimation.posor import Posor
 from posor.model.scan import Scans
 from posor.ros_names import RAW_TOPIC
@@ -54,7 +55,7 @@ def estimator_figures(arm: ArmFile, bag: Path) -> dict[str, float]:
     for joint in arm.calibrations:
         topic = f"/{arm.name}/{joint}/{RAW_TOPIC}"
         with opened_bag(bag) as reader:
-            records = counted_messages(reader, (topic,), str(bag))
+            records = read_messages(reader, (topic,), str(bag))
             scans = [scan_from_message(deserialize_message(data, RawScan)) for _, _, data in records]
         posor, arrays = Posor(arm.calibration(joint)), Scans.of(scans)
         many.append(least_us(len(scans), partial(_estimate, posor, posor.estimate_all, [arrays])))

@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from posor.bags.bag_reader import opened_bag
 from posor.bags.bag_writer import BagWriter, TopicMessages
-from posor.bags.block_reader import TopicReader, read_blocks
+from posor.bags.block_reader import read_blocks
+from posor.bags.message_block import TopicReader
 from posor.messages.message_definitions import MessageTypes
 from posor.messages.message_table import MessageTable
 from posor.numerics.stamps import NS, tick_stamp_ns

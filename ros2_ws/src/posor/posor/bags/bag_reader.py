@@ -8,13 +8,10 @@ from __future__ import annotations
 
 import struct
 from contextlib import contextmanager
-from pathlib import PurePath
 from typing import TYPE_CHECKING
 
-import yaml
-from rosbags.rosbag2 import Reader
-
 from posor.bags.mcap_file import RECOVER, checked_index, damage_error, first_damage
+from posor.bags.read_order import OrderedReader
 from posor.errors import BagError, PosorError
 from posor.messages.message_definitions import schema_of_connection
 from posor.messages.raw_scan import check_raw_scan_schema
@@ -37,10 +34,10 @@ SQLITE_MAGIC = b"SQLite format 3\0"
 
 
 @contextmanager
-def opened_bag(path: Path) -> Iterator[Reader]:
+def opened_bag(path: Path) -> Iterator[OrderedReader]:
     """Open a bag; errors of the storage layers, also later ones, become one sentence that names the bag.
 
-    Raises BagError: the bag does not exist, cannot be read, or holds no messages.
+    Raises BagError: the bag does not exist, cannot be read, holds no messages, or the order of its files is unknown.
     """
     if not path.exists():
         raise BagError("does not exist", where=str(path), expected=EXPECTED)
@@ -51,8 +48,9 @@ def opened_bag(path: Path) -> Iterator[Reader]:
         _check_size(path)
         for file in storage_files(path, ".mcap"):
             checked_index(file)
-        with Reader(path) as reader:
+        with OrderedReader(path) as reader:
             _check_not_empty(reader, path)
+            reader.check_files()
             yield reader
     except PosorError:
         raise
@@ -135,38 +133,9 @@ def scan_schema(connections: Sequence[Connection], topic: str, where: str) -> Sc
     return schema
 
 
-def counted_messages(reader: Reader, topics: Collection[str], where: str) -> Iterator[tuple[Connection, int, bytes]]:
-    """Yield the messages of some topics in the order of their log times [ns].
-
-    Raises BagError: at the end, when the number of messages differs from that in the bag's index.
-    """
-    selected, count = [connection for connection in reader.connections if connection.topic in topics], 0
-    for connection, time_ns, data in reader.messages(selected):
-        count += 1
-        yield connection, time_ns, bytes(data)
-    check_count(reader, topics, count, where)
-
-
-def check_count(reader: Reader, topics: Collection[str], count: int, where: str) -> None:
-    """Raise a BagError if the number of messages of some topics differs from that in the bag's index."""
-    expected = sum(connection.msgcount for connection in reader.connections if connection.topic in topics)
-    if count != expected:
-        raise BagError(
-            f"holds {count} messages of {', '.join(topics)}", where=where, expected=f"{expected}, as its index says"
-        )
-
-
 def _listed(connections: Sequence[Connection]) -> str:
     """Return the topics of a bag with their types, for errors."""
     return ", ".join(sorted({f"{connection.topic} ({connection.msgtype})" for connection in connections})) or "none"
-
-
-def bag_files(path: Path) -> list[Path]:
-    """Return the files of a readable bag, a folder or a single file, in the order in which they are read."""
-    if not path.is_dir():
-        return [path]
-    information = yaml.safe_load((path / METADATA).read_text(encoding="utf-8"))["rosbag2_bagfile_information"]
-    return [path / PurePath(file).name for file in information["relative_file_paths"]]
 
 
 def storage_files(path: Path, *suffixes: str) -> list[Path]:
@@ -184,7 +153,7 @@ def _check_metadata(path: Path) -> None:
     raise BagError(f"{METADATA} is missing in the folder of the bag", where=str(path), expected=ADVICE[files[0].suffix])
 
 
-def _check_not_empty(reader: Reader, path: Path) -> None:
+def _check_not_empty(reader: OrderedReader, path: Path) -> None:
     if not reader.message_count:
         raise BagError("holds no messages", where=str(path))
 

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from posor.bags.bag_reader import checked_type, counted_messages, opened_bag, scan_schema, scan_topic
-from posor.bags.block_reader import TopicReader, read_blocks
+from posor.bags.bag_reader import checked_type, opened_bag, scan_schema, scan_topic
+from posor.bags.block_reader import read_blocks, read_messages
+from posor.bags.message_block import TopicReader
 from posor.bags.recording import POSE, Recording, Track
 from posor.chain.joint_measurements import UNIT_QUATERNION_TOLERANCE
 from posor.errors import BagError, TopicError, TrackError, checked_path
@@ -23,8 +24,7 @@ if TYPE_CHECKING:
     from collections.abc import Collection, Mapping, Sequence
     from pathlib import Path
 
-    from rosbags.rosbag2 import Reader
-
+    from posor.bags.read_order import OrderedReader
     from posor.messages.cdr_schema import Value
     from posor.model.scan import Scans
     from posor.numerics.array_types import FloatArray
@@ -111,7 +111,7 @@ def load_recording(
     )
 
 
-def _read_recorded_scans(reader: Reader, topic: str, where: str) -> RecordedScans:
+def _read_recorded_scans(reader: OrderedReader, topic: str, where: str) -> RecordedScans:
     """Return the scans of a topic, all with the same readings, in the order of their stamps."""
     place = f"{where}, topic {topic}"
     schema = scan_schema(reader.connections, topic, where)
@@ -155,7 +155,7 @@ def _check_stamps(scans: Scans, where: str) -> None:
         )
 
 
-def _read_tracks(reader: Reader, references: Sequence[Reference], where: str) -> dict[str, Track]:
+def _read_tracks(reader: OrderedReader, references: Sequence[Reference], where: str) -> dict[str, Track]:
     if not references:
         return {}  # rosbags would take an empty list for all topics
     topics = [reference.topic for reference in references]
@@ -163,7 +163,7 @@ def _read_tracks(reader: Reader, references: Sequence[Reference], where: str) ->
     kinds = {topic: checked_type(known, topic, where, None, REFERENCE_FIELDS, filled=True) for topic in topics}
     schemas = {each.topic: schema_of_connection(each, where) for each in known if each.topic in kinds}
     messages: dict[str, list[tuple[int, dict[str, Value]]]] = {topic: [] for topic in topics}
-    for connection, logged_ns, data in counted_messages(reader, kinds, where):
+    for connection, logged_ns, data in read_messages(reader, kinds, where):
         try:
             messages[connection.topic].append((logged_ns, schemas[connection.topic].values(data)))
         except TopicError as error:

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING
 
 from posor.bags.arm_estimator import ArmEstimator
 from posor.bags.bag_reader import opened_bag, scan_schema
-from posor.bags.block_reader import TopicReader, read_blocks
+from posor.bags.block_reader import read_blocks
+from posor.bags.message_block import TopicReader
 from posor.bags.provenance import custom_data, differences, provenance_of
 from posor.bags.reprocess_task import BagTopics, Settings, Summary, Task
 from posor.bags.result_folder import new_result_folder, writing
@@ -29,7 +30,7 @@ if TYPE_CHECKING:
 
     from rosbags.interfaces import Connection
 
-    from posor.bags.block_reader import MessageBlock
+    from posor.bags.message_block import MessageBlock
     from posor.bags.reprocess_task import JointSettings
 
 

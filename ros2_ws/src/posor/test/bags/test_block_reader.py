@@ -13,7 +13,8 @@ import pytest
 from posor.bags import block_reader
 from posor.bags.bag_reader import opened_bag
 from posor.bags.bag_writer import BagWriter, TopicMessages
-from posor.bags.block_reader import TopicReader, read_blocks
+from posor.bags.block_reader import read_blocks
+from posor.bags.message_block import TopicReader
 from posor.errors import BagError
 from posor.messages.byte_kernels import index_messages
 from posor.messages.message_definitions import MessageTypes
@@ -48,9 +49,10 @@ def scan(number: int, *, frame: str = "plate", diodes: int = 2) -> RawScan:
 
 
 def records(count: int) -> list[Record]:
-    """Return messages of all topics whose log times sometimes do not increase."""
+    """Return messages of all topics whose log times sometimes do not increase in the file; by log time, numbers do."""
     times = np.cumsum(RANDOM.integers(-3, 9, count)) + 1000
-    return [(TOPICS[n % 3], int(times[n]), serialize_message(scan(n))) for n in range(count)]
+    ranks = np.argsort(np.argsort(times, kind="stable"))
+    return [(TOPICS[n % 3], int(times[n]), serialize_message(scan(int(ranks[n])))) for n in range(count)]
 
 
 @pytest.mark.parametrize("block", [8 << 20, 30_000], ids=["one block", "many blocks"])

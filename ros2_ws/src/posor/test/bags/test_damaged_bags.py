@@ -13,8 +13,9 @@ import numpy as np
 import pytest
 import yaml
 from posor.bags import recover_command
-from posor.bags.bag_reader import METADATA, counted_messages, opened_bag
+from posor.bags.bag_reader import METADATA, opened_bag
 from posor.bags.bag_writer import BagWriter, TopicMessages
+from posor.bags.block_reader import read_messages
 from posor.bags.mcap_file import Damage, first_damage, read_index, read_records
 from posor.bags.provenance import PENDING
 from posor.bags.recover_command import Rescue, recover
@@ -103,7 +104,7 @@ def read_both_ways(bag: Path) -> tuple[list[Any], list[Record], list[Record]]:
     """Return the topics of a bag, and its messages as both readers read them."""
     with opened_bag(bag) as reader:
         topics = [tuple(connection)[:-1] for connection in reader.connections]
-        one = [(each.topic, time_ns, data) for each, time_ns, data in counted_messages(reader, WANTED, str(bag))]
+        one = [(each.topic, time_ns, data) for each, time_ns, data in read_messages(reader, WANTED, str(bag))]
     return topics, one, list(by_blocks(bag))
 
 

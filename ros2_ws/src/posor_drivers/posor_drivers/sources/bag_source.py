@@ -5,7 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from posor.bags.bag_reader import checked_type, counted_messages, opened_bag, scan_topic
+from posor.bags.bag_reader import checked_type, opened_bag, scan_topic
+from posor.bags.block_reader import read_messages
 from posor.errors import BagError
 from posor.parameter_model import ParameterGroup
 from posor.ros_names import RAW_SCAN, RAW_TOPIC
@@ -62,5 +63,5 @@ class BagSource(RecordedSource[BagParameters]):
     def read_messages(self) -> Iterator[SourceMessage]:
         """Yield the recorded messages in the order of their log times."""
         with opened_bag(Path(self.parameters.path)) as reader:
-            for connection, time_ns, data in counted_messages(reader, self._names, self.parameters.path):
+            for connection, time_ns, data in read_messages(reader, self._names, self.parameters.path):
                 yield SourceMessage(self._names[connection.topic], time_ns, data)

@@ -12,7 +12,8 @@ from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from posor.bags.bag_reader import checked_type, counted_messages, opened_bag, scan_topic
+from posor.bags.bag_reader import checked_type, opened_bag, scan_topic
+from posor.bags.block_reader import read_messages
 from posor.errors import BagError, TopicError
 from posor.messages.raw_scan import ScanTemplate
 from posor.numerics.stamps import tick_stamp_ns
@@ -71,7 +72,7 @@ class LoopedSource(LiveSource[LoopedParameters]):
             name = scan_topic(reader.connections, self.parameters.topic, where, "parameter 'looped.topic'")
             checked_type(reader.connections, name, where, self.types, (RAW_SCAN,), filled=True)
             count = self._scan_count(reader, name)
-            records = islice(enumerate(counted_messages(reader, (name,), where), start=1), count)
+            records = islice(enumerate(read_messages(reader, (name,), where), start=1), count)
             self._scans = [_scan_template(data, f"{where}, message {n} of {name}") for n, (_, _, data) in records]
         return [Topic(RAW_TOPIC, RAW_SCAN)]
 

@@ -1,0 +1,322 @@
+"""The order in which every reader of this stack reads a bag.
+
+* Files: by the log time of their first messages, in whatever order ``metadata.yaml`` lists them. Files that overlap in
+  log time are merged.
+* Messages: by log time; messages of equal log time keep their order in the file.
+* Scans of one topic: by scan number. A scan that was logged after its successors, at most ``WINDOW_S`` later, is read
+  before them, with the log time of the first of them. It counts as such only if its stamp lies between those of its
+  neighbours, too.
+* Numbers that go back while the stamps go on, or to the beginning of the recording: the recording has started over.
+  Both parts are read one after the other.
+
+Otherwise the order is unknown, and the bag is refused with the two files named: a scan was logged later than the
+window, the same scan is in two files, or one of several files has no log times.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from contextlib import suppress
+from copy import copy
+from heapq import merge
+from operator import itemgetter
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from rosbags.rosbag2 import Reader
+
+from posor.bags.message_block import MessageBlock, TopicReader
+from posor.errors import BagError, TopicError
+from posor.messages.message_definitions import schema_of_connection
+from posor.numerics.stamps import NS
+from posor.ros_names import RAW_SCAN
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Generator, Iterator, Sequence
+
+    from rosbags.interfaces import Connection
+
+    from posor.numerics.array_types import IntArray
+
+WINDOW_S = 5.0
+"""How much later than its successor a scan may be logged [s]."""
+WINDOW_BYTES = 64 << 20
+"""Limit of the messages that wait for late scans [bytes]; it ends the window early where log times do not increase."""
+
+
+class OrderedReader(Reader):
+    """rosbags' reader of a bag, whose files are read in the order of time."""
+
+    _storages: list[Any]  # rosbags' reader of each file with messages
+
+    def open(self) -> None:
+        """Open the files."""
+        super().open()
+        of_folder = getattr(self.storage, "storages", [self.storage])
+        filled = (each for each in of_folder if each.metadata.message_count)
+        self._storages = sorted(filled, key=lambda each: each.metadata.start_time)
+
+    @property
+    def files(self) -> list[Path]:
+        """The files with messages, by the log time of their first message."""
+        return [Path(str(each.path)) for each in self._storages]
+
+    def check_files(self) -> None:
+        """Raise a BagError if a file among several has no log times."""
+        if len(self._storages) > 1 and self._storages[0].metadata.start_time <= 0:
+            first, second, *_ = self.files
+            what = f"messages of {first.name} have no log time, so that they are neither before nor after {second.name}"
+            raise BagError(what, where=str(self.path), expected="files with log times")
+
+    def messages(
+        self, connections: Collection[Connection] = (), start: int | None = None, stop: int | None = None
+    ) -> Generator[tuple[Connection, int, bytes], None, None]:
+        """Yield the messages of topics (none: of all) by log time [ns], from ``start`` to before ``stop``."""
+        connections, groups = connections or self.connections, list[list[Any]]()
+        end = -1
+        for storage in self._storages:
+            if storage.metadata.start_time > end:
+                groups.append([])
+            groups[-1].append(storage)
+            end = max(end, storage.metadata.end_time)
+        for group in groups:
+            parts = [self._only(each).messages(connections, start, stop) for each in group]
+            yield from merge(*parts, key=itemgetter(1))
+
+    def _only(self, storage: Any) -> Any:
+        """Return the reader of the bag limited to one of its files."""
+        if storage is self.storage:
+            return storage
+        limited: Any = copy(self.storage)
+        limited.storages = [storage]
+        return limited
+
+    def by_file(
+        self, connections: Sequence[Connection]
+    ) -> Iterator[tuple[Path, Iterator[tuple[Connection, int, bytes]]]]:
+        """Yield each file with its messages of some topics."""
+        for file, storage in zip(self.files, self._storages, strict=True):
+            yield file, self._only(storage).messages(connections)
+
+
+class _Scan(NamedTuple):
+    number: int
+    stamp_ns: int
+
+
+class _TopicScans(NamedTuple):
+    """Scans of a topic in a block, shape (n,) each: positions in the block, numbers and stamps."""
+
+    positions: IntArray
+    numbers: IntArray
+    stamps_ns: IntArray
+
+    def scan(self, n: int) -> _Scan:
+        return _Scan(int(self.numbers[n]), int(self.stamps_ns[n]))
+
+
+class _HeldBlock(NamedTuple):
+    block: MessageBlock
+    scans: list[_TopicScans]  # by topic
+
+
+class _Part:
+    """Scans of a topic from one start of the recording on, those that are held in the order of their numbers."""
+
+    def __init__(self, first: _Scan | None = None, released: _Scan | None = None) -> None:
+        self._first, self.released = first, released
+        self.scans: list[_Scan] = []
+        self.order: list[int] = []  # their positions among all that are held
+
+    def insert(self, place: int, n: int, scan: _Scan) -> None:
+        self.scans.insert(place, scan)
+        self.order.insert(place, n)
+
+    @property
+    def newest(self) -> _Scan | None:
+        """The scan with the highest number; None: there is no scan yet."""
+        return self.scans[-1] if self.scans else self.released
+
+    @property
+    def first(self) -> _Scan:
+        return self._first or self.scans[0]
+
+    def has_released(self, scan: _Scan) -> bool:
+        """Return whether number and stamp are those of a place among the released scans."""
+        first, last = self._first, self.released
+        if first is None or last is None or last.number == first.number:
+            return False
+        period_ns = (last.stamp_ns - first.stamp_ns) / (last.number - first.number)
+        expected_ns = first.stamp_ns + period_ns * (scan.number - first.number)
+        return abs(scan.stamp_ns - expected_ns) < last.stamp_ns - scan.stamp_ns
+
+
+def order_scans(
+    blocks: Iterator[MessageBlock], reader: OrderedReader, topics: Sequence[str], where: str
+) -> Iterator[MessageBlock]:
+    """Yield blocks of messages, which come by log time, with the scans of each topic in the order of their numbers.
+
+    ``topics``: topics of the blocks; ``where``: name of the bag in errors. Raises BagError: the order is unknown.
+    """
+    scan_topics = {connection.topic for connection in reader.connections if connection.msgtype == RAW_SCAN}
+    orders = [_TopicOrder(n, topic, reader, where) for n, topic in enumerate(topics) if topic in scan_topics]
+    held: list[_HeldBlock] = []
+    try:
+        for block in blocks:
+            held.append(_HeldBlock(block, [order.scans_of(block) for order in orders]))
+            follow = [order.follow(scans) for order, scans in zip(orders, held[-1].scans, strict=True)]
+            if not all(follow):
+                held = _in_order([each.block for each in held], orders)
+            while held and (
+                held[0].block.times_ns[-1] < held[-1].block.times_ns[-1] - WINDOW_S * NS
+                or sum(each.block.nbytes for each in held) > WINDOW_BYTES
+            ):
+                yield _released(held.pop(0), orders)
+    except BagError:
+        for each in held:
+            yield each.block
+        raise
+    for each in held:
+        yield each.block
+
+
+def _released(held: _HeldBlock, orders: Sequence[_TopicOrder]) -> MessageBlock:
+    for order, scans in zip(orders, held.scans, strict=True):
+        order.release(scans)
+    return held.block
+
+
+def _in_order(blocks: Sequence[MessageBlock], orders: Sequence[_TopicOrder]) -> list[_HeldBlock]:
+    """Return the messages of all held blocks with the scans in order, cut where the window begins."""
+    merged = MessageBlock.merge(blocks)
+    which, times_ns = np.arange(len(merged)), merged.times_ns.copy()
+    for order in orders:
+        scans = order.scans_of(merged)
+        positions, found = scans.positions, scans.positions[order.arrange(scans, merged.times_ns[scans.positions])]
+        which[positions] = found
+        times_ns[positions] = np.minimum.accumulate(merged.times_ns[found][::-1])[::-1]
+    block = merged.select(which)
+    block = MessageBlock(block.data, block.topics, times_ns, block.starts, block.lengths)
+    block = block.select(np.argsort(times_ns, kind="stable"))
+    cut = int(np.searchsorted(block.times_ns, block.times_ns[-1] - WINDOW_S * NS))
+    parts = [block.select(part).compact() for part in (slice(cut), slice(cut, None))]
+    return [_HeldBlock(part, [order.scans_of(part) for order in orders]) for part in parts if len(part)]
+
+
+class _TopicOrder:
+    """Order of the scans of one topic."""
+
+    def __init__(self, number: int, topic: str, reader: OrderedReader, where: str) -> None:
+        self._topic, self._reader, self._where = topic, reader, where
+        self._connections = [connection for connection in reader.connections if connection.topic == topic]
+        self._schema = schema_of_connection(self._connections[0], where)
+        self._tables = TopicReader(number, topic, self._schema, where)
+        self._first: _Scan | None = None  # of the part of the recording that is being released
+        self._released: _Scan | None = None  # the last one
+        self._newest = -1  # highest number of the present part
+
+    def scans_of(self, block: MessageBlock) -> _TopicScans:
+        """Return the scans in a block, up to the first invalid one, which its reader refuses."""
+        parts = [_TopicScans(*3 * [np.empty(0, dtype=np.int64)])]
+        try:
+            for _, positions, table in self._tables.read_tables(block):
+                stamps = [table[f"header.stamp.{part}"].astype(np.int64) for part in ("sec", "nanosec")]
+                parts.append(_TopicScans(positions, table["scan"].astype(np.int64), stamps[0] * NS + stamps[1]))
+        except BagError:
+            pass
+        return _TopicScans(*(np.concatenate(each) for each in zip(*parts, strict=True)))
+
+    def follow(self, scans: _TopicScans) -> bool:
+        """Return whether the numbers of the next scans increase."""
+        numbers = scans.numbers
+        if not len(numbers):
+            return True
+        follow = bool(numbers[0] > self._newest and np.all(numbers[1:] > numbers[:-1]))
+        self._newest = int(numbers[-1])
+        return follow
+
+    def release(self, scans: _TopicScans) -> None:
+        """Keep the first and the last scan of the part of the recording that is being released."""
+        if not len(scans.numbers):
+            return
+        if self._released is not None:
+            last = [np.array([each]) for each in (-1, *self._released)]
+            scans = _TopicScans(*(np.concatenate(each) for each in zip(last, scans, strict=True)))
+        steps = np.diff(scans.numbers)
+        starts = np.flatnonzero((steps < 0) | ((steps == 0) & (np.diff(scans.stamps_ns) != 0))) + 1
+        if self._first is None or len(starts):
+            self._first = scans.scan(starts[-1] if len(starts) else 0)
+        self._released = scans.scan(-1)
+
+    def arrange(self, scans: _TopicScans, times_ns: IntArray) -> IntArray:
+        """Return the order of all held scans; ``times_ns``: their log times, shape (n,)."""
+        done, part = list[int](), _Part(self._first, self._released)
+        for n, pair in enumerate(zip(scans.numbers.tolist(), scans.stamps_ns.tolist(), strict=True)):
+            scan, newest = _Scan(*pair), part.newest
+            place: int | None = len(part.scans)
+            if newest is not None and scan.number <= newest.number:
+                place = self._place(scan, part, newest, times_ns, n)
+            if place is None:
+                done, part, place = done + part.order, _Part(), 0
+            part.insert(place, n, scan)
+        self._newest = -1 if part.newest is None else part.newest.number
+        return np.array(done + part.order, dtype=np.int64)
+
+    def _place(self, scan: _Scan, part: _Part, newest: _Scan, times_ns: IntArray, n: int) -> int | None:
+        """Return the place of a scan whose number goes back among the held ones; None: the recording starts over."""
+        place = bisect_left(part.scans, scan)
+        before = part.scans[place - 1] if place else part.released
+        successor = part.scans[place] if place < len(part.scans) else None
+        fits = successor is not None and (before is None or _increase(before, scan)) and _increase(scan, successor)
+        if fits and times_ns[n] - times_ns[part.order[place]] <= WINDOW_S * NS:
+            return place
+        again = successor == scan
+        displaced = fits or again or (not place and part.has_released(scan))
+        if not displaced or self._starts_over(scan, part, newest, int(times_ns[n])):
+            return None
+        if not again:
+            files = [self._files_with(each)[0] for each in (scan, newest)]
+            raise BagError(
+                f"scan {scan.number} of {self._topic} in {files[0]} is logged after scan {newest.number} in {files[1]}",
+                where=self._where,
+                expected=f"scans in the order of their numbers, logged at most {WINDOW_S:g} s late",
+            )
+        self._check_one_file(scan)
+        return place + 1
+
+    def _check_one_file(self, scan: _Scan) -> None:
+        files = sorted(set(self._files_with(scan)))
+        if len(files) > 1:
+            raise BagError(
+                f"scan {scan.number} of {self._topic} is in {files[0]} and in {files[1]}",
+                where=self._where,
+                expected="every scan in one file",
+            )
+
+    def _starts_over(self, scan: _Scan, part: _Part, newest: _Scan, time_ns: int) -> bool:
+        """Return whether the recording goes on from a scan through numbers that it had before."""
+        if scan.stamp_ns > part.first.stamp_ns + WINDOW_S * NS:
+            return False
+        found = False
+        for each in self._scans(self._reader.messages(self._connections, start=time_ns)):
+            if each == scan:
+                found = True
+            elif found and each.number >= part.first.number:
+                return each.number <= newest.number
+        return False
+
+    def _files_with(self, scan: _Scan) -> list[str]:
+        """Return the name of the file of each message with a scan."""
+        files = self._reader.by_file(self._connections)
+        return [file.name for file, messages in files for each in self._scans(messages) if each == scan]
+
+    def _scans(self, messages: Iterator[tuple[Connection, int, bytes]]) -> Iterator[_Scan]:
+        for _, _, data in messages:
+            with suppress(TopicError):
+                values = self._schema.values(bytes(data))
+                yield _Scan(values["scan"], values["header.stamp.sec"] * NS + values["header.stamp.nanosec"])
+
+
+def _increase(first: _Scan, second: _Scan) -> bool:
+    return first.number < second.number and first.stamp_ns < second.stamp_ns
