@@ -50,7 +50,7 @@ def opened_bag(path: Path) -> Iterator[OrderedReader]:
             checked_index(file)
         with OrderedReader(path) as reader:
             _check_not_empty(reader, path)
-            reader.check_files()
+            reader.check_files(storage_files(path, *ADVICE))
             yield reader
     except PosorError:
         raise

@@ -62,8 +62,12 @@ class OrderedReader(Reader):
         """The files with messages, by the log time of their first message."""
         return [Path(str(each.path)) for each in self._storages]
 
-    def check_files(self) -> None:
-        """Raise a BagError if a file among several has no log times."""
+    def check_files(self, files: Sequence[Path]) -> None:
+        """Raise a BagError if one of the ``files`` of the bag is not listed, or if one of several has no log times."""
+        listed = {Path(str(each.path)).name for each in getattr(self.storage, "storages", [self.storage])}
+        if unlisted := [file.name for file in files if file.name not in listed]:
+            what = f"metadata.yaml does not list {unlisted[0]}, but {', '.join(sorted(listed))}"
+            raise BagError(what, where=str(self.path), expected="all files of the folder, as 'ros2 bag reindex' does")
         if len(self._storages) > 1 and self._storages[0].metadata.start_time <= 0:
             first, second, *_ = self.files
             what = f"messages of {first.name} have no log time, so that they are neither before nor after {second.name}"
@@ -295,8 +299,11 @@ class _TopicOrder:
             )
 
     def _starts_over(self, scan: _Scan, part: _Part, newest: _Scan, time_ns: int) -> bool:
-        """Return whether the recording goes on from a scan through numbers that it had before."""
+        """Return whether the recording has a scan near its beginning again, and goes on with the scans after it."""
         if scan.stamp_ns > part.first.stamp_ns + WINDOW_S * NS:
+            return False
+        earlier = self._scans(self._reader.messages(self._connections, stop=time_ns + 1))
+        if scan.number > part.first.number and sum(each == scan for each in earlier) == 1:
             return False
         found = False
         for each in self._scans(self._reader.messages(self._connections, start=time_ns)):
