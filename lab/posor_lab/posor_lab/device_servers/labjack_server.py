@@ -94,6 +94,7 @@ class LabJackStreamServer(LabJackServer):
     Attributes:
         stream_port: Port of the stream.
         status: Status of the next packet, with its information.
+        leave_out: Number of frames to leave out in the middle of the next packet, with a delimiter in their place.
         skip_packet: Leave out the number of the next packet.
         stalled: While this event is set, no packet is sent, and the frames of this time are never sent.
 
@@ -105,7 +106,7 @@ class LabJackStreamServer(LabJackServer):
         self.registers.others = self._read
         self.registers.stalled = Event()
         self.stalled = Event()
-        self.status, self.skip_packet = (0, 0), False
+        self.status, self.leave_out, self.skip_packet = (0, 0), 0, False
         self._drift = drift
         self.stream_port = self.open_port(self._stream)
 
@@ -137,6 +138,9 @@ class LabJackStreamServer(LabJackServer):
         period_ns = 1e9 / self.written_float(SCAN_RATE) * (1.0 + self._drift)
         start_ns, number, packet, samples = time.time_ns(), 0, 0, b""
         while self.written_number(ENABLE) and not self.stopping.is_set():
+            if self.leave_out and len(samples) == 2 * count * (frames // 2):
+                samples += b"\xff" * 2 * count
+                number, self.status, self.leave_out = number + self.leave_out, (2941, self.leave_out), 0
             exposed_ns = start_ns + round(number * period_ns)
             number += 1
             volts = self.registers.voltages(exposed_ns)

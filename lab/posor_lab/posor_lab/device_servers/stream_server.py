@@ -28,6 +28,7 @@ class StreamServer(DeviceServer):
         stalled: No frame is sent while it is set; frames of this time are lost.
         merged: Number of frames that are sent together.
         skip: Number of frames to leave out next.
+        hold: Number of frames to send before the next one, which is late then; a negative one is sent twice.
         first: Counter of the first frame after a connection.
         clients: Number of connections so far.
 
@@ -41,7 +42,7 @@ class StreamServer(DeviceServer):
         ``values`` are those of a frame by its ROS time [ns]; the server's clock is slow by the share ``drift``.
         """
         super().__init__()
-        self.magic, self.merged, self.skip, self.first, self.clients = MAGIC, 1, 0, 0, 0
+        self.magic, self.merged, self.skip, self.hold, self.first, self.clients = MAGIC, 1, 0, 0, 0, 0
         self.stalled, self._dropped = Event(), Event()
         self._values, self._period_ns = values, 1e9 / rate * (1.0 + drift)
         if udp_port:
@@ -64,7 +65,7 @@ class StreamServer(DeviceServer):
     def _send_frames(self, send: Callable[[bytes], object]) -> None:
         """Send until the end, the client's end, or ``drop_client``."""
         disable_timer_slack()
-        start_ns, number, held = time.time_ns(), 0, b""
+        start_ns, number, held, late, due = time.time_ns(), 0, b"", b"", 0
         while not (self.stopping.is_set() or self._dropped.is_set()):
             exposed_ns = start_ns + round(number * self._period_ns)
             values = self._values(exposed_ns)  # before its time, so that sending is the least delay
@@ -75,7 +76,13 @@ class StreamServer(DeviceServer):
             if self.skip or self.stalled.is_set():
                 self.skip = max(0, self.skip - 1)
                 continue
-            held += frame.pack(self.magic, (self.first + number - 1) % (1 << 32), *values)
+            data = frame.pack(self.magic, (self.first + number - 1) % (1 << 32), *values)
+            if self.hold:
+                late, due = data, number + abs(self.hold)
+                data, self.hold = b"" if self.hold > 0 else data, 0
+            elif late and number >= due:
+                data, late = data + late, b""
+            held += data
             if len(held) < self.merged * frame.size:
                 continue
             send(held)

@@ -24,7 +24,7 @@ is the measuring range. Where the manual is silent or ambiguous:
   one that is four times the number of channels is the bytes per frame.
 - Channels with a math function: a value other than ``00`` in the channel bits counts as available (assumption).
 - Targets out of range: a value of 0xFFFFFF or more, or below zero, is invalid, NaN (assumption). Zero is valid.
-- Counter: counts frames (assumption), wraps at 32 bits, and a step back is a restart unless it looks like a wrap.
+- Counter: counts frames (assumption), and wraps at 32 bits.
 - Model: the answer to ``$VER`` starts with ``DT62``, as ``DT6200`` in the manual (assumption for other models).
 
 The sample times that exist are not listed in the manual; the controller answers with the next one. A rate whose sample
@@ -44,7 +44,7 @@ from posor.calibration.file_model import EntryError, FrozenModel
 from posor.calibration.quantity import Quantity, measured
 from pydantic import Field, model_validator
 
-from posor_drivers.instruments.device import DeviceSettings, Frames, Port, refuse_repeated_numbers
+from posor_drivers.instruments.device import DeviceSettings, FrameCounter, Frames, Port, refuse_repeated_numbers
 from posor_drivers.instruments.tcp_device import PacketDevice, TcpConnection
 from posor_drivers.quantity_limits import POSITIVE
 
@@ -57,8 +57,6 @@ LEAST_RATE_HZ, GREATEST_RATE_HZ = 2.5, 3906.25
 """The manual says 2.5 Sa/s to 3.9 kSa/s; the shortest sample time is 256 us."""
 US = 1_000_000
 PREAMBLES = (b"MEAS", b"SAEM")
-LONGEST_GAP = 1 << 20
-"""Most frames that a wrapped counter may have lost, 4.5 minutes at the greatest rate; beyond, the counter went back."""
 _HEADER = struct.Struct("<4siiQiHHI")
 _COUNTER_RANGE = 1 << 32
 _VALUE_BYTES = 4
@@ -111,7 +109,7 @@ class CapaNcdtDevice(PacketDevice[CapaNcdtSettings]):
         channels = settings.channels.values()
         self._numbers = [channel.number for channel in channels]
         self._steps = np.array([channel.range.number / FULL_SCALE for channel in channels])
-        self._last: int | None = None
+        self._frame_counter = FrameCounter(_COUNTER_RANGE)
 
     @classmethod
     def starting_settings(cls, units: Mapping[str, str]) -> dict[str, Any]:
@@ -149,7 +147,7 @@ class CapaNcdtDevice(PacketDevice[CapaNcdtSettings]):
             what = f"the controller has no sample time of {sample_time_us} us, the next one is {actual} us"
             raise self.error(what, "a rate that the controller has; in Hz, 1e6 divided by the sample time")
         remaining_s = max(0.001, deadline_s - time.monotonic())
-        self._last = None
+        self._frame_counter = FrameCounter(_COUNTER_RANGE)
         self.open_stream(settings.host, settings.data_port, remaining_s)
         return version.replace(";", " ")
 
@@ -203,17 +201,4 @@ class CapaNcdtDevice(PacketDevice[CapaNcdtSettings]):
         raw = raw[:, [present.index(number) for number in self._numbers]]
         self.received = self.received[end:]
         values = np.where((raw >= 0) & (raw < FULL_SCALE), raw * self._steps, np.nan)
-        return Frames(self._unwrapped(counter, count) + np.arange(count), values)
-
-    def _unwrapped(self, counter: int, count: int) -> int:
-        """Return the number of the first of ``count`` frames, which keeps counting where the counter wraps."""
-        number = counter
-        if self._last is not None:
-            step = (counter - self._last) % _COUNTER_RANGE
-            before = self._last % _COUNTER_RANGE
-            if counter < before and step > LONGEST_GAP:
-                what = f"the frame counter went back from {before} to {counter}"
-                raise self.error(what, "ascending numbers; the controller may have restarted")
-            number = self._last + step
-        self._last = number + count - 1
-        return number
+        return Frames(self._frame_counter.number(counter, count) + np.arange(count), values)

@@ -36,6 +36,9 @@ if TYPE_CHECKING:
 
 ENTRY_POINT_GROUP = "posor_drivers.devices"
 
+LONGEST_GAP = 1 << 20
+"""Most frames that may be lost where a counter wraps, 4.5 minutes at 4 kHz; beyond, the counter went back."""
+
 Port = Annotated[int, Field(strict=True, ge=1, le=65_535)]
 
 
@@ -74,7 +77,8 @@ class Frames:
 
     Attributes:
         counters: Number of each frame, (n,), in the order of arrival; each frame of the device counts, so a gap is lost
-            frames. The counter of the device, without wrap.
+            frames. The counter of the device, without wrap (``FrameCounter``). The reader decides whether a number that
+            goes back is a late frame or a restart of the device.
         values: Value of each channel, (n, c), in the unit of the channel; NaN where the device flags it as invalid.
         times_ns: ROS time of each frame [ns], (n,), where the device or the way of asking it gives one; None: the
             reader finds it from counters and arrivals.
@@ -89,6 +93,28 @@ class Frames:
     times_ns: IntArray | None = None
     time_uncertainty_s: float = 0.0
     arrived_ns: int | None = None
+
+
+class FrameCounter:
+    """Numbers frames by a counter of the device that wraps."""
+
+    def __init__(self, size: int) -> None:
+        """Start without a frame; the counter wraps from ``size`` - 1 to 0."""
+        self._size, self._last = size, -1
+
+    def number(self, counter: int, count: int = 1) -> int:
+        """Return the number of the first of ``count`` frames, which goes on where the counter wraps.
+
+        It goes back where the counter does, as for a late frame or after a restart of the device: of a step forwards
+        and one backwards the smaller is taken, and no wrap loses more than ``LONGEST_GAP`` frames.
+        """
+        before = self._last % self._size
+        step = (counter - before) % self._size
+        if self._last >= 0 and (2 * step >= self._size or (counter < before and step > LONGEST_GAP)):
+            step -= self._size
+        number = counter if self._last < 0 else self._last + step
+        self._last = number + count - 1
+        return number
 
 
 class Device(ABC, Generic[SettingsT]):

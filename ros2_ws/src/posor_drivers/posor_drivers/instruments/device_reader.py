@@ -19,12 +19,15 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
     from pathlib import Path
 
-    from posor.numerics.array_types import FloatArray
+    from posor.numerics.array_types import FloatArray, IntArray
 
     from posor_drivers.instruments.device import Device, Frames
 
 CAPACITY = 1 << 13
 """Frames that are kept; at 4 kHz two seconds."""
+COUNTS = ("frames", "frames_lost", "frames_late", "frames_dropped", "frames_repeated", "connections")
+"""Counts in the diagnostics: frames stored; frames missing; of those stored, the ones that arrived after their
+successors; frames that arrived too late; frames that arrived again."""
 NO_FRAME = np.iinfo(np.int64).min
 CONNECT_TIMEOUT_S = 1.0
 READ_TIMEOUT_S = 0.1
@@ -36,6 +39,10 @@ STALL_FRAMES = 5
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.1, 1.0
 """Pause before a connection is tried again: doubled with each failure."""
 SINGLE_FRAME = FrameWeights(0.0, 1.0, 0.0)
+LATE_S = 0.5
+"""How late a frame may arrive after its successors and still be stored; a counter further back may be a restart."""
+RESTART_FRAMES = 3
+"""Frames in succession that are further back, after which the device has restarted."""
 RATE_FRAMES = 100
 """Of a polled device, over which its rate is averaged."""
 MAX_DRIFT = 0.01
@@ -68,7 +75,7 @@ class DeviceReader:
         self._fault, self._identity = f"{device.name}: not connected yet", ""
         self._unreported = ""
         self._failure: Exception | None = None
-        self._counts = {"frames": 0, "frames_lost": 0, "frames_repeated": 0, "connections": 0}
+        self._counts = dict.fromkeys(COUNTS, 0)
         self._forget_frames()
 
     def start(self) -> None:
@@ -209,6 +216,7 @@ class DeviceReader:
         self._timed, self._time_uncertainty_s = False, 0.0
         self._first = 0
         self._last: int | None = None
+        self._back = 0
 
     def _run(self) -> None:
         pause_s = FIRST_PAUSE_S
@@ -236,44 +244,74 @@ class DeviceReader:
         while not self._stopping.is_set():
             frames = device.read(READ_TIMEOUT_S)
             read_ns, now_s = time.time_ns(), time.monotonic()
-            if frames is None or not len(frames.counters):
-                if now_s - last_s > stall_s:
-                    expected = f"{device.frame_rate:g} frames per second"
-                    raise device.error(f"no frame for {now_s - last_s:.2f} s", expected)
-                continue
-            last_s = now_s
-            arrived_ns = read_ns if frames.arrived_ns is None else frames.arrived_ns
-            with self._lock:
-                self._store(frames, arrived_ns - self._delay_ns)
-            if frames.times_ns is None:
+            newest = self._last
+            if frames is not None and len(frames.counters):
+                arrived_ns = read_ns if frames.arrived_ns is None else frames.arrived_ns
+                with self._lock:
+                    self._store(frames, arrived_ns - self._delay_ns)
+            if self._last != newest:
+                last_s = now_s
+            elif now_s - last_s > stall_s:
+                raise device.error(f"no frame for {now_s - last_s:.2f} s", f"{device.frame_rate:g} frames per second")
+            if frames is not None and frames.times_ns is None:
                 time.sleep(PAUSE_S)
 
     def _store(self, frames: Frames, arrived_ns: int) -> None:
-        """Store frames that have arrived together."""
+        """Store frames that have arrived together.
+
+        Raises:
+            DeviceError: The counter went back, and stays back.
+
+        """
         counters, counts = frames.counters, self._counts
         if self._last is None:
-            self._first = int(counters[0])
-        last = counters[0] - 1 if self._last is None else self._last
-        steps = np.diff(counters, prepend=last)
-        if np.any(steps < 0):
-            n = int(np.argmax(steps < 0))
-            before = int(last if n == 0 else counters[n - 1])
-            what = f"the frame counter went back from {before} to {counters[n]}"
-            raise self.device.error(what, "ascending numbers; the device may have restarted")
-        counts["frames"] += int(np.count_nonzero(steps))
-        counts["frames_repeated"] += int(np.count_nonzero(steps == 0))
-        counts["frames_lost"] += int(np.sum(steps[steps > 1] - 1))
-        newest = int(counters[-1])
-        rows = counters[-CAPACITY:] % CAPACITY
-        self._numbers[rows], self._values[rows] = counters[-CAPACITY:], frames.values[-CAPACITY:]
-        self._last = newest
-        if frames.times_ns is None:
-            self._mapping.add(newest, arrived_ns)
-            self._check_mapping()
-        else:
-            self._times_ns[rows] = frames.times_ns[-CAPACITY:] - self._delay_ns
+            self._first, self._last = int(counters[0]), int(counters[0]) - 1
+        highest = np.maximum.accumulate(np.append(self._last, counters))
+        new = counters > highest[:-1]
+        if new.any():
+            self._write(frames, np.flatnonzero(new)[-CAPACITY:])
+            counts["frames"] += int(np.count_nonzero(new))
+            counts["frames_lost"] += int(highest[-1] - self._last - np.count_nonzero(new))
+            self._last = int(highest[-1])
+        for n in np.flatnonzero(~new).tolist():
+            self._store_late(frames, n, follows_new=bool(n and new[n - 1]))
+        if new[-1]:
+            self._back = 0
+        if frames.times_ns is not None:
             self._timed, self._time_uncertainty_s = True, frames.time_uncertainty_s
             self._fault = ""
+        elif new.any():
+            self._mapping.add(self._last, arrived_ns)
+            self._check_mapping()
+
+    def _store_late(self, frames: Frames, n: int, *, follows_new: bool) -> None:
+        """Store or drop a frame that does not come after all others."""
+        number, newest, counts = int(frames.counters[n]), int(self._last or 0), self._counts
+        row, back = self._row_of(number), newest - number
+        self._back = 0 if follows_new else self._back
+        restarted = False
+        if row is not None:
+            same = np.array_equal(self._values[row], frames.values[n], equal_nan=True)
+            counts["frames_repeated"] += 1
+            restarted = back > 0 and not same
+        elif back < min(CAPACITY, LATE_S * self.device.frame_rate):
+            self._write(frames, np.array([n]))
+            counts["frames"] += 1
+            counts["frames_late"] += 1
+            counts["frames_lost"] -= number > self._first
+        else:
+            counts["frames_dropped"] += 1
+            self._back += 1
+            restarted = self._back >= RESTART_FRAMES
+        if restarted:
+            what = f"the frame counter went back from {newest} to {number}"
+            raise self.device.error(what, "ascending numbers; the device may have restarted")
+
+    def _write(self, frames: Frames, which: IntArray) -> None:
+        rows = frames.counters[which] % CAPACITY
+        self._numbers[rows], self._values[rows] = frames.counters[which], frames.values[which]
+        if frames.times_ns is not None:
+            self._times_ns[rows] = frames.times_ns[which] - self._delay_ns
 
     def _check_mapping(self) -> None:
         """State why the frames cannot be used yet, or that they can.

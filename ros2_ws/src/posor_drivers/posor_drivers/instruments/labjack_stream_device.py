@@ -19,7 +19,9 @@ Source: Modbus map and low-level stream protocol of the T series, of which publi
   number of scans (0: endless) 4020, address k at 4100 + 2 k, enable 4990.
 - Packet at port 702, big endian: transaction number, protocol, length, unit, function 76, type 16, a reserved byte,
   backlog, status and information of 16 bits each, samples of 16 bits. Status 2940 is a full buffer, 2941 its end, with
-  the number of scans that were left out.
+  the number of scans that were left out. Its packet holds scans from before and after them, with a scan of 0xFFFF
+  between (U3 manual, 5.2.12), or only scans from after them. The scan of 0xFFFF is not one of those left out
+  (assumption).
 - Constants in the flash memory of a T7, read through 61810 and 61812, from 0x3C4000 on, for each of the ranges 10, 1,
   0.1 and 0.01 V: slope above and below the centre, centre and offset (floats).
 
@@ -44,7 +46,7 @@ from posor_drivers.quantity_limits import POSITIVE
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from posor.numerics.array_types import FloatArray
+    from posor.numerics.array_types import FloatArray, IntArray
 
 T7 = 7
 RANGES_V = (10.0, 1.0, 0.1, 0.01)
@@ -155,12 +157,28 @@ class LabJackStreamDevice(PacketDevice[LabJackStreamSettings]):
             raise self.error(f"a packet has {count} bytes of samples", f"whole frames of {row} bytes")
         if len(self.received) < HEADER.size + count:
             return None
-        self._next += information if status == RECOVERED else 0
         samples = np.frombuffer(self.received, ">u2", count // 2, HEADER.size).reshape(-1, len(self._constants))
-        counters = self._next + np.arange(len(samples))
+        counters, samples = self._numbered(samples, information if status == RECOVERED else 0)
         self.received = self.received[HEADER.size + count :]
-        self._packet, self._next = (packet + 1) % (1 << 16), self._next + len(samples)
+        self._packet = (packet + 1) % (1 << 16)
         return Frames(counters, self._volts(samples))
+
+    def _numbered(self, samples: Any, left_out: int) -> tuple[IntArray, Any]:
+        """Return numbers and samples of the frames of a packet, with ``left_out`` frames at its delimiter or before it.
+
+        If several frames look like the delimiter, those between are of unknown number and count as lost.
+        """
+        counters = self._next + np.arange(len(samples))
+        delimiters = np.flatnonzero(np.all(samples == HIGHEST_SAMPLE, axis=1)) if left_out else np.empty(0, dtype=int)
+        if not len(delimiters):
+            counters += left_out
+            self._next += left_out + len(samples)
+            return counters, samples
+        first, last = delimiters[0], delimiters[-1]
+        counters[last:] += left_out - 1
+        self._next += left_out - 1 + len(samples)
+        whole = np.r_[:first, last + 1 : len(samples)]
+        return counters[whole], samples[whole]
 
     def _volts(self, samples: Any) -> FloatArray:
         """Return the voltages of samples, (n, c)."""

@@ -27,7 +27,7 @@ import numpy as np
 from posor.calibration.file_model import EntryError, FrozenModel
 from pydantic import Field, model_validator
 
-from posor_drivers.instruments.device import Device, DeviceSettings, Frames, Port
+from posor_drivers.instruments.device import Device, DeviceSettings, FrameCounter, Frames, Port
 from posor_drivers.instruments.tcp_device import TcpConnection
 
 if TYPE_CHECKING:
@@ -92,7 +92,7 @@ class StreamDevice(Device[StreamSettings]):
         self._counter = fields.index(COUNTER)
         codes = [code for code in settings.format.strip("@=<>!") if code != "x"]
         self._wrap = 1 << (8 * struct.calcsize("<" + codes[self._counter])) if len(codes) == len(fields) else 1 << 64
-        self._rest, self._last = b"", -1
+        self._rest, self._numbers = b"", FrameCounter(self._wrap)
 
     @classmethod
     def starting_settings(cls, units: Mapping[str, str]) -> dict[str, Any]:
@@ -115,7 +115,7 @@ class StreamDevice(Device[StreamSettings]):
     def connect(self, timeout_s: float) -> str:
         """Connect, or open the port; the first frame is checked like every other."""
         settings = self.settings
-        self._rest, self._last = b"", -1
+        self._rest, self._numbers = b"", FrameCounter(self._wrap)
         if settings.transport == "tcp":
             self.connection = TcpConnection(self.name, settings.host, settings.port, timeout_s)
         else:
@@ -166,12 +166,5 @@ class StreamDevice(Device[StreamSettings]):
                     what = f"'{name}' is {row[column]} in a frame"
                     raise self.error(what, f"{value}; the frames may be of another layout")
         values = np.array([[row[column] for column in self._columns] for row in rows], dtype=np.float64) * self._scales
-        counters = np.array([self._unwrapped(row[self._counter]) for row in rows], dtype=np.int64)
+        counters = np.array([self._numbers.number(row[self._counter]) for row in rows], dtype=np.int64)
         return Frames(counters, values, arrived_ns=arrived_ns)
-
-    def _unwrapped(self, counter: int) -> int:
-        """Return a counter that keeps counting where that of the device restarts at zero; of two steps the smaller."""
-        step = (counter - self._last) % self._wrap
-        smaller = step if step < self._wrap // 2 else step - self._wrap
-        self._last = counter if self._last < 0 else self._last + smaller
-        return self._last

@@ -8,7 +8,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 from posor_drivers.instruments.device import DeviceError
-from posor_drivers.instruments.labjack_stream_device import LabJackStreamDevice, LabJackStreamSettings
+from posor_drivers.instruments.labjack_stream_device import (
+    HEADER,
+    HIGHEST_SAMPLE,
+    LENGTH_WITHOUT_SAMPLES,
+    RECOVERED,
+    LabJackStreamDevice,
+    LabJackStreamSettings,
+)
 from posor_lab.device_servers.labjack_server import LabJackStreamServer
 
 from .device_states import running, wait_for, wait_for_fault, wait_for_frames
@@ -116,6 +123,43 @@ def test_scans_that_the_device_left_out_are_counted(server: LabJackStreamServer,
     server.status = (2941, 17)
     wait_for(lambda: reader.state.values["frames_lost"] == 17, "lost frames")
     assert reader.state.fault == ""
+
+
+def test_frames_around_a_delimiter_keep_their_numbers(server: LabJackStreamServer, reader: DeviceReader) -> None:
+    wait_for_frames(reader)
+    server.leave_out = 150
+    wait_for(lambda: reader.state.values["frames_lost"] == 150, "lost frames")
+    end_ns = time.time_ns() + 100_000_000
+    wait_for(lambda: reader.values_at(end_ns) is not None, "frames after the gap")
+    ticks = np.arange(end_ns - 600_000_000, end_ns, 1_000_000).tolist()
+    found = {tick: reader.values_at(tick) for tick in ticks if 0.1 < tick % 2_000_000_000 * 1e-9 < 1.9}
+    errors = [abs(values[1] - ramps(tick)[0]) for tick, values in found.items() if values is not None]
+    assert max(errors) < 0.05  # 10 ms of the ramp
+    assert reader.take_state().fault == ""
+
+
+@pytest.mark.parametrize(
+    ("rows", "information", "numbers"),
+    [
+        ([8, 9, None, 1010], 1000, [8, 9, 1010]),
+        ([None, 1008, 1009], 1000, [1008, 1009]),
+        ([8, None], 5, [8]),
+        ([1008, 1009], 1000, [1008, 1009]),
+        ([8, None, 9, None, 15], 4, [8, 15]),  # one of them is a frame at the end of the converter
+    ],
+)
+def test_a_packet_with_a_delimiter(rows: list[int | None], information: int, numbers: list[int]) -> None:
+    device = LabJackStreamDevice("box", settings(LabJackStreamServer(ramps)))
+    device._constants[:] = [1.0, -1.0, 0.0, 0.0]
+    device._next = 8
+    samples = np.array([3 * [HIGHEST_SAMPLE if row is None else row] for row in rows], ">u2").tobytes()
+    device.received = HEADER.pack(0, 0, LENGTH_WITHOUT_SAMPLES + len(samples), 1, 76, 16, 0, RECOVERED, information)
+    device.received += samples
+    frames = device.take_packet()
+    assert frames is not None
+    assert frames.counters.tolist() == numbers
+    assert frames.values[:, 0].tolist() == numbers
+    assert device._next == 8 + information + len(rows) - (None in rows)
 
 
 def test_a_value_at_an_end_of_the_converter_is_invalid(server: LabJackStreamServer, reader: DeviceReader) -> None:

@@ -134,6 +134,11 @@ FAULTS: dict[str, tuple[Callable[[StreamServer], None], Callable[[StreamServer],
         lambda s: setattr(s, "magic", 0xAA55),
         "box: 'magic' is 4660 in a frame; expected 43605",
     ),
+    "counter a little back": (
+        lambda s: setattr(s, "first", s.first - 100),
+        lambda s: setattr(s, "first", 0),
+        "box: the frame counter went back from",
+    ),
     "counter back": (
         lambda s: setattr(s, "first", -5000 + s.first),
         lambda s: setattr(s, "first", 0),
@@ -179,13 +184,38 @@ def test_another_rate_than_stated_is_a_fault(server: StreamServer) -> None:
         wait_for_fault(reader, "frames per second; expected 900, as stated.")
 
 
-def test_datagrams_are_read() -> None:
+DISORDER = {  # frames that are sent before the late one; what is counted
+    "exchanged": (1, {"frames_late": 1}),
+    "late": (100, {"frames_late": 1}),
+    "too late": (1500, {"frames_dropped": 1, "frames_lost": 1}),
+    "repeated": (-1, {"frames_repeated": 1}),
+    "repeated late": (-300, {"frames_repeated": 1}),
+}
+
+
+@pytest.mark.parametrize("first", [0, (1 << 32) - 2000], ids=["low", "wraps"])
+@pytest.mark.parametrize("name", DISORDER)
+def test_datagrams_out_of_order_interrupt_nothing(name: str, first: int) -> None:
+    hold, counted = DISORDER[name]
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
     device = StreamDevice("box", settings(port, transport="udp"))
-    with StreamServer(slow_sine, udp_port=port), running(device) as reader:
+    with StreamServer(slow_sine, udp_port=port) as server, running(device) as reader:
+        server.first = first
         wait_for_frames(reader)
+        reader.take_state()
+        before = reader.state.values
+        server.hold = hold
+        wait_for(lambda: all(reader.state.values[key] > before[key] for key in counted), "the late frame")
+        wait_for(lambda: reader.state.values["frames"] > before["frames"] + 2000, "frames after the late one")
+        state = reader.take_state()
+        now_ns = time.time_ns() - 50_000_000
+        missing = [reader.values_at(now_ns - n * 1_000_000) is None for n in range(2000)]
+        assert sum(missing) <= (3 if "frames_lost" in counted else 0)
+    assert state.fault == ""
+    keys = ("frames_lost", "frames_late", "frames_dropped", "frames_repeated", "connections")
+    assert {key: state.values[key] - before[key] for key in keys} == dict.fromkeys(keys, 0) | counted
 
 
 @pytest.mark.parametrize(
