@@ -25,6 +25,10 @@ from posor_bringup.arms import find_arm, load_checked_arm
 from posor_bringup.view_messages import BagTopics
 from posor_drivers.sources.bag_source import BagParameters, BagSource
 from posor_drivers.sources.looped_source import LoopedParameters, LoopedSource
+from posor_lab.harness.graph import Graph
+from posor_lab.harness.program import Program, installed
+from posor_msgs.msg import RawScan
+from posor_ros.ros_arguments import ros_arguments
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 
 if TYPE_CHECKING:
@@ -134,18 +138,17 @@ READERS: dict[str, Callable[[Path], list[Any]]] = {
 }
 
 
-@pytest.mark.parametrize("storage", [StoragePlugin.MCAP, StoragePlugin.SQLITE3], ids=lambda each: each.name.lower())
-@pytest.mark.parametrize("arrange", ARRANGEMENTS.values(), ids=ARRANGEMENTS.keys())
+@pytest.mark.parametrize(
+    ("arrangement", "storage"),
+    [(name, StoragePlugin.MCAP) for name in ARRANGEMENTS]
+    + [(name, StoragePlugin.SQLITE3) for name in ("lexical", "overlapping", "2 % late")],
+)
 def test_no_arrangement_of_a_recording_costs_anything(
-    arrange: Callable[[Sequence[Record]], Files],
-    storage: StoragePlugin,
-    records: list[Record],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
+    arrangement: str, storage: StoragePlugin, records: list[Record], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(block_reader, "BLOCK_BYTES", 300_000)
     monkeypatch.setattr(block_reader, "BLOCK_MESSAGES", 700)
-    bag = write(tmp_path / "bag", arrange(records), storage)
+    bag = write(tmp_path / "bag", ARRANGEMENTS[arrangement](records), storage)
     for name, read in READERS.items():
         assert read(bag) == read(BAG), name
     arm = load_arm(find_arm("five_axis"))
@@ -250,6 +253,28 @@ def test_a_bag_of_unknown_order_is_refused_with_both_files(
     assert reprocess([str(bag), *options]) == 1
     assert re.fullmatch(f"{bag}: {sentence}\n", capsys.readouterr().err)
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.usefixtures("ros_domain")
+def test_driver_node_replays_a_split_bag_in_order_and_refuses_one_of_unknown_order(
+    records: list[Record], tmp_path: Path
+) -> None:
+    def driver(bag: Path, **parameters: object) -> Program:
+        own = {"source": "bag", "bag.path": str(bag), "bag.topic": ELBOW, "lossless": True}
+        return Program([*installed("posor_drivers", "driver_node"), *ros_arguments(own | parameters, "/joint1")])
+
+    parts = {f"x_{n}": part for n, part in enumerate(split(records[:1200], 3))}
+    late_parts = {"x_0": shifted(parts["x_0"], logged_s=30.0), "x_1": parts["x_1"]}
+    with Graph() as graph:
+        raw = graph.collect(RawScan, "/joint1/raw", raw=True)
+        with driver(write(tmp_path / "bag", dict(reversed(parts.items())))) as program:
+            expected = [data for topic, _, data in records[:1200] if topic == ELBOW]
+            graph.wait_until(lambda: len(raw) == len(expected), "all scans")
+            assert program.wait() == 0
+    assert raw == expected
+    with driver(write(tmp_path / "unknown", late_parts), wait_for_subscribers=0) as program:
+        assert program.wait() == 1
+        assert "x_0.mcap is logged after scan" in program.errors[-1]
 
 
 def test_a_file_that_metadata_do_not_list_is_refused(records: list[Record], tmp_path: Path) -> None:

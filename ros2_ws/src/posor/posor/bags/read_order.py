@@ -39,6 +39,8 @@ if TYPE_CHECKING:
 
     from posor.numerics.array_types import IntArray
 
+    Messages = Iterator[tuple[Connection, int, bytes]]
+
 WINDOW_S = 5.0
 """How much later than its successor a scan may be logged [s]."""
 WINDOW_BYTES = 64 << 20
@@ -96,9 +98,7 @@ class OrderedReader(Reader):
         limited.storages = [storage]
         return limited
 
-    def by_file(
-        self, connections: Sequence[Connection]
-    ) -> Iterator[tuple[Path, Iterator[tuple[Connection, int, bytes]]]]:
+    def by_file(self, connections: Sequence[Connection]) -> Iterator[tuple[Path, Messages]]:
         """Yield each file with its messages of some topics."""
         for file, storage in zip(self.files, self._storages, strict=True):
             yield file, self._only(storage).messages(connections)
@@ -168,16 +168,18 @@ def order_scans(
     held: list[_HeldBlock] = []
     try:
         for block in blocks:
-            held.append(_HeldBlock(block, [order.scans_of(block) for order in orders]))
-            follow = [order.follow(scans) for order, scans in zip(orders, held[-1].scans, strict=True)]
-            if not all(follow):
-                held = _in_order([each.block for each in held], orders)
+            following = _HeldBlock(block, [order.scans_of(block) for order in orders])
+            follow = [order.follow(scans) for order, scans in zip(orders, following.scans, strict=True)]
+            if all(follow):
+                held.append(following)
+            else:
+                held = _in_order([*(each.block for each in held), block], orders)
             while held and (
                 held[0].block.times_ns[-1] < held[-1].block.times_ns[-1] - WINDOW_S * NS
                 or sum(each.block.nbytes for each in held) > WINDOW_BYTES
             ):
                 yield _released(held.pop(0), orders)
-    except BagError:
+    except Exception:
         for each in held:
             yield each.block
         raise
@@ -302,8 +304,8 @@ class _TopicOrder:
         """Return whether the recording has a scan near its beginning again, and goes on with the scans after it."""
         if scan.stamp_ns > part.first.stamp_ns + WINDOW_S * NS:
             return False
-        earlier = self._scans(self._reader.messages(self._connections, stop=time_ns + 1))
-        if scan.number > part.first.number and sum(each == scan for each in earlier) == 1:
+        earlier = self._copies(scan, self._reader.messages(self._connections, stop=time_ns + 1))
+        if scan.number > part.first.number and len(list(earlier)) == 1:
             return False
         found = False
         for each in self._scans(self._reader.messages(self._connections, start=time_ns)):
@@ -316,9 +318,15 @@ class _TopicOrder:
     def _files_with(self, scan: _Scan) -> list[str]:
         """Return the name of the file of each message with a scan."""
         files = self._reader.by_file(self._connections)
-        return [file.name for file, messages in files for each in self._scans(messages) if each == scan]
+        return [file.name for file, messages in files for _ in self._copies(scan, messages)]
 
-    def _scans(self, messages: Iterator[tuple[Connection, int, bytes]]) -> Iterator[_Scan]:
+    def _copies(self, scan: _Scan, messages: Messages) -> Iterator[_Scan]:
+        """Yield a scan as often as it is among some messages; only those that hold its number are decoded."""
+        numbers = [scan.number.to_bytes(8, order, signed=True) for order in ("little", "big")]
+        possible = (each for each in messages if any(number in bytes(each[2]) for number in numbers))
+        return (each for each in self._scans(possible) if each == scan)
+
+    def _scans(self, messages: Messages) -> Iterator[_Scan]:
         for _, _, data in messages:
             with suppress(TopicError):
                 values = self._schema.values(bytes(data))
