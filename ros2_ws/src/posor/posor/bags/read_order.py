@@ -98,10 +98,12 @@ class OrderedReader(Reader):
         limited.storages = [storage]
         return limited
 
-    def by_file(self, connections: Sequence[Connection]) -> Iterator[tuple[Path, Messages]]:
-        """Yield each file with its messages of some topics."""
+    def by_file(
+        self, connections: Sequence[Connection], start: int | None, stop: int | None
+    ) -> Iterator[tuple[Path, Messages]]:
+        """Yield each file with its messages, see ``messages``."""
         for file, storage in zip(self.files, self._storages, strict=True):
-            yield file, self._only(storage).messages(connections)
+            yield file, self._only(storage).messages(connections, start, stop)
 
 
 class _Scan(NamedTuple):
@@ -264,7 +266,8 @@ class _TopicOrder:
             if newest is not None and scan.number <= newest.number:
                 place = self._place(scan, part, newest, times_ns, n)
             if place is None:
-                done, part, place = done + part.order, _Part(), 0
+                done += part.order
+                part, place = _Part(), 0
             part.insert(place, n, scan)
         self._newest = -1 if part.newest is None else part.newest.number
         return np.array(done + part.order, dtype=np.int64)
@@ -288,11 +291,11 @@ class _TopicOrder:
                 where=self._where,
                 expected=f"scans in the order of their numbers, logged at most {WINDOW_S:g} s late",
             )
-        self._check_one_file(scan)
+        self._check_one_file(scan, int(times_ns[0]), int(times_ns[-1]))
         return place + 1
 
-    def _check_one_file(self, scan: _Scan) -> None:
-        files = sorted(set(self._files_with(scan)))
+    def _check_one_file(self, scan: _Scan, first_ns: int, last_ns: int) -> None:
+        files = sorted(set(self._files_with(scan, first_ns, last_ns + 1))) if len(self._reader.files) > 1 else []
         if len(files) > 1:
             raise BagError(
                 f"scan {scan.number} of {self._topic} is in {files[0]} and in {files[1]}",
@@ -315,9 +318,9 @@ class _TopicOrder:
                 return each.number <= newest.number
         return False
 
-    def _files_with(self, scan: _Scan) -> list[str]:
-        """Return the name of the file of each message with a scan."""
-        files = self._reader.by_file(self._connections)
+    def _files_with(self, scan: _Scan, start: int | None = None, stop: int | None = None) -> list[str]:
+        """Return the name of the file of each message with a scan; ``start``, ``stop``: see ``messages`` of the reader."""
+        files = self._reader.by_file(self._connections, start, stop)
         return [file.name for file, messages in files for _ in self._copies(scan, messages)]
 
     def _copies(self, scan: _Scan, messages: Messages) -> Iterator[_Scan]:
