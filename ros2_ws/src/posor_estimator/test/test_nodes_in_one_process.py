@@ -158,7 +158,7 @@ def test_services_may_be_called_while_scans_come_in_another_thread(scans: list[b
 
 
 def test_invalid_messages_are_refused_and_the_next_scan_is_estimated(scans: list[bytes]) -> None:
-    surplus = RAW_SCAN.serialize(RawScan())[:36] + b"\x09\x00\x00\x00" + bytes(300)
+    surplus = RAW_SCAN.serialize(RawScan())[:52] + b"\x09\x00\x00\x00" + bytes(300)
     with NodeProcess() as process, Graph() as graph:
         arm = Arm([process])
         graph.watch_diagnostics()

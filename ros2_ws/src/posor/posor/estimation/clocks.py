@@ -41,6 +41,13 @@ SCATTERED = 0.02  # scatter in periods above which an unstated stamp is replaced
 
 
 @inlined
+def elapsed_at(tracker: Any, scan: Any) -> float:
+    """Return the time from the previous pose to a scan whose readings are not used, by its stamp [s]."""
+    since_last = (scan.stamp_ns - tracker.epoch_ns) * 1e-9 - tracker.clocks.stamp
+    return float(tracker.time - tracker.stamp + since_last)
+
+
+@inlined
 def scatter_of(tracker: Any) -> float:
     """Return the standard deviation of the stamps from the line [s]; zero while there is no line."""
     clocks = tracker.clocks
@@ -82,20 +89,17 @@ def _accept(clocks: Any, scan: Any, stamp: float) -> None:
 
 @in_place
 def follow_clocks(model: Model, scan: Any) -> int:
-    """Advance the tracker's time to a scan; return IN_ORDER, or why the scan is refused, which changes no pose."""
+    """Advance the tracker's time to a scan, unless it is a retry; return IN_ORDER, or why the scan is refused."""
+    if model.workspace[0].is_retry:
+        return IN_ORDER
     tracker = model.workspace[0].tracker
     clocks = tracker.clocks
     stamp = (scan.stamp_ns - tracker.epoch_ns) * 1e-9
-    if clocks.fitted == 0:
-        _begin_line(clocks, scan, stamp)
-        tracker.time = stamp
-        return IN_ORDER
     elapsed = stamp - clocks.stamp
     unnumbered = clocks.fitted == 1 and scan.number == clocks.number
-    if unnumbered and elapsed > 0.0:
-        _accept(clocks, scan, stamp)
-        clocks.line = stamp
-        tracker.time += elapsed
+    if clocks.fitted == 0 or (unnumbered and elapsed > 0.0):
+        tracker.time = tracker.time + elapsed if unnumbered else stamp
+        _begin_line(clocks, scan, stamp)
         return IN_ORDER
     if scan.number <= clocks.number:
         return _follow_back(model, scan, stamp, elapsed)

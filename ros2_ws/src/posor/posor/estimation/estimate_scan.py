@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any
 
-from posor.estimation.clocks import IN_ORDER, follow_clocks, motion_allowance, stamp_sigma
+from posor.estimation.clocks import IN_ORDER, elapsed_at, follow_clocks, motion_allowance, stamp_sigma
 from posor.estimation.covariance import add_systematic_covariance, find_contributions, write_covariances
 from posor.estimation.exposure import (
     INVALID_EXPOSURE,
@@ -102,12 +102,11 @@ def begin_scan_estimate(model: Model, scan: Any, estimate: Any, linearised: bool
     estimate.stamp_ns = scan.stamp_ns
     if not tracker.epoch_known:
         tracker.epoch_known, tracker.epoch_ns = 1, scan.stamp_ns
-    order = IN_ORDER if workspace.is_retry else follow_clocks(model, scan)
     frozen = NOT_FROZEN if workspace.is_retry else count_repetitions(model, scan)
     if linearised:
         estimate.faults = 0
-        if order != IN_ORDER or not exposures_are_valid(scan):
-            estimate.faults, estimate.code = BAD_READING_FAULT, order if order != IN_ORDER else INVALID_EXPOSURE
+        if not exposures_are_valid(scan):
+            estimate.faults, estimate.code = BAD_READING_FAULT, INVALID_EXPOSURE
         elif not environment_is_valid(settings, scan):
             estimate.faults = ENVIRONMENT_FAULT
         elif frozen != NOT_FROZEN:
@@ -116,12 +115,15 @@ def begin_scan_estimate(model: Model, scan: Any, estimate: Any, linearised: bool
         lacking = unmeasured(settings, scan)
         if lacking != workspace.unmeasured:
             workspace.unmeasured, workspace.rows_active = lacking, 0
-        if not _needs_acknowledgement(tracker):
+        order = follow_clocks(model, scan)
+        if order != IN_ORDER:
+            estimate.faults, estimate.code = BAD_READING_FAULT, order
+        elif not _needs_acknowledgement(tracker):
             return True
     tracker.reference_sigma = 0.0
     faults, latched = estimate.faults, tracker.latch
     if settings.max_velocity < math.inf and tracker.initialised and faults & (SOURCE_FAULT | FROZEN_FAULT):
-        latch(tracker, faults, 1 if faults == SOURCE_FAULT else 0, tracker.time - tracker.stamp)
+        latch(tracker, faults, 1 if faults == SOURCE_FAULT else 0, elapsed_at(tracker, scan))
     estimate.residual = math.nan
     write_lost(estimate, _with_latch(faults, latched) | _flagged(scan))
     return False

@@ -210,7 +210,7 @@ class Posor:
         """
         if not self.tracker["latch"]:
             return False
-        kept = {name: self.tracker[name].copy() for name in ("theta", "last_raw", "repeats", "clocks", "time")}
+        kept = {name: self.tracker[name].copy() for name in ("theta", "last_raw", "repeats")}
         self.reset()
         for name, value in kept.items():
             self.tracker[name] = value
@@ -270,6 +270,7 @@ class Posor:
                 for name in ("last_raw", "repeats", "signatures", "signature_count", "loop_repeats"):
                     self.tracker[name] = 0
                 if last is not None:
+                    self.tracker["clocks"] = 0  # the scan is seen once more
                     self.estimate(last)
 
     def estimate(self, scan: Scan) -> Estimate:

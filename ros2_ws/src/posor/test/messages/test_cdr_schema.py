@@ -141,7 +141,7 @@ def frame_only(length: bytes, text: bytes) -> bytes:
     return b"\x00\x01\x00\x00" + bytes(8) + length + text
 
 
-NINE_VOLTAGES = schema_of_class(RawScan).serialize(RawScan())[:36] + b"\x09\x00\x00\x00" + bytes(300)
+NINE_VOLTAGES = schema_of_class(RawScan).serialize(RawScan())[:52] + b"\x09\x00\x00\x00" + bytes(300)
 
 
 @pytest.mark.parametrize(
