@@ -55,7 +55,15 @@ def text(time_ns: int, topic: str = "/remarks") -> Record:
     return Record(topic, name, time_ns, TYPES.serialize(TYPES.new(name, data="remark"), name))
 
 
-def write_bag(path: Path, records: Iterable[Record], *, sqlite: bool = False, type_hash: str | None = None) -> Path:
+def write_bag(
+    path: Path,
+    records: Iterable[Record],
+    *,
+    sqlite: bool = False,
+    type_hash: str | None = None,
+    definition_of_scans: str | None = None,
+) -> Path:
+    """Write a bag; ``type_hash``, ``definition_of_scans``: instead of the installed ones."""
     plugin = StoragePlugin.SQLITE3 if sqlite else StoragePlugin.MCAP
     with Writer(path, version=9, storage_plugin=plugin) as writer:
         connections = {}
@@ -63,8 +71,11 @@ def write_bag(path: Path, records: Iterable[Record], *, sqlite: bool = False, ty
             key = record.topic, record.type_name
             if key not in connections:
                 definition = TYPES.definition(record.type_name)
+                definition_text = definition.text
+                if definition_of_scans is not None and record.type_name == RAW_SCAN:
+                    definition_text = definition_of_scans
                 connections[key] = writer.add_connection(
-                    record.topic, record.type_name, msgdef=definition.text, rihs01=type_hash or definition.type_hash
+                    record.topic, record.type_name, msgdef=definition_text, rihs01=type_hash or definition.type_hash
                 )
             writer.write(connections[key], record.time_ns, record.data)
     return path

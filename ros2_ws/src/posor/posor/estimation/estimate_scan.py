@@ -11,14 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from posor.estimation.clocks import IN_ORDER, elapsed_at, follow_clocks, motion_allowance, stamp_sigma
 from posor.estimation.covariance import add_systematic_covariance, find_contributions, write_covariances
-from posor.estimation.exposure import (
-    INVALID_EXPOSURE,
-    TIME,
-    add_stamp_variance,
-    exposures_are_valid,
-    move_to_stamp,
-    write_twist,
-)
+from posor.estimation.exposure import TIME, add_stamp_variance, move_to_stamp, write_twist
 from posor.estimation.frozen import NOT_FROZEN, count_repetitions
 from posor.estimation.linearise import add_unmeasured, environment_is_valid, linearise_scan, unmeasured
 from posor.estimation.scan_checks import (
@@ -105,9 +98,7 @@ def begin_scan_estimate(model: Model, scan: Any, estimate: Any, linearised: bool
     frozen = NOT_FROZEN if workspace.is_retry else count_repetitions(model, scan)
     if linearised:
         estimate.faults = 0
-        if not exposures_are_valid(scan):
-            estimate.faults, estimate.code = BAD_READING_FAULT, INVALID_EXPOSURE
-        elif not environment_is_valid(settings, scan):
+        if not environment_is_valid(settings, scan):
             estimate.faults = ENVIRONMENT_FAULT
         elif frozen != NOT_FROZEN:
             estimate.faults, estimate.code = FROZEN_FAULT, frozen

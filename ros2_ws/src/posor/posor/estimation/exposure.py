@@ -37,7 +37,7 @@ TIME = int(Fault.TIME)
 
 
 @inlined
-def exposures_are_valid(scan: Any) -> bool:
+def _exposures_are_valid(scan: Any) -> bool:
     """Return whether a scan states no offset, or one for each channel; each within LONGEST_OFFSET_S or unknown."""
     channels = scan.gap_count + scan.ring_count + scan.current_count
     valid = scan.offset_count in (0, channels) and 0.0 <= scan.exposure_span <= LONGEST_OFFSET_S
@@ -47,8 +47,8 @@ def exposures_are_valid(scan: Any) -> bool:
 
 
 @inlined
-def begin_exposures(model: Model, scan: Any) -> None:
-    """Assume that all readings of a scan are read at the stamp, or that their offsets are unknown."""
+def begin_exposures(model: Model, scan: Any) -> bool:
+    """Assume readings at the stamp, or with unknown offsets; return whether the scan's statement on time is valid."""
     workspace = model.workspace[0]
     workspace.is_skewed = 1 if scan.offset_count > 0 else 0
     if workspace.is_skewed:
@@ -56,6 +56,7 @@ def begin_exposures(model: Model, scan: Any) -> None:
             workspace.offsets[r] = workspace.cross_offsets[r] = 0.0
             workspace.partners[r] = r
             workspace.unknown[r] = _unknown_variance(workspace.tracker, scan)
+    return _exposures_are_valid(scan)
 
 
 @inlined

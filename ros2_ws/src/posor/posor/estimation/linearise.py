@@ -12,8 +12,9 @@ import math
 import sys
 from typing import TYPE_CHECKING, Any
 
-from posor.estimation.exposure import begin_exposures, write_spot_offsets, write_voltage_offset
+from posor.estimation.exposure import INVALID_EXPOSURE, begin_exposures, write_spot_offsets, write_voltage_offset
 from posor.model.diode import CODES, OUTSIDE_X, find_ratios
+from posor.model.fault import Fault
 from posor.model.readings import (
     DIODE_CURRENTS,
     GAP_VOLTAGES,
@@ -38,6 +39,7 @@ if TYPE_CHECKING:
     from posor.numerics.array_types import FloatArray, IntArray
 
 
+BAD_READING = int(Fault.BAD_READING)
 SUPPLY, TEMPERATURE = 0, 1
 ANY_FINITE = (-sys.float_info.max, sys.float_info.max)  # range of a calibration that states none
 
@@ -157,7 +159,9 @@ def linearise_scan(model: Model, scan: Any, estimate: Any) -> bool:
     """
     estimate.sensor = -1
     estimate.code = VALID
-    begin_exposures(model, scan)
+    if not begin_exposures(model, scan):
+        estimate.code, estimate.faults = INVALID_EXPOSURE, BAD_READING
+        return False
     for s in range(model.sensors.shape[0]):
         sensor = model.sensors[s]
         code = VALID

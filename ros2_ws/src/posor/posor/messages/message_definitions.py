@@ -87,10 +87,19 @@ def schema_of_connection(connection: Connection, where: str) -> Schema:
 
     A bag without definitions, such as an SQLite bag of an older ROS 2, is read with the installed definition.
     ``where``: name of the bag in errors. Raises BagError: the definition is invalid, or is not stored and the type is
-    not installed.
+    not installed in the recorded version.
     """
     if not connection.msgdef.data:
-        return MessageTypes().schema(connection.msgtype)
+        types = MessageTypes()
+        installed = types.definition(connection.msgtype).type_hash
+        if connection.digest not in ("", installed):
+            raise BagError(
+                f"topic {connection.topic} was recorded with another version of {connection.msgtype}, "
+                f"{connection.digest}, and its definition is not stored",
+                where=where,
+                expected=installed,
+            )
+        return types.schema(connection.msgtype)
     try:
         types = get_types_from_msg(connection.msgdef.data, connection.msgtype)
         return _schema(connection.msgtype, types)

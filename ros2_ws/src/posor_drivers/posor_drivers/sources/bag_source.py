@@ -1,14 +1,18 @@
-"""Source ``bag``: scans recorded in a rosbag2 bag, MCAP or SQLite."""
+"""Source ``bag``: scans recorded in a rosbag2 bag, MCAP or SQLite.
+
+Scans that were recorded with another version of RawScan are published in the present one.
+"""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from posor.bags.bag_reader import checked_type, opened_bag, scan_topic
+from posor.bags.bag_reader import checked_type, opened_bag, scan_schema, scan_topic
 from posor.bags.block_reader import read_messages
 from posor.errors import BagError
 from posor.parameter_model import ParameterGroup
+from posor.messages.message_definitions import installed_schema
 from posor.ros_names import RAW_SCAN, RAW_TOPIC
 from pydantic import Field
 
@@ -16,6 +20,8 @@ from posor_drivers.sources.source import RecordedSource, SourceMessage, Topic
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
+
+    from posor.messages.cdr_schema import Schema
 
 
 class RecordedTopicParameters(ParameterGroup):
@@ -41,6 +47,7 @@ class BagSource(RecordedSource[BagParameters]):
     Parameters = BagParameters
 
     _names: dict[str, str]
+    _older: Schema | None  # of the recorded scans, where it is not the installed one
 
     @property
     def record(self) -> str:
@@ -57,11 +64,19 @@ class BagSource(RecordedSource[BagParameters]):
                 raise BagError(what, where=place, expected="other topics only")
             self._names = {scans: RAW_TOPIC} | {name: name for name in self.parameters.other_topics}
             known = reader.connections
-            checked_type(known, scans, where, self.types, (RAW_SCAN,), filled=True)
-            return [Topic(public, checked_type(known, name, where, self.types)) for name, public in self._names.items()]
+            schema = scan_schema(known, scans, where)
+            self._older = None if schema.fields == installed_schema(RAW_SCAN).fields else schema
+            others = [
+                Topic(name, checked_type(known, name, where, self.types)) for name in self.parameters.other_topics
+            ]
+            return [Topic(RAW_TOPIC, RAW_SCAN), *others]
 
     def read_messages(self) -> Iterator[SourceMessage]:
         """Yield the recorded messages in the order of their log times."""
         with opened_bag(Path(self.parameters.path)) as reader:
             for connection, time_ns, data in read_messages(reader, self._names, self.parameters.path):
-                yield SourceMessage(self._names[connection.topic], time_ns, data)
+                topic = self._names[connection.topic]
+                if topic == RAW_TOPIC and self._older is not None:
+                    yield SourceMessage(topic, time_ns, installed_schema(RAW_SCAN).encode(self._older.values(data)))
+                else:
+                    yield SourceMessage(topic, time_ns, data)

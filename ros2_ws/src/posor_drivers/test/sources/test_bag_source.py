@@ -5,7 +5,10 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 from posor.errors import BagError
-from posor.messages.message_definitions import MessageTypes
+from posor.messages.cdr_schema import Schema
+from posor.messages.message_definitions import MessageTypes, installed_schema
+from posor.messages.raw_scan import TIMES
+from posor.ros_names import RAW_SCAN
 from posor_drivers.sources.bag_source import BagParameters, BagSource
 from posor_drivers.sources.source import SourceMessage, Topic
 from rosbags.rosbag2 import StoragePlugin, Writer
@@ -17,6 +20,7 @@ if TYPE_CHECKING:
 
 EXPECTED = "expected a rosbag2 bag, MCAP or SQLite, that was closed properly."
 RECOVER = "'recover' of posor writes what is whole to a new bag"
+OTHER_HASH = "RIHS01_" + "0" * 64
 RECORDS = [scan(1, 100), point(100), scan(2, 300), text(400), scan(3, 500), point(600)]
 
 
@@ -108,13 +112,27 @@ def test_topic_of_several_types_is_refused(tmp_path: Path, topic: str, *, sqlite
 
 
 @pytest.mark.parametrize("sqlite", [False, True])
-def test_scans_of_another_version_are_refused(tmp_path: Path, *, sqlite: bool) -> None:
-    other = "RIHS01_" + "0" * 64
-    bag = write_bag(tmp_path / "bag", [scan(1, 100)], sqlite=sqlite, type_hash=other)
-    installed = MessageTypes().definition("posor_msgs/msg/RawScan").type_hash
+def test_scans_of_an_older_version_are_published_in_the_present_one(tmp_path: Path, *, sqlite: bool) -> None:
+    present, records = installed_schema(RAW_SCAN), [scan(number, 100 * number) for number in (1, 2)]
+    older = Schema("RawScan", [field for field in present.fields if field.path not in TIMES])
+    text = MessageTypes().definition(RAW_SCAN).text
+    kept = [line for line in text.splitlines() if not any(name in line for name in TIMES)]
+    bag = write_bag(
+        tmp_path / "bag",
+        [record._replace(data=older.encode(present.values(record.data))) for record in records],
+        sqlite=sqlite,
+        type_hash=OTHER_HASH,
+        definition_of_scans="\n".join(kept),
+    )
+    assert [message.data for message in read(bag)[1]] == [record.data for record in records]
+
+
+def test_scans_of_another_version_without_its_definition_are_refused(tmp_path: Path) -> None:
+    bag = write_bag(tmp_path / "bag", [scan(1, 100)], sqlite=True, type_hash=OTHER_HASH, definition_of_scans="")
+    installed = MessageTypes().definition(RAW_SCAN).type_hash
     assert refusal(bag) == (
-        f"BAG: topic /joint1/raw was recorded with another version of posor_msgs/msg/RawScan, {other}; "
-        f"expected {installed}."
+        f"BAG: topic /joint1/raw was recorded with another version of posor_msgs/msg/RawScan, {OTHER_HASH}, "
+        f"and its definition is not stored; expected {installed}."
     )
 
 
