@@ -168,13 +168,15 @@ def test_the_live_page_shows_the_same_pose_of_a_split_bag(records: list[Record],
     assert found == expected
 
 
-def shifted(records: Iterable[Record], *, logged_s: float = 0.0, stamped_s: int = 0, number: int = 0) -> list[Record]:
+def shifted(
+    records: Iterable[Record], *, logged_s: float = 0.0, stamped_s: float = 0.0, number: int = 0
+) -> list[Record]:
     """Return records whose log times, stamps and scan numbers are moved."""
     moved = []
     for topic, time_ns, data in records:
         if topic.endswith("/raw"):
             scan = scan_of(data)
-            data = ScanTemplate(data).at(scan.stamp_ns + stamped_s * NS, scan.number + number)  # noqa: PLW2901
+            data = ScanTemplate(data).at(scan.stamp_ns + round(stamped_s * NS), scan.number + number)  # noqa: PLW2901
         moved.append((topic, time_ns + round(logged_s * NS), data))
     return moved
 
@@ -200,6 +202,16 @@ def test_a_recording_that_starts_over_is_read_as_it_was_logged(
     files = make(records)
     logged = [data for part in files.values() for topic, _, data in part if topic == ELBOW]
     assert read_bag_source(write(tmp_path / "bag", files)) == logged
+
+
+@pytest.mark.parametrize("step_s", [0.02, 0.5, 3.0])
+def test_scans_of_a_clock_that_is_set_back_are_read_in_the_order_of_their_numbers(
+    step_s: float, records: list[Record], tmp_path: Path
+) -> None:
+    after = shifted(records[6000:], logged_s=-step_s, stamped_s=-step_s)
+    made = [*records[:6000], *after]
+    bag = write(tmp_path / "bag", {"x": made})
+    assert read_bag_source(bag) == [data for topic, _, data in made if topic == ELBOW]
 
 
 REFUSED: dict[str, tuple[Callable[[Sequence[Record]], Files], str]] = {

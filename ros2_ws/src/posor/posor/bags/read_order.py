@@ -5,7 +5,7 @@
 * Messages: by log time; messages of equal log time keep their order in the file.
 * Scans of one topic: by scan number. A scan that was logged after its successors, at most ``WINDOW_S`` later, is read
   before them, with the log time of the first of them. It counts as such only if its stamp lies between those of its
-  neighbours, too.
+  neighbours, too, or after that of the scan before where the clock was set back at the next one.
 * Numbers that go back while the stamps go on, or to the beginning of the recording: the recording has started over.
   Both parts are read one after the other.
 
@@ -19,6 +19,7 @@ from bisect import bisect_left
 from contextlib import suppress
 from copy import copy
 from heapq import merge
+from itertools import chain, dropwhile
 from operator import itemgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -112,11 +113,12 @@ class _Scan(NamedTuple):
 
 
 class _TopicScans(NamedTuple):
-    """Scans of a topic in a block, shape (n,) each: positions in the block, numbers and stamps."""
+    """Scans of a topic in a block, shape (n,) each: positions in the block, numbers, stamps and log times."""
 
     positions: IntArray
     numbers: IntArray
     stamps_ns: IntArray
+    times_ns: IntArray
 
     def scan(self, n: int) -> _Scan:
         return _Scan(int(self.numbers[n]), int(self.stamps_ns[n]))
@@ -156,6 +158,13 @@ class _Part:
         period_ns = (last.stamp_ns - first.stamp_ns) / (last.number - first.number)
         expected_ns = first.stamp_ns + period_ns * (scan.number - first.number)
         return abs(scan.stamp_ns - expected_ns) < last.stamp_ns - scan.stamp_ns
+
+    def is_before_clock_step(self, before: _Scan | None, scan: _Scan, successor: _Scan) -> bool:
+        """Return whether a scan belongs before another one with which the clock of stamps and log times went back."""
+        if before is None or before.number == self.first.number:
+            return False
+        period_ns = (before.stamp_ns - self.first.stamp_ns) / (before.number - self.first.number)
+        return 0 < (successor.number - scan.number) * period_ns <= WINDOW_S * NS
 
 
 def order_scans(
@@ -201,7 +210,7 @@ def _in_order(blocks: Sequence[MessageBlock], orders: Sequence[_TopicOrder]) -> 
     which, times_ns = np.arange(len(merged)), merged.times_ns.copy()
     for order in orders:
         scans = order.scans_of(merged)
-        positions, found = scans.positions, scans.positions[order.arrange(scans, merged.times_ns[scans.positions])]
+        positions, found = scans.positions, scans.positions[order.arrange(scans)]
         which[positions] = found
         times_ns[positions] = np.minimum.accumulate(merged.times_ns[found][::-1])[::-1]
     block = merged.select(which)
@@ -226,11 +235,12 @@ class _TopicOrder:
 
     def scans_of(self, block: MessageBlock) -> _TopicScans:
         """Return the scans in a block, up to the first invalid one, which its reader refuses."""
-        parts = [_TopicScans(*3 * [np.empty(0, dtype=np.int64)])]
+        parts = [_TopicScans(*4 * [np.empty(0, dtype=np.int64)])]
         try:
-            for _, positions, table in self._tables.read_tables(block):
+            for times_ns, positions, table in self._tables.read_tables(block):
                 stamps = [table[f"header.stamp.{part}"].astype(np.int64) for part in ("sec", "nanosec")]
-                parts.append(_TopicScans(positions, table["scan"].astype(np.int64), stamps[0] * NS + stamps[1]))
+                numbers = table["scan"].astype(np.int64)
+                parts.append(_TopicScans(positions, numbers, stamps[0] * NS + stamps[1], times_ns))
         except BagError:
             pass
         return _TopicScans(*(np.concatenate(each) for each in zip(*parts, strict=True)))
@@ -249,7 +259,7 @@ class _TopicOrder:
         if not len(scans.numbers):
             return
         if self._released is not None:
-            last = [np.array([each]) for each in (-1, *self._released)]
+            last = [np.array([each]) for each in (-1, *self._released, -1)]
             scans = _TopicScans(*(np.concatenate(each) for each in zip(last, scans, strict=True)))
         steps = np.diff(scans.numbers)
         starts = np.flatnonzero((steps < 0) | ((steps == 0) & (np.diff(scans.stamps_ns) != 0))) + 1
@@ -257,14 +267,14 @@ class _TopicOrder:
             self._first = scans.scan(starts[-1] if len(starts) else 0)
         self._released = scans.scan(-1)
 
-    def arrange(self, scans: _TopicScans, times_ns: IntArray) -> IntArray:
-        """Return the order of all held scans; ``times_ns``: their log times, shape (n,)."""
+    def arrange(self, scans: _TopicScans) -> IntArray:
+        """Return the order of all held scans."""
         done, part = list[int](), _Part(self._first, self._released)
         for n, pair in enumerate(zip(scans.numbers.tolist(), scans.stamps_ns.tolist(), strict=True)):
             scan, newest = _Scan(*pair), part.newest
             place: int | None = len(part.scans)
             if newest is not None and scan.number <= newest.number:
-                place = self._place(scan, part, newest, times_ns, n)
+                place = self._place(scans, n, part, newest)
             if place is None:
                 done += part.order
                 part, place = _Part(), 0
@@ -272,17 +282,32 @@ class _TopicOrder:
         self._newest = -1 if part.newest is None else part.newest.number
         return np.array(done + part.order, dtype=np.int64)
 
-    def _place(self, scan: _Scan, part: _Part, newest: _Scan, times_ns: IntArray, n: int) -> int | None:
-        """Return the place of a scan whose number goes back among the held ones; None: the recording starts over."""
+    def _place(self, scans: _TopicScans, n: int, part: _Part, newest: _Scan) -> int | None:
+        """Return the place of scan n, whose number goes back, among those before; None: the recording starts over."""
+        scan, times_ns = scans.scan(n), scans.times_ns
         place = bisect_left(part.scans, scan)
         before = part.scans[place - 1] if place else part.released
         successor = part.scans[place] if place < len(part.scans) else None
-        fits = successor is not None and (before is None or _increase(before, scan)) and _increase(scan, successor)
+        fits = (
+            successor is not None
+            and (before is None or _increase(before, scan))
+            and (_increase(scan, successor) or part.is_before_clock_step(before, scan, successor))
+        )
         if fits and times_ns[n] - times_ns[part.order[place]] <= WINDOW_S * NS:
             return place
         again = successor == scan
         displaced = fits or again or (not place and part.has_released(scan))
-        if not displaced or self._starts_over(scan, part, newest, int(times_ns[n])):
+        if not displaced:
+            return None
+        later = chain(
+            (scans.scan(each) for each in range(n + 1, len(scans.numbers))),
+            self._scans_after(scans.scan(-1), int(times_ns[-1])),
+        )
+        if (
+            scan.stamp_ns <= part.first.stamp_ns + WINDOW_S * NS
+            and (again or scan.number <= part.first.number or self._was_read(scan, int(times_ns[n])))
+            and _goes_on(scan, part, newest, later)
+        ):
             return None
         if not again:
             files = [self._files_with(each)[0] for each in (scan, newest)]
@@ -303,23 +328,17 @@ class _TopicOrder:
                 expected="every scan in one file",
             )
 
-    def _starts_over(self, scan: _Scan, part: _Part, newest: _Scan, time_ns: int) -> bool:
-        """Return whether the recording has a scan near its beginning again, and goes on with the scans after it."""
-        if scan.stamp_ns > part.first.stamp_ns + WINDOW_S * NS:
-            return False
-        earlier = self._copies(scan, self._reader.messages(self._connections, stop=time_ns + 1))
-        if scan.number > part.first.number and len(list(earlier)) == 1:
-            return False
-        found = False
-        for each in self._scans(self._reader.messages(self._connections, start=time_ns)):
-            if each == scan:
-                found = True
-            elif found and each.number >= part.first.number:
-                return each.number <= newest.number
-        return False
+    def _was_read(self, scan: _Scan, time_ns: int) -> bool:
+        """Return whether a scan that is logged at a time is in the bag before, too."""
+        return len(list(self._copies(scan, self._reader.messages(self._connections, stop=time_ns + 1)))) > 1
+
+    def _scans_after(self, scan: _Scan, time_ns: int) -> Iterator[_Scan]:
+        """Yield the scans that are read after the last held one, which was logged at a time."""
+        later = self._scans(self._reader.messages(self._connections, start=time_ns))
+        yield from dropwhile(lambda each: each == scan, dropwhile(lambda each: each != scan, later))
 
     def _files_with(self, scan: _Scan, start: int | None = None, stop: int | None = None) -> list[str]:
-        """Return the name of the file of each message with a scan; ``start``, ``stop``: see ``messages`` of the reader."""
+        """Return the name of the file of each message with a scan; ``start``, ``stop``: see ``by_file``."""
         files = self._reader.by_file(self._connections, start, stop)
         return [file.name for file, messages in files for _ in self._copies(scan, messages)]
 
@@ -334,6 +353,12 @@ class _TopicOrder:
             with suppress(TopicError):
                 values = self._schema.values(bytes(data))
                 yield _Scan(values["scan"], values["header.stamp.sec"] * NS + values["header.stamp.nanosec"])
+
+
+def _goes_on(scan: _Scan, part: _Part, newest: _Scan, later: Iterator[_Scan]) -> bool:
+    """Return whether the next scans after one are those that the recording had after its first scan."""
+    following = (each.number for each in later if each.number >= part.first.number and each != scan)
+    return next(following, newest.number + 1) <= newest.number
 
 
 def _increase(first: _Scan, second: _Scan) -> bool:

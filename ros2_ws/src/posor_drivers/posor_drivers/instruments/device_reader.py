@@ -41,8 +41,8 @@ FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.1, 1.0
 SINGLE_FRAME = FrameWeights(0.0, 1.0, 0.0)
 LATE_S = 0.5
 """How late a frame may arrive after its successors and still be stored; a counter further back may be a restart."""
-RESTART_FRAMES = 3
-"""Frames in succession that are further back, after which the device has restarted."""
+RESTART_S = 0.1
+"""Time in which only frames that are further back arrive, after which the device has restarted."""
 RATE_FRAMES = 100
 """Of a polled device, over which its rate is averaged."""
 MAX_DRIFT = 0.01
@@ -216,7 +216,7 @@ class DeviceReader:
         self._timed, self._time_uncertainty_s = False, 0.0
         self._first = 0
         self._last: int | None = None
-        self._back = 0
+        self._back_since_s = np.inf
 
     def _run(self) -> None:
         pause_s = FIRST_PAUSE_S
@@ -274,9 +274,9 @@ class DeviceReader:
             counts["frames_lost"] += int(highest[-1] - self._last - np.count_nonzero(new))
             self._last = int(highest[-1])
         for n in np.flatnonzero(~new).tolist():
-            self._store_late(frames, n, follows_new=bool(n and new[n - 1]))
-        if new[-1]:
-            self._back = 0
+            self._store_late(frames, n)
+        if new.any():
+            self._back_since_s = np.inf
         if frames.times_ns is not None:
             self._timed, self._time_uncertainty_s = True, frames.time_uncertainty_s
             self._fault = ""
@@ -284,11 +284,10 @@ class DeviceReader:
             self._mapping.add(self._last, arrived_ns)
             self._check_mapping()
 
-    def _store_late(self, frames: Frames, n: int, *, follows_new: bool) -> None:
+    def _store_late(self, frames: Frames, n: int) -> None:
         """Store or drop a frame that does not come after all others."""
         number, newest, counts = int(frames.counters[n]), int(self._last or 0), self._counts
         row, back = self._row_of(number), newest - number
-        self._back = 0 if follows_new else self._back
         restarted = False
         if row is not None:
             same = np.array_equal(self._values[row], frames.values[n], equal_nan=True)
@@ -301,8 +300,8 @@ class DeviceReader:
             counts["frames_lost"] -= number > self._first
         else:
             counts["frames_dropped"] += 1
-            self._back += 1
-            restarted = self._back >= RESTART_FRAMES
+            self._back_since_s = min(self._back_since_s, now_s := time.monotonic())
+            restarted = now_s - self._back_since_s > RESTART_S
         if restarted:
             what = f"the frame counter went back from {newest} to {number}"
             raise self.device.error(what, "ascending numbers; the device may have restarted")

@@ -158,22 +158,22 @@ class LabJackStreamDevice(PacketDevice[LabJackStreamSettings]):
         if len(self.received) < HEADER.size + count:
             return None
         samples = np.frombuffer(self.received, ">u2", count // 2, HEADER.size).reshape(-1, len(self._constants))
-        counters, samples = self._numbered(samples, information if status == RECOVERED else 0)
+        counters, samples = self._numbered(samples, information if status == RECOVERED else None)
         self.received = self.received[HEADER.size + count :]
         self._packet = (packet + 1) % (1 << 16)
         return Frames(counters, self._volts(samples))
 
-    def _numbered(self, samples: Any, left_out: int) -> tuple[IntArray, Any]:
-        """Return numbers and samples of the frames of a packet, with ``left_out`` frames at its delimiter or before it.
+    def _numbered(self, samples: Any, left_out: int | None) -> tuple[IntArray, Any]:
+        """Return numbers and samples of the frames of a packet.
 
-        If several frames look like the delimiter, those between are of unknown number and count as lost.
+        ``left_out``: number of frames that are missing at its delimiter or before it; None: no buffer was full. If
+        several frames look like the delimiter, those between are of unknown number and count as lost.
         """
         counters = self._next + np.arange(len(samples))
-        delimiters = np.flatnonzero(np.all(samples == HIGHEST_SAMPLE, axis=1)) if left_out else np.empty(0, dtype=int)
-        if not len(delimiters):
-            counters += left_out
-            self._next += left_out + len(samples)
-            return counters, samples
+        delimiters = np.flatnonzero(np.all(samples == HIGHEST_SAMPLE, axis=1))
+        if left_out is None or not len(delimiters):
+            self._next += (left_out or 0) + len(samples)
+            return counters + (left_out or 0), samples
         first, last = delimiters[0], delimiters[-1]
         counters[last:] += left_out - 1
         self._next += left_out - 1 + len(samples)
