@@ -150,21 +150,22 @@ class _Part:
     def first(self) -> _Scan:
         return self._first or self.scans[0]
 
-    def has_released(self, scan: _Scan) -> bool:
-        """Return whether number and stamp are those of a place among the released scans."""
-        first, last = self._first, self.released
-        if first is None or last is None or last.number == first.number:
-            return False
+    def is_on_line(self, scan: _Scan, last: _Scan) -> bool:
+        """Return whether number and stamp of a scan agree with the clock of the part from its first to a last scan."""
+        first = self.first
+        if last.number == first.number:
+            return self.released is None and len(self.scans) == 1
         period_ns = (last.stamp_ns - first.stamp_ns) / (last.number - first.number)
         expected_ns = first.stamp_ns + period_ns * (scan.number - first.number)
-        return abs(scan.stamp_ns - expected_ns) < last.stamp_ns - scan.stamp_ns
+        return 2 * abs(scan.stamp_ns - expected_ns) < last.stamp_ns - expected_ns
 
     def is_before_clock_step(self, before: _Scan | None, scan: _Scan, successor: _Scan) -> bool:
         """Return whether a scan belongs before another one with which the clock of stamps and log times went back."""
         if before is None or before.number == self.first.number:
             return False
         period_ns = (before.stamp_ns - self.first.stamp_ns) / (before.number - self.first.number)
-        return 0 < (successor.number - scan.number) * period_ns <= WINDOW_S * NS
+        follows = 0 < scan.stamp_ns - before.stamp_ns < 2 * (scan.number - before.number) * period_ns
+        return follows and 0 < (successor.number - scan.number) * period_ns <= WINDOW_S * NS
 
 
 def order_scans(
@@ -290,13 +291,14 @@ class _TopicOrder:
         successor = part.scans[place] if place < len(part.scans) else None
         fits = (
             successor is not None
-            and (before is None or _increase(before, scan))
+            and (part.is_on_line(scan, newest) if before is None else _increase(before, scan))
             and (_increase(scan, successor) or part.is_before_clock_step(before, scan, successor))
         )
         if fits and times_ns[n] - times_ns[part.order[place]] <= WINDOW_S * NS:
             return place
         again = successor == scan
-        displaced = fits or again or (not place and part.has_released(scan))
+        is_released = not place and part.released is not None and part.is_on_line(scan, part.released)
+        displaced = fits or again or is_released
         if not displaced:
             return None
         later = chain(
