@@ -190,8 +190,8 @@ def run_commands(*commands: Sequence[str | Path], **options: Any) -> int:
         try:
             for number, handler in handlers.items():
                 signal.signal(number, handler)
-            for number in delayed:
-                signal.raise_signal(number)
+            for received in delayed:
+                signal.raise_signal(received)
             return next(filter(None, [process.wait() for process in processes]), 0)
         except KeyboardInterrupt:
             for process in processes:

@@ -13,8 +13,8 @@ import numpy as np
 from posor.errors import ParameterError
 from posor.estimation.posor import Posor
 from posor.model.fault import State
-from posor.model.native_coordinates import thetas_of
 from posor.numerics.stamps import tick_stamp_ns
+from posor.numerics.vector import thetas_of
 from posor_drivers.simulator.arm_truth import true_cycle
 from posor_drivers.simulator.imperfections import Imperfections
 from posor_drivers.simulator.nominal_arm import NominalArm

@@ -90,8 +90,8 @@ def schema_of_connection(connection: Connection, where: str) -> Schema:
     not installed in the recorded version.
     """
     if not connection.msgdef.data:
-        types = MessageTypes()
-        installed = types.definition(connection.msgtype).type_hash
+        installed_types = MessageTypes()
+        installed = installed_types.definition(connection.msgtype).type_hash
         if connection.digest not in ("", installed):
             raise BagError(
                 f"topic {connection.topic} was recorded with another version of {connection.msgtype}, "
@@ -99,7 +99,7 @@ def schema_of_connection(connection: Connection, where: str) -> Schema:
                 where=where,
                 expected=installed,
             )
-        return types.schema(connection.msgtype)
+        return installed_types.schema(connection.msgtype)
     try:
         types = get_types_from_msg(connection.msgdef.data, connection.msgtype)
         return _schema(connection.msgtype, types)

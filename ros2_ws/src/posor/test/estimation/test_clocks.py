@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
@@ -19,8 +19,10 @@ from scipy.stats import chi2
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from numpy.typing import NDArray
     from posor import Estimates, Scans
-    from posor.numerics.array_types import FloatArray, IntArray
+
+    Array = NDArray[Any]
 
 ARMS = Path(__file__).resolve().parents[3] / "posor_bringup" / "arms"
 JOINTS = {"bumpy ring": "five_axis/calibrations/elbow.yaml", "light ring": "six_axis/calibrations/shoulder.yaml"}
@@ -30,7 +32,7 @@ INDEX = np.arange(COUNT)
 JUMP = 450e-6  # of the gap [m]
 
 
-def poses(times: FloatArray, rate: float = RATE) -> FloatArray:
+def poses(times: Array, rate: float = RATE) -> Array:
     """Return the true poses at times [s], shape (n, 7)."""
     theta = START + rate * times
     out = np.zeros((len(times), 7))
@@ -45,7 +47,7 @@ def simulated(kind: str, rate: float = RATE) -> Scans:
     return simulate(load_calibration(ARMS / JOINTS[kind]), poses(INDEX * PERIOD_S, rate), seed=1)
 
 
-def estimate(kind: str, times: FloatArray, numbers: IntArray, scans: Scans) -> Estimates:
+def estimate(kind: str, times: Array, numbers: Array, scans: Scans) -> Estimates:
     """Estimate scans that arrive in this order; a reference counts theta at the first."""
     fields = {"stamps_ns": FIRST_NS + np.round(times * 1e9).astype(np.int64), "numbers": numbers.astype(np.uint64)}
     posor = Posor(load_calibration(ARMS / JOINTS[kind]), false_alarm=1e-9)
@@ -53,11 +55,11 @@ def estimate(kind: str, times: FloatArray, numbers: IntArray, scans: Scans) -> E
     return posor.estimate_all(scans.with_fields(fields))
 
 
-def usable(estimates: Estimates) -> FloatArray:
+def usable(estimates: Estimates) -> Array:
     return np.isin(estimates.states, (State.OK, State.DEGRADED))
 
 
-def errors(estimates: Estimates, true: FloatArray) -> FloatArray:
+def errors(estimates: Estimates, true: Array) -> Array:
     """Return small errors of the usable poses: translation [m] and theta [rad], shape (n, 4)."""
     which = usable(estimates)
     turned = 2.0 * (np.arctan2(true[which, 5], true[which, 6]))
@@ -65,19 +67,19 @@ def errors(estimates: Estimates, true: FloatArray) -> FloatArray:
     return np.column_stack([estimates.translations[which] - true[which, :3], theta])
 
 
-def count_wrong(estimates: Estimates, true: FloatArray) -> int:
+def count_wrong(estimates: Estimates, true: Array) -> int:
     """Return how many usable poses are off by more than 5 standard uncertainties."""
     sigmas = estimates.standard_uncertainties[usable(estimates)][:, [0, 1, 2, 5]]
     return int((np.abs(errors(estimates, true)) > 5.0 * sigmas).any(axis=1).sum())
 
 
-def exchange(first: int, second: int) -> IntArray:
+def exchange(first: int, second: int) -> Array:
     """Return the order in which scan ``first`` arrives behind ``second``."""
     return np.insert(np.delete(INDEX, first), second, first)
 
 
 # Order of arrival, shift of the stamps [s], numbers, and scans lost of a light ring, apart from a count that is lost
-CASES: dict[str, tuple[IntArray, FloatArray, IntArray, int]] = {
+CASES: dict[str, tuple[Array, Array, Array, int]] = {
     "in order": (INDEX, 0.0 * INDEX, INDEX, 0),
     "one late by one": (exchange(AT, AT + 1), 0.0 * INDEX, INDEX, 1),
     "one late by 150": (exchange(AT, AT + 150), 0.0 * INDEX, INDEX, 1),
@@ -145,7 +147,7 @@ def test_a_stated_uncertainty_of_the_stamps_enters_the_random_covariance() -> No
     assert grown[5, 5] - plain[5, 5] == pytest.approx((1e-4 * RATE) ** 2, rel=0.05)
 
 
-def multiplexed(kind: str, rate: float, offsets: FloatArray) -> Scans:
+def multiplexed(kind: str, rate: float, offsets: Array) -> Scans:
     """Return scans whose channels are read at their own times, in the order gap, ring, currents."""
     scans = simulated(kind, rate)
     calibration = load_calibration(ARMS / JOINTS[kind])

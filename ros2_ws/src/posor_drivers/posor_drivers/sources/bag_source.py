@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Annotated
 from posor.bags.bag_reader import checked_type, opened_bag, scan_schema, scan_topic
 from posor.bags.block_reader import read_messages
 from posor.errors import BagError
-from posor.parameter_model import ParameterGroup
 from posor.messages.message_definitions import installed_schema
+from posor.parameter_model import ParameterGroup
 from posor.ros_names import RAW_SCAN, RAW_TOPIC
 from pydantic import Field
 
