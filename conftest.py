@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -21,7 +22,8 @@ PROFILES = "FASTRTPS_DEFAULT_PROFILES_FILE"
 
 def pytest_configure(config: pytest.Config) -> None:
     """Lease a ROS domain for the session, used by tests without the ``ros_domain`` fixture."""
-    handle_interrupts()  # also of the programs that tests start: pytest may run in the background of a script
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)  # of the programs that tests start; pytest may run under nohup
+    handle_interrupts()  # likewise, because pytest may run in the background of a script
     lease = ExitStack()
     os.environ["ROS_DOMAIN_ID"] = str(lease.enter_context(leased_domain()))
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"

@@ -79,7 +79,7 @@ def test_a_bag_of_the_first_version_gives_the_same_results_as_that_of_today(tmp_
         assert reprocess([str(bag), *options, "--output", str(tmp_path / name)]) == 0
     assert read_bag_messages(tmp_path / "old") == read_bag_messages(tmp_path / "new")
     recover(old / "ymo", tmp_path / "recovered")
-    assert read_bag_messages(tmp_path / "recovered") == read_bag_messages(new)
+    assert read_bag_messages(tmp_path / "recovered") == read_bag_messages(old / "ymo")
 
 
 def test_a_calibration_from_before_the_kinds_of_maps_says_what_to_add() -> None:
