@@ -7,8 +7,10 @@ from contextlib import suppress
 from threading import Event, Thread
 from typing import TYPE_CHECKING, Self
 
+from posor.numerics.stamps import NS
+
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
 HOST = "127.0.0.1"
 POLL_S = 0.02
@@ -19,6 +21,16 @@ def free_port() -> int:
     with socket.create_server((HOST, 0)) as free:
         port: int = free.getsockname()[1]
     return port
+
+
+def read_in_turn(
+    voltages: Callable[[int], Sequence[float]], begin_ns: int, channels: Sequence[int], interval_s: float
+) -> list[float]:
+    """Return the voltages of channels that are read one after another from a ROS time on [ns]; 0: all at that time."""
+    if interval_s == 0.0:
+        now = voltages(begin_ns)
+        return [now[channel] for channel in channels]
+    return [voltages(begin_ns + round(k * interval_s * NS))[channel] for k, channel in enumerate(channels)]
 
 
 class DeviceServer:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from posor_drivers.ros_clock import disable_timer_slack
 from pyModbusTCP.server import DataBank, ModbusServer
 
-from posor_lab.device_servers.device_server import HOST, POLL_S, DeviceServer, free_port
+from posor_lab.device_servers.device_server import HOST, POLL_S, DeviceServer, free_port, read_in_turn
 
 if TYPE_CHECKING:
     import socket
@@ -23,6 +23,9 @@ SCAN_RATE, ADDRESSES, SAMPLES, SCAN_LIST, ENABLE = 4002, 4004, 4006, 4100, 4990
 RANGES = range(40_000, 40_500)
 POINTER, FLASH, FLASH_CONSTANTS = 61_810, 61_812, 0x3C4000
 GAIN = {10.0: 1.0, 1.0: 10.0, 0.1: 100.0, 0.01: 1000.0}
+SETTLING = 4008
+AUTOMATIC_US, FAST_US, FAST_SAMPLES_PER_S, CONVERSION_US = 15.0, 8.0, 60_000, 3.0
+"""From channel to channel with automatic settling, above this rate, and besides a stated settling time."""
 SLOPE, CENTRE = 3.16e-4, 33_510.0  # of the range of 10 V; other devices have others
 
 
@@ -37,6 +40,7 @@ class _Registers(DataBank):
         self.written: dict[int, int] = {}
         self.stalled = Event()
         self.stopping = stopping
+        self.interval_s = 0.0
 
     def get_holding_registers(self, address: int, number: int = 1, srv_info: object = None) -> list[int] | None:
         """Return registers; None, an illegal address, for those that a LabJack does not have."""
@@ -48,7 +52,10 @@ class _Registers(DataBank):
         else:
             if (words := self.others(address, number)) is not None:
                 return words
-            floats = self.voltages(time.time_ns())[address // 2 : (address + number) // 2]
+            begin_ns, first, count = time.time_ns(), address // 2, number // 2
+            inputs = range(first, min(first + count, len(self.voltages(begin_ns))))
+            floats = read_in_turn(self.voltages, begin_ns, inputs, self.interval_s)
+            time.sleep(self.interval_s * max(0, count - 1))
         words = [word for value in floats for word in struct.unpack(">2H", FLOAT.pack(value))]
         return words if len(words) == number else None
 
@@ -62,11 +69,12 @@ class _Registers(DataBank):
 class LabJackServer(DeviceServer):
     """Serves the inputs of a LabJack at a port of this host."""
 
-    def __init__(self, voltages: Callable[[int], Sequence[float]]) -> None:
-        """Choose a port; ``voltages`` are those of input 0, 1, ... by the ROS time [ns]."""
+    def __init__(self, voltages: Callable[[int], Sequence[float]], interval_s: float = 0.0) -> None:
+        """Choose a port; ``voltages`` are those of input 0, 1, ... by the ROS time [ns], read at an interval [s]."""
         super().__init__()
         self.port = free_port()  # the port
         self.registers = _Registers(voltages, self.stopping)  # its registers: ``product``, and what was ``written``
+        self.registers.interval_s = interval_s
         self.stalled = self.registers.stalled  # no question is answered while it is set
         self._server: Any = None
 
@@ -115,6 +123,13 @@ class LabJackStreamServer(LabJackServer):
         words = [self.registers.written.get(register + n, 0) for n in range(2)]
         return words[0] << 16 | words[1]
 
+    def _interval_s(self, count: int) -> float:
+        """Return the time from one of ``count`` channels to the next."""
+        if settling_us := self.written_float(SETTLING):
+            return 1e-6 * (settling_us + CONVERSION_US)
+        is_fast = count * self.written_float(SCAN_RATE) > FAST_SAMPLES_PER_S
+        return 1e-6 * (FAST_US if is_fast else AUTOMATIC_US)
+
     def _read(self, address: int, number: int) -> list[int] | None:
         """Return registers that are no voltages."""
         if address == FLASH:
@@ -136,6 +151,7 @@ class LabJackStreamServer(LabJackServer):
         gains = [GAIN[round(self.written_float(RANGES.start + 2 * n), 6)] for n in inputs]
         frames = self.written_number(SAMPLES) // count
         period_ns = 1e9 / self.written_float(SCAN_RATE) * (1.0 + self._drift)
+        interval_s = self._interval_s(count)
         start_ns, number, packet, samples = time.time_ns(), 0, 0, b""
         while self.written_number(ENABLE) and not self.stopping.is_set():
             if self.leave_out and len(samples) == 2 * count * (frames // 2):
@@ -143,10 +159,9 @@ class LabJackStreamServer(LabJackServer):
                 number, self.status, self.leave_out = number + self.leave_out, (2941, self.leave_out), 0
             exposed_ns = start_ns + round(number * period_ns)
             number += 1
-            volts = self.registers.voltages(exposed_ns)
-            samples += b"".join(
-                sample(volts[n], gain).to_bytes(2, "big") for n, gain in zip(inputs, gains, strict=True)
-            )
+            volts = read_in_turn(self.registers.voltages, exposed_ns, inputs, interval_s)
+            samples += b"".join(sample(each, gain).to_bytes(2, "big") for each, gain in zip(volts, gains, strict=True))
+            exposed_ns += round((count - 1) * interval_s * 1e9)
             if (wait_s := exposed_ns * 1e-9 - time.time()) > 0.0:
                 time.sleep(wait_s)
             if self.stalled.is_set():

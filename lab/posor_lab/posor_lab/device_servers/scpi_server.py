@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from scpipy.server import Router, Server
 from scpipy.shared.errors import ScpiError
 
-from posor_lab.device_servers.device_server import HOST, DeviceServer, free_port
+from posor_lab.device_servers.device_server import HOST, DeviceServer, free_port, read_in_turn
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -21,7 +21,7 @@ POLL_S = 0.01
 
 
 class ScpiServer(DeviceServer):
-    """Answers the commands of a Keysight DAQ970A that measure DC voltages."""
+    """Answers the commands of a Keysight DAQ970A that measure DC voltages, one channel after another."""
 
     def __init__(self, voltages: Callable[[int], Sequence[float]]) -> None:
         """Choose a port; ``voltages`` are those of channel 101, 102, ... by the ROS time [ns]."""
@@ -33,6 +33,7 @@ class ScpiServer(DeviceServer):
         # put into the error queue with the next scan: code and message; None: no error
         self.error: tuple[int, str] | None = None
         self.answer: str | None = None  # instead of the readings of a scan; None: the readings
+        self.interval_s = 0.0  # time from channel to channel: the settings that a client has written
         self.stalled = Event()  # no scan is answered while it is set
         self._voltages = voltages
         self._server: Any = None
@@ -44,6 +45,8 @@ class ScpiServer(DeviceServer):
         router.add_route("*IDN?", self._identify)
         router.add_route("CONFigure:VOLTage:DC <channels>", self._choose_channels)
         router.add_route("ROUTe:SCAN <channels>", self._choose_channels)
+        for command in ("ROUTe:CHANnel:DELay <value>", "SENSe:VOLTage:DC:APERture <value>"):
+            router.add_route(command, self._add_to_interval)
         router.add_route("READ?", self._read)
         self._server = Server(HOST, self.port, shared_context=True)
         self._server.include_router(router)
@@ -77,6 +80,12 @@ class ScpiServer(DeviceServer):
         """Store a scan list such as ``(@101,103)``, which the library cuts at its commas."""
         del context
         self.scanned = sorted(int(number.strip("(@)")) for number in channels)
+        self.interval_s = 0.0
+
+    def _add_to_interval(self, context: Any, value: str, *channels: str) -> None:
+        """Add a channel delay or an aperture [s] to the time of each channel."""
+        del context, channels
+        self.interval_s += float(value)
 
     async def _read(self, context: Any) -> str:
         while self.stalled.is_set():  # noqa: ASYNC110  set by another thread
@@ -86,5 +95,7 @@ class ScpiServer(DeviceServer):
             self.error = None
         if self.answer is not None:
             return self.answer
-        voltages = self._voltages(time.time_ns())
-        return ",".join(f"{voltages[number - FIRST_CHANNEL]:+.9E}" for number in self.scanned)
+        channels = [number - FIRST_CHANNEL for number in self.scanned]
+        voltages = read_in_turn(self._voltages, time.time_ns(), channels, self.interval_s)
+        await asyncio.sleep((len(channels) - 1) * self.interval_s)
+        return ",".join(f"{volts:+.9E}" for volts in voltages)

@@ -200,6 +200,8 @@ def serve_voltages(kind: str, readings: SimulatedReadings, stack: ExitStack) -> 
         return [gain * values[n] for n, gain in gains.items()]
 
     server: Any = VOLTAGE_SERVERS[kind](voltages)
+    if kind == "labjack":
+        server.registers.interval_s = _CONTENT["devices"][kind]["exposures"]["interval"]["value"]
     stack.enter_context(server)
     entries = _direct(readings, joint, "daq")
     for channel in channels:

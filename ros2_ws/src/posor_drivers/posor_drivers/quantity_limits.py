@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from posor.numerics.array_types import FloatArray
 
 
-def _limit(accepts: Callable[[FloatArray], object], expected: str) -> AfterValidator:
+def limit_quantity(accepts: Callable[[FloatArray], object], expected: str) -> AfterValidator:
     """Return the validator of a quantity whose values must satisfy ``accepts``."""
 
     def check(quantity: Quantity) -> Quantity:
@@ -27,16 +27,18 @@ def _limit(accepts: Callable[[FloatArray], object], expected: str) -> AfterValid
     return AfterValidator(check)
 
 
-POSITIVE = _limit(lambda values: np.all(values > 0.0), "more than 0")
-NOT_NEGATIVE = _limit(lambda values: np.all(values >= 0.0), "0 or more")
-PROBABILITY = _limit(lambda value: 0.0 <= value < 1.0, "a probability of 0 or more, less than 1")
-INTERVAL = _limit(lambda limits: limits[0] < limits[1], "[lowest, highest]")
+POSITIVE = limit_quantity(lambda values: np.all(values > 0.0), "more than 0")
+NOT_NEGATIVE = limit_quantity(lambda values: np.all(values >= 0.0), "0 or more")
+PROBABILITY = limit_quantity(lambda value: 0.0 <= value < 1.0, "a probability of 0 or more, less than 1")
+INTERVAL = limit_quantity(lambda limits: limits[0] < limits[1], "[lowest, highest]")
 
 Seconds = Annotated[Quantity, measured("s"), POSITIVE]
 MAX_RATE_HZ = 10_000
 TickRate = Annotated[
     Quantity,
     measured("Hz"),
-    _limit(lambda hz: 1 <= hz <= MAX_RATE_HZ and float(hz).is_integer(), f"a whole number from 1 to {MAX_RATE_HZ}"),
+    limit_quantity(
+        lambda hz: 1 <= hz <= MAX_RATE_HZ and float(hz).is_integer(), f"a whole number from 1 to {MAX_RATE_HZ}"
+    ),
 ]
 """Ticks of the ROS clock per second."""

@@ -38,6 +38,7 @@ class ClockLine(NamedTuple):
     start_ns: int  # its time [ns]
     period_ns: float  # time from frame to frame [ns]
     uncertainty_s: float  # standard uncertainty of the times of the newest frames [s], without that of the least delay
+    limit_s: float  # largest difference of two halves of the arrivals [s]
 
     def times_ns(self, counters: IntArray) -> IntArray:
         """Return the ROS times of frames [ns], (n,)."""
@@ -99,7 +100,9 @@ class ClockMapping:
         spread_s = math.sqrt(sum(each * each for each in self._differences) / len(self._differences))
         first, start_ns = self._first
         period_ns = self._nominal_ns * (1.0 + drift)
-        self.line = ClockLine(first, start_ns + round(late_s * NS), period_ns, spread_s)
+        self.line = ClockLine(
+            first, start_ns + round(late_s * NS), period_ns, spread_s, max(abs(each) for each in self._differences)
+        )
 
 
 def _lower_line(points: Sequence[_Arrival]) -> tuple[float, float]:

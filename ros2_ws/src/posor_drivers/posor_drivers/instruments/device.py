@@ -20,13 +20,14 @@ from abc import ABC, abstractmethod
 from contextlib import suppress
 from dataclasses import dataclass
 from importlib.metadata import entry_points
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Generic, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Generic, Literal, TypeVar
 
 from posor.calibration.file_model import EntryError, FrozenModel
 from posor.calibration.quantity import Quantity, measured
 from posor.errors import PosorError
 from pydantic import Field
 
+from posor_drivers.instruments.exposure import ExposureEntry, Exposures, find_exposures
 from posor_drivers.quantity_limits import NOT_NEGATIVE, POSITIVE
 
 if TYPE_CHECKING:
@@ -53,10 +54,12 @@ class DeviceSettings(FrozenModel):
     rate: Annotated[Quantity, measured("Hz"), POSITIVE]
     """Nominal number of frames per second."""
     delay: Annotated[Quantity, measured("s"), NOT_NEGATIVE] = Quantity(value=0.0, unit="s")
-    """Least time from the exposure of a frame to its arrival, which arrivals cannot show."""
+    """Least time from the last exposure of a frame to its arrival, which arrivals cannot show, and its uncertainty."""
     trigger_tolerance: Annotated[Quantity, measured("s"), POSITIVE] | None = None
     """Of a device whose frames are triggered by hardware at the ticks: largest time from a tick to its frame, which is
-    then not interpolated, only checked."""
+    then not interpolated, only checked. The first channel is read at the tick."""
+    exposures: Literal["simultaneous", "unknown"] | ExposureEntry | None = None
+    """When the channels of a frame are read; None: as the device finds from its other keys."""
 
 
 SettingsT = TypeVar("SettingsT", bound=DeviceSettings)
@@ -125,9 +128,12 @@ class Device(ABC, Generic[SettingsT]):
         name: Name in the instruments file.
         settings: The keys.
         connection: What ``connect`` has opened, an object with a method ``close``; None: not connected.
+        channel_interval_s: Time from channel to channel in the order of reading [s]; 0: the device reads all channels
+            at one time; NaN: unknown. Final after ``connect``.
 
     """
 
+    channel_interval_s = 0.0
     Settings: ClassVar[type[DeviceSettings]]
 
     def __init__(self, name: str, settings: SettingsT) -> None:
@@ -162,6 +168,24 @@ class Device(ABC, Generic[SettingsT]):
     def longest_interval_s(self) -> float:
         """Longest time between two frames that are interpolated [s]."""
         return 1.0 / self.frame_rate
+
+    @property
+    def reading_order(self) -> Sequence[int]:
+        """Place of each channel in the order in which a multiplexing device reads them, from 0 on."""
+        return range(len(self.channels))
+
+    @property
+    def exposures(self) -> Exposures:
+        """When the channels of a frame are read, final after ``connect``.
+
+        Raises:
+            DeviceError: The key ``exposures`` names a channel that does not exist.
+
+        """
+        names, entry = [channel.name for channel in self.channels], self.settings.exposures
+        if isinstance(entry, ExposureEntry) and (unknown := sorted(entry.offsets.keys() - set(names))):
+            raise self.error(f"an exposure of channel '{unknown[0]}'", f"one of {', '.join(names)}")
+        return find_exposures(names, self.reading_order, self.channel_interval_s, 1.0 / self.frame_rate, entry)
 
     @property
     @abstractmethod

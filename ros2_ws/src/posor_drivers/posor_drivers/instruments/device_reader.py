@@ -13,6 +13,7 @@ from posor.numerics.stamps import NS
 
 from posor_drivers.instruments.clock_mapping import ClockMapping
 from posor_drivers.instruments.device import DeviceError
+from posor_drivers.instruments.exposure import Exposures
 from posor_drivers.instruments.interpolation import FrameWeights, frame_weights
 
 if TYPE_CHECKING:
@@ -43,6 +44,8 @@ LATE_S = 0.5
 """How late a frame may arrive after its successors and still be stored; a counter further back may be a restart."""
 RESTART_S = 0.1
 """Time in which only frames that are further back arrive, after which the device has restarted."""
+UNIFORM = math.sqrt(3.0)
+"""Half-width of a uniform distribution, in standard deviations."""
 RATE_FRAMES = 100
 """Of a polled device, over which its rate is averaged."""
 MAX_DRIFT = 0.01
@@ -60,8 +63,22 @@ class DeviceState(NamedTuple):
     """Counts and the clock, by name."""
 
 
+class StampError(NamedTuple):
+    """Error of the times of frames."""
+
+    uncertainty_s: float  # standard uncertainty [s]
+    limit_s: float  # largest error [s]
+
+
 class DeviceReader:
-    """Reads one device until it is stopped; connects again after a fault."""
+    """Reads one device until it is stopped; connects again after a fault.
+
+    Attributes:
+        device: The device.
+        exposures: When its channels are read after the tick of ``values_at``: NaN where the exposure is unknown, 0
+            where the channel is interpolated to the tick.
+
+    """
 
     def __init__(self, device: Device[Any]) -> None:
         """Prepare; ``start`` connects."""
@@ -72,6 +89,7 @@ class DeviceReader:
         self._thread = Thread(target=self._run, name=f"device {device.name}", daemon=True)
         self._stopping = Event()
         self._lock = Lock()
+        self._place_channels()
         self._fault, self._identity = f"{device.name}: not connected yet", ""
         self._unreported = ""
         self._failure: Exception | None = None
@@ -95,13 +113,11 @@ class DeviceReader:
             values: dict[str, float | int] = dict(self._counts)
             if self._timed:
                 values["frame_rate"] = self._timed_rate()
-                values["clock_uncertainty"] = self._time_uncertainty_s
             elif (line := self._mapping.line) is not None:
-                values |= {
-                    "frame_rate": NS / line.period_ns,
-                    "clock_drift": line.period_ns * self.device.frame_rate / NS - 1.0,
-                    "clock_uncertainty": line.uncertainty_s,
-                }
+                values["frame_rate"] = NS / line.period_ns
+                values["clock_drift"] = line.period_ns * self.device.frame_rate / NS - 1.0
+            if (error := self._stamp_error()) is not None:
+                values |= {"clock_uncertainty": error.uncertainty_s, "clock_limit": error.limit_s}
             return DeviceState(self._fault or self._trigger_fault, self._identity, values)
 
     def take_state(self) -> DeviceState:
@@ -114,6 +130,7 @@ class DeviceReader:
     def values_at(self, time_ns: int, whole: Sequence[int] = ()) -> FloatArray | None:
         """Return the values of all channels at a ROS time [ns], (c,), interpolated between the three nearest frames.
 
+        Each channel is interpolated by its own times of exposure; one whose exposure is unknown by those of the frames.
         Their noise is that of one frame, see ``interpolation``. None where one of the frames is missing (not there yet,
         lost, or before the connection), or where a column of ``whole`` differs between them: a channel that cannot be
         interpolated, such as the number of the lit source.
@@ -125,27 +142,76 @@ class DeviceReader:
         if self._failure is not None:
             raise self._failure
         with self._lock:
-            found = self._timed_place(time_ns) if self._timed else self._mapped_place(time_ns)
-            if found is None:
-                return None
-            number, weights, offset_s = found
-            if self._tolerance_s is not None:
-                weights, self._trigger_fault = SINGLE_FRAME, ""
-                if abs(offset_s) > self._tolerance_s:
-                    what = f"{self.device.name}: frame {number} is {-1e3 * offset_s:+.3g} ms from its tick"
-                    expected = f"expected at most {1e3 * self._tolerance_s:g} ms, as it is triggered"
-                    self._trigger_fault = f"{what}; {expected}"
+            values = np.empty(len(self.exposures.offsets_s))
+            for shift_ns, columns in self._read_together:
+                found = self._place(time_ns - shift_ns)
+                if found is None:
                     return None
-            rows = self._rows_around(number)
-            if rows is None:
-                return None
-            before, nearest, after = (self._values[row] for row in rows)
-            values: FloatArray = weights.before * before + weights.nearest * nearest + weights.after * after
+                rows, weights = found
+                before, nearest, after = (self._values[row] for row in rows)
+                for column in whole:
+                    if not before[column] == nearest[column] == after[column]:
+                        return None
+                there = weights.before * before + weights.nearest * nearest + weights.after * after
+                values[columns] = there[columns]
             for column in whole:
-                if not before[column] == nearest[column] == after[column]:
-                    return None
                 values[column] = nearest[column]
         return values
+
+    @property
+    def stamp_error(self) -> StampError | None:
+        """The error of the times of the newest frames, with that of the stated least delay; None: not known yet."""
+        with self._lock:
+            return self._stamp_error()
+
+    def _stamp_error(self) -> StampError | None:
+        delay_sigma_s = float(self.device.settings.delay.sigmas)
+        if self._timed:
+            uncertainty_s, limit_s = self._time_uncertainty_s, UNIFORM * self._time_uncertainty_s
+        elif (line := self._mapping.line) is not None:
+            uncertainty_s, limit_s = line.uncertainty_s, line.limit_s
+        else:
+            return None
+        if self._tolerance_s is not None:
+            limit_s = self._tolerance_s
+        return StampError(math.hypot(uncertainty_s, delay_sigma_s), limit_s + UNIFORM * delay_sigma_s)
+
+    def _place_channels(self) -> None:
+        """Group the channels that are read together: time after that of the frame [ns], and their columns.
+
+        The first channel of a triggered frame is read at the tick.
+        """
+        exposures = self.device.exposures
+        offsets_s, half_s = np.array(exposures.offsets_s), exposures.half_span_s
+        self._half_span_ns = round(half_s * NS)
+        if self._tolerance_s is not None:
+            self.exposures = exposures._replace(offsets_s=tuple((offsets_s + half_s).tolist()))
+            self._read_together: list[tuple[int, Any]] = [(-self._half_span_ns, slice(None))]
+            return
+        remaining = np.where(np.isnan(offsets_s), np.nan, 0.0)
+        span_s = exposures.span_s if np.isnan(offsets_s).any() else 0.0
+        self.exposures = Exposures(tuple(remaining.tolist()), span_s)
+        shifts_ns = np.round(np.nan_to_num(offsets_s) * NS).astype(np.int64)
+        each = np.unique(shifts_ns).tolist()
+        self._read_together = [
+            (shift, np.flatnonzero(shifts_ns == shift) if each[1:] else slice(None)) for shift in each
+        ]
+
+    def _place(self, time_ns: int) -> tuple[list[int], FrameWeights] | None:
+        """Return the rows of the three frames nearest to a time, and their weights; None where one is missing."""
+        found = self._timed_place(time_ns) if self._timed else self._mapped_place(time_ns)
+        if found is None:
+            return None
+        number, weights, offset_s = found
+        if self._tolerance_s is not None:
+            weights, self._trigger_fault = SINGLE_FRAME, ""
+            if abs(offset_s) > self._tolerance_s:
+                what = f"{self.device.name}: frame {number} is {-1e3 * offset_s:+.3g} ms from its tick"
+                expected = f"expected at most {1e3 * self._tolerance_s:g} ms, as it is triggered"
+                self._trigger_fault = f"{what}; {expected}"
+                return None
+        rows = self._rows_around(number)
+        return None if rows is None else (rows, weights)
 
     def _mapped_place(self, time_ns: int) -> tuple[int, FrameWeights, float] | None:
         """Return the number of the frame nearest to a ROS time by the clock line, weights, and time after it [s]."""
@@ -223,6 +289,8 @@ class DeviceReader:
         while not self._stopping.is_set():
             try:
                 self._identity = self.device.connect(CONNECT_TIMEOUT_S)
+                with self._lock:
+                    self._place_channels()
                 self._counts["connections"] += 1
                 self._read_frames()
             except DeviceError as error:
@@ -281,7 +349,7 @@ class DeviceReader:
             self._timed, self._time_uncertainty_s = True, frames.time_uncertainty_s
             self._fault = ""
         elif new.any():
-            self._mapping.add(self._last, arrived_ns)
+            self._mapping.add(self._last, arrived_ns - self._half_span_ns)
             self._check_mapping()
 
     def _store_late(self, frames: Frames, n: int) -> None:

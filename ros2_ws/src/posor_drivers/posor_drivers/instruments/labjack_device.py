@@ -10,7 +10,8 @@
       current2: {input: 1, range: {value: 10, unit: V}, negative_input: 199}
 
 Channels are in volts. A value beyond ``range`` is invalid, NaN. Settings of an input that are not stated are left as
-they are in the device.
+they are in the device. A T8 converts its inputs at one time. A T4 or T7 converts them one after another, in ascending
+order, at an interval that depends on settling time, range and resolution index: unknown unless ``exposures`` states it.
 
 Source: ``labjack_registers``; the resolution index (``AIN#_RESOLUTION_INDEX``) is 16 bits at 41500 + n. Never run with
 a LabJack, only with a Modbus server. ``labjack_stream`` is the stream mode.
@@ -18,6 +19,7 @@ a LabJack, only with a Modbus server. ``labjack_stream`` is the stream mode.
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
@@ -26,6 +28,7 @@ from pydantic import Field
 from posor_drivers.instruments.device import Port
 from posor_drivers.instruments.labjack_registers import (
     LONG_REGISTERS,
+    PRODUCTS,
     RESOLUTION_INDEX,
     VOLTAGE,
     LabJackInput,
@@ -37,6 +40,8 @@ from posor_drivers.instruments.polled_device import PolledDevice, PolledSettings
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+T8 = 8
+"""Product that converts all inputs at one time."""
 MOST_REGISTERS = 124
 """That one question can ask for, in whole floats."""
 
@@ -69,6 +74,13 @@ class LabJackDevice(PolledDevice[LabJackSettings]):
         self._questions = _questions(self._inputs)
         ranges = [channel.range for channel in settings.channels.values()]
         self._greatest = np.array([np.inf if each is None else each.number for each in ranges])
+        self.channel_interval_s = math.nan
+
+    @property
+    def reading_order(self) -> Sequence[int]:
+        """In ascending order of the inputs."""
+        inputs = sorted(set(self._inputs))
+        return [inputs.index(each) for each in self._inputs]
 
     @classmethod
     def starting_settings(cls, units: Mapping[str, str]) -> dict[str, Any]:
@@ -86,6 +98,7 @@ class LabJackDevice(PolledDevice[LabJackSettings]):
         limit_s = min(timeout_s, settings.answer_time_s)
         self.connection = registers = LabJackRegisters(self.name, settings.host, settings.port, limit_s)
         identity = registers.identity()
+        self.channel_interval_s = 0.0 if identity.startswith(PRODUCTS[T8]) else math.nan
         for channel in settings.channels.values():
             registers.set_up(channel)
             if channel.resolution_index is not None:

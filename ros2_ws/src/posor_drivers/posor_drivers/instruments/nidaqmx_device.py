@@ -11,12 +11,16 @@ Never run against hardware or NI's driver. Install ``nidaqmx`` and the driver yo
       gap2: {input: Dev1/ai1, range: {value: 10, unit: V}}
 
 Channels are in volts; a value at an end of the range is invalid, NaN. All inputs are read by one task with a hardware
-clock, so they belong to one device or one chassis. Source: documentation of the package ``nidaqmx``.
+clock, so they belong to one device or one chassis. A device without simultaneous sampling converts its inputs in the
+order of ``channels`` by its AI convert clock, whose rate is read from the task, or set by ``convert_rate: {value:
+50000, unit: Hz}``; of several such devices in a task the exposures are unknown. Source: documentation of the package
+``nidaqmx``.
 """
 
 from __future__ import annotations
 
 import importlib
+import math
 import time
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
@@ -49,6 +53,7 @@ class NiSettings(DeviceSettings):
 
     kind: Literal["nidaqmx"]
     channels: Annotated[dict[str, NiChannel], Field(min_length=1)]
+    convert_rate: Annotated[Quantity, measured("Hz"), POSITIVE] | None = None
 
 
 class NiDevice(Device[NiSettings]):
@@ -62,6 +67,7 @@ class NiDevice(Device[NiSettings]):
         self._ranges = np.array([channel.range.number for channel in settings.channels.values()])
         self._failures: tuple[type[Exception], ...] = ()
         self._read = 0
+        self.channel_interval_s = math.nan
 
     @classmethod
     def starting_settings(cls, units: Mapping[str, str]) -> dict[str, Any]:
@@ -91,7 +97,12 @@ class NiDevice(Device[NiSettings]):
                 task.ai_channels.add_ai_voltage_chan(channel.input, min_val=-end_v, max_val=end_v)
             continuous = nidaqmx.constants.AcquisitionType.CONTINUOUS
             task.timing.cfg_samp_clk_timing(rate_hz, sample_mode=continuous, samps_per_chan=round(BUFFER_S * rate_hz))
+            if self.settings.convert_rate is not None:
+                task.timing.ai_conv_rate = self.settings.convert_rate.number
             task.start()
+            simultaneous = all(device.ai_simultaneous_sampling_supported for device in task.devices)
+            interval_s = 1.0 / task.timing.ai_conv_rate if len(task.devices) == 1 and not simultaneous else math.nan
+            self.channel_interval_s = 0.0 if simultaneous else interval_s
         except self._failures as error:
             raise self.error(str(error), "NI-DAQmx with these inputs") from None
         self._read = 0

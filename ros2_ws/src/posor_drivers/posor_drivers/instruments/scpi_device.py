@@ -10,6 +10,10 @@
       gap1: {number: 101, unit: V}
       gap2: {number: 102, unit: V}
 
+``channel_delay`` and ``aperture`` (integration time: power line cycles over line frequency) are written to the
+instrument; ``overhead`` is what it needs for each channel besides, such as for switching and auto zero. Channels are
+read in ascending order of their numbers, at an interval of the sum of the three; without aperture it is unknown.
+
 ``address`` is a VISA resource: TCP socket, VXI-11 (``TCPIP::host::INSTR``), HiSLIP (``TCPIP::host::hislip0::INSTR``),
 or a serial port with pyserial. ``dialect`` is the name of a file in ``scpi_dialects`` beside this module or the path of
 a dialect file of your own (its name ends in ``.yaml``); the commands of an instrument are written there, not in code.
@@ -24,11 +28,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 from posor.calibration.file_model import EntryError, FrozenModel
+from posor.calibration.quantity import Quantity, measured
 from posor.calibration.yaml_document import load_document
 from pydantic import Field, model_validator
 
 from posor_drivers.instruments.device import refuse_repeated_numbers, starting_channels
 from posor_drivers.instruments.polled_device import PolledDevice, PolledSettings
+from posor_drivers.quantity_limits import NOT_NEGATIVE, Seconds
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -39,6 +45,8 @@ DIALECTS = Path(__file__).parent / "scpi_dialects"
 DIALECT_VERSION = 1
 CHECK_ERRORS_S = 1.0
 """Time between two looks into the instrument's error queue."""
+TIMES = ("channel_delay", "aperture")
+"""Keys that are written to the instrument by commands of the same names."""
 MOST_ERRORS = 20
 """Errors that are read from the queue; it may be as long."""
 
@@ -53,6 +61,10 @@ class Dialect(FrozenModel):
     model: str
     """Regular expression that the answer contains."""
     setup: tuple[str, ...] = ()
+    channel_delay: str = ""
+    """Command that sets the time from switching to a channel to its measurement, ``{value}`` [s]."""
+    aperture: str = ""
+    """Command that sets the integration time ``{value}`` [s]."""
     read: str
     """Question for one value of each channel, in ascending order of the numbers."""
     separator: str = ","
@@ -89,6 +101,9 @@ class ScpiSettings(PolledSettings):
     address: str
     dialect: str
     channels: Annotated[dict[str, ScpiChannel], Field(min_length=1)]
+    channel_delay: Annotated[Quantity, measured("s"), NOT_NEGATIVE] | None = None
+    aperture: Seconds | None = None
+    overhead: Annotated[Quantity, measured("s"), NOT_NEGATIVE] | None = None
 
     @model_validator(mode="after")
     def _check(self) -> Self:
@@ -123,6 +138,18 @@ class ScpiDevice(PolledDevice[ScpiSettings]):
         self._dialect = load_document(path, "dialect file", keys, DIALECT_VERSION, check)[0]
         self._numbers = [channel.number for channel in settings.channels.values()]
         self._checked_s = 0.0
+        for key in TIMES:
+            if getattr(settings, key) is not None and not getattr(self._dialect, key):
+                raise self.error(f"dialect '{settings.dialect}' has no command '{key}'", f"no key '{key}'")
+        times = [settings.channel_delay, settings.aperture, settings.overhead]
+        interval_s = sum(each.number for each in times if each is not None)
+        self.channel_interval_s = math.nan if settings.aperture is None else interval_s
+
+    @property
+    def reading_order(self) -> Sequence[int]:
+        """In ascending order of the numbers."""
+        numbers = sorted(self._numbers)
+        return [numbers.index(number) for number in self._numbers]
 
     @classmethod
     def starting_settings(cls, units: Mapping[str, str]) -> dict[str, Any]:
@@ -160,6 +187,10 @@ class ScpiDevice(PolledDevice[ScpiSettings]):
         numbers = ",".join(map(str, sorted(self._numbers)))
         for command in dialect.setup:
             self._transfer("write", command.replace("{numbers}", numbers))
+        for name in TIMES:
+            if (time_s := getattr(self.settings, name)) is not None:
+                command = getattr(dialect, name).replace("{value}", f"{time_s.number:.6g}")
+                self._transfer("write", command.replace("{numbers}", numbers))
         self._check_errors()
         return identity
 

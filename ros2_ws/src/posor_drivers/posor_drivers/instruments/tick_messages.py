@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from posor.errors import ParameterError
@@ -24,11 +24,15 @@ if TYPE_CHECKING:
     from posor.messages.message_definitions import MessageTypes
     from posor.numerics.array_types import FloatArray
 
+    from posor_drivers.instruments.device_reader import StampError
+    from posor_drivers.instruments.exposure import Exposures
     from posor_drivers.instruments.reference_entry import ReferenceEntry
 
 FIELDS = tuple(name for name in READINGS if name != "home_mark")
 """Readings that are fields of the message; the home mark is a flag."""
 SCALARS = ("supply_voltage", "temperature")
+EXPOSED = ("gap_voltages", "ring_voltages", "diode_currents")
+"""Readings whose exposure a scan states, in the order of ``RawScan.exposure_offsets``."""
 
 
 class LitSourceError(ValueError):
@@ -38,8 +42,10 @@ class LitSourceError(ValueError):
 class ScanWriter:
     """Writes the scans of a joint into one prepared message, because building each from its fields is slow."""
 
-    def __init__(self, joint: JointEntry, columns: Mapping[str, int], types: MessageTypes) -> None:
-        """Prepare the message; ``columns`` are the channels by name, in the order of the values."""
+    def __init__(
+        self, joint: JointEntry, columns: Mapping[str, int], types: MessageTypes, exposures: Exposures
+    ) -> None:
+        """Prepare the message; ``columns``: channels by name; ``exposures``: theirs, in the order of the values."""
         entries: list[ReadingEntry | int] = []
         parts: dict[str, slice] = {}
         for kind in READINGS:
@@ -56,15 +62,23 @@ class ScanWriter:
         self._lit_sources, self._home_mark = self._readings[parts["lit_sources"]], self._readings[parts["home_mark"]]
         arrays = {name: np.zeros(parts[name].stop - parts[name].start) for name in FIELDS if name not in SCALARS}
         arrays["lit_sources"] = arrays["lit_sources"].astype(np.uint8)
-        example = types.serialize(raw_scan(types, 0, joint.frame_id, scan=0, **arrays), RAW_SCAN)
+        read = [entry for kind in EXPOSED for entry in entries[parts[kind]] if isinstance(entry, ReadingEntry)]
+        offsets_s = np.array([exposures.offsets_s[columns[entry.channel]] for entry in read])
+        stated: dict[str, Any] = {}
+        if np.any(offsets_s != 0.0):
+            stated = {"exposure_offsets": offsets_s, "exposure_span": exposures.span_s}
+        example = types.serialize(raw_scan(types, 0, joint.frame_id, scan=0, **arrays, **stated), RAW_SCAN)
         self._message = message = TableLayout.of(example, installed_schema(RAW_SCAN)).copies(1)
         self._seconds, self._nanoseconds = message["header.stamp.sec"], message["header.stamp.nanosec"]
         self._number, self._status = message["scan"], message["status"]
+        self._uncertainty, self._limit = message["stamp_uncertainty"], message["stamp_limit"]
         present = [name for name in FIELDS if parts[name].stop > parts[name].start]
         self._pairs = [(message[name].reshape(-1), self._readings[parts[name]]) for name in present]
 
-    def scan(self, channels: FloatArray, stamp_ns: int, number: int) -> bytes:
+    def scan(self, channels: FloatArray, stamp_ns: int, number: int, error: StampError) -> bytes:
         """Return the serialised scan of the channels' values, (c,); NaN: invalid, and the scan is flagged SATURATED.
+
+        ``error`` is that of the stamp.
 
         Raises:
             LitSourceError: A lit source is no whole number from 0 to 255.
@@ -80,6 +94,7 @@ class ScanWriter:
             field[:] = part
         status = 0 if np.isfinite(readings).all() else SATURATED
         self._seconds[0], self._nanoseconds[0] = divmod(stamp_ns, NS)
+        self._uncertainty[0], self._limit[0] = error
         self._number[0], self._status[0] = number, status | (HOME_BUMP if self._home_mark.any() else 0)
         serialised: bytes = self._message.messages[0].tobytes()
         return serialised

@@ -1,9 +1,11 @@
 """Source ``instruments``: scans of one joint made of the channels of devices, see ``instruments.instruments_file``.
 
 At each tick of the ROS clock the channels are interpolated between the three frames nearest to the tick, so the scans
-of joints with devices of their own have common stamps. A scan whose frames are missing is not published, nor one
-between frames with different light sources. A reading that a device flags as invalid, such as one out of range, is NaN,
-and the scan has the flag SATURATED.
+of joints with devices of their own have common stamps. Each channel is interpolated by its own times of exposure. What
+remains is stated in the scan: offsets of triggered devices, and exposures that are unknown. The error of the stamp is
+that of the device whose clock is known least well, and that of the clock of this host. A scan whose frames are missing
+is not published, nor one between frames with different light sources. A reading that a device flags as invalid, such as
+one out of range, is NaN, and the scan has the flag SATURATED.
 """
 
 from __future__ import annotations
@@ -19,7 +21,9 @@ from posor.parameter_model import ParameterGroup
 from posor.ros_names import RAW_SCAN, RAW_TOPIC
 from pydantic import Field
 
-from posor_drivers.instruments.device_reader import shared_reader
+from posor_drivers.host_clock import HostClock
+from posor_drivers.instruments.device_reader import StampError, shared_reader
+from posor_drivers.instruments.exposure import Exposures
 from posor_drivers.instruments.instruments_file import WHOLE_NUMBERS, InstrumentsFile, JointEntry, load_instruments
 from posor_drivers.instruments.tick_messages import LitSourceError, ReferenceReading, ScanWriter
 from posor_drivers.sources.source import LiveSource, SourceMessage, SourceStatus, Topic
@@ -31,6 +35,7 @@ if TYPE_CHECKING:
 
     from posor_drivers.instruments.device_reader import DeviceReader
 
+NOT_STATED = StampError(0.0, 0.0)
 LATEST_S = 0.1
 """Time by which a scan may be published too late by a busy host, because frames are kept; an older tick is missed."""
 
@@ -40,6 +45,11 @@ class InstrumentParameters(ParameterGroup):
 
     file: Annotated[str, Field(min_length=1)] = Field(description="instruments file (YAML)")
     joint: Annotated[str, Field(min_length=1)] = Field(description="name of this driver's joint in the file")
+    host_clock: bool = Field(
+        default=True,
+        description="add the largest error of this host's clock, which chronyc or pmc states where present, to that of "
+        "the stamps; false: all users of the scans share this clock",
+    )
 
 
 class InstrumentSource(LiveSource[InstrumentParameters]):
@@ -80,17 +90,34 @@ class InstrumentSource(LiveSource[InstrumentParameters]):
         devices = [device for each, device in self._file.new_devices().items() if each in used]
         of_scan = [device for device in devices if device.name in self._of_scan]
         channels = [f"{device.name}/{channel.name}" for device in of_scan for channel in device.channels]
-        columns = {channel: n for n, channel in enumerate(channels)}
+        self._columns = {channel: n for n, channel in enumerate(channels)}
         whole = {entry.channel for kind, _, entry in joint.entries() if kind in WHOLE_NUMBERS}
         self._whole = {
             device.name: [n for n, each in enumerate(device.channels) if f"{device.name}/{each.name}" in whole]
             for device in devices
         }
-        self._writer = ScanWriter(joint, columns, self.types)
         self._rate = round(self._file.rate.number)
         self._latency_ns = round(self._file.latency.number * NS)
         self._readers = [self._threads.enter_context(shared_reader(Path(where), device)) for device in devices]
+        self._scan_readers = [reader for reader in self._readers if reader.device.name in self._of_scan]
+        self._prepare_writer()
+        self._host_clock = HostClock() if self.parameters.host_clock else None
         return [Topic(RAW_TOPIC, RAW_SCAN), *(reference.topic for reference in self._references)]
+
+    def _prepare_writer(self) -> None:
+        """Prepare the scans with the exposures of all devices, which a device may know only when it is connected."""
+        self._exposures = [reader.exposures for reader in self._scan_readers]
+        offsets_s = tuple(offset for each in self._exposures for offset in each.offsets_s)
+        exposures = Exposures(offsets_s, max(each.span_s for each in self._exposures))
+        self._writer = ScanWriter(self._joint, self._columns, self.types, exposures)
+
+    def _stamp_error(self) -> StampError:
+        """Return the error of the stamps of scans."""
+        errors = [reader.stamp_error or NOT_STATED for reader in self._scan_readers]
+        host_limit_s = 0.0 if self._host_clock is None else self._host_clock.limit_s
+        return StampError(
+            max(each.uncertainty_s for each in errors), max(each.limit_s for each in errors) + host_limit_s
+        )
 
     def close(self) -> None:
         """End the threads and the connections."""
@@ -127,8 +154,10 @@ class InstrumentSource(LiveSource[InstrumentParameters]):
         if len(present) < len(self._of_scan):
             names = ", ".join(device for device, part in values.items() if part is None and device in self._of_scan)
             return self._leave_out(f"no frames of {names} around the tick, or frames with different light sources")
+        if any(reader.exposures is not used for reader, used in zip(self._scan_readers, self._exposures, strict=True)):
+            self._prepare_writer()
         try:
-            scan = self._writer.scan(np.concatenate(present), stamp_ns, tick)
+            scan = self._writer.scan(np.concatenate(present), stamp_ns, tick, self._stamp_error())
         except LitSourceError as error:
             return self._leave_out(str(error))
         self._no_scan = ""
@@ -155,6 +184,7 @@ class InstrumentSource(LiveSource[InstrumentParameters]):
 
     def statuses(self) -> Sequence[SourceStatus]:
         """Return the state of each device, and the number of scans that were not published."""
+        host = [] if self._host_clock is None else [SourceStatus("host clock", *self._host_clock.read())]
         return [
             SourceStatus("scans", self._no_scan, "in time", {"scans_missing": self._scans_missing}),
             *(reference.status for reference in self._references),
@@ -163,4 +193,5 @@ class InstrumentSource(LiveSource[InstrumentParameters]):
                 for reader in self._readers
                 for state in (reader.take_state(),)
             ),
+            *host,
         ]

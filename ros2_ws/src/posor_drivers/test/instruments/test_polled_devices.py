@@ -177,6 +177,8 @@ def test_invalid_settings_are_refused(tmp_path: Path) -> None:
     own.write_text("format: posor_scpi_dialect\nversion: 1\nidentify: ID?\nmodel: '('\n", encoding="utf-8")
     with pytest.raises(CalibrationError, match=r"own\.yaml"):
         ScpiDevice("meter", scpi_settings(5025, dialect=str(own)))
+    with pytest.raises(DeviceError, match="dialect 'single_meter' has no command 'aperture'"):
+        ScpiDevice("meter", scpi_settings(5025, dialect="single_meter", aperture={"value": 0.1, "unit": "s"}))
 
 
 def test_the_end_of_one_instrument_leaves_the_others(scanner: ScpiServer) -> None:

@@ -1,0 +1,84 @@
+"""The largest error of the clock of this host, as its time service states it: ``chronyc`` (NTP) or ``pmc`` (PTP).
+
+chrony bounds the error of the clock by root dispersion plus half of the root delay (RFC 5905, section 4). ``pmc`` shows
+the offset from the master and the mean path delay of linuxptp; the sum of the offset and half of the delay is taken.
+Where a host has neither program, or is not synchronised, nothing is stated.
+"""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import time
+from shutil import which
+from typing import TYPE_CHECKING
+
+from posor.numerics.stamps import NS
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+READ_EVERY_S, TIMEOUT_S = 10.0, 1.0
+NOT_SYNCHRONISED = "Not synchronised"
+DELAY, DISPERSION, LEAP = 10, 11, 13  # columns of ``chronyc -c tracking``; times in seconds
+PMC_TIME = r"{}\s+(-?\d+(?:\.\d+)?)"  # a time of ``pmc`` [ns]
+
+
+def read_chrony(answer: str) -> float | None:
+    """Return the largest error by the answer of ``chronyc -c tracking`` [s]; None: not synchronised."""
+    columns = answer.strip().split(",")
+    if len(columns) <= LEAP or columns[LEAP] == NOT_SYNCHRONISED:
+        return None
+    return float(columns[DISPERSION]) + 0.5 * float(columns[DELAY])
+
+
+def read_ptp(answer: str) -> float | None:
+    """Return the largest error by the answer of ``pmc 'GET CURRENT_DATA_SET'`` [s]; None: no slave of a master."""
+    found = [re.search(PMC_TIME.format(name), answer) for name in ("offsetFromMaster", "meanPathDelay")]
+    steps = re.search(r"stepsRemoved\s+(\d+)", answer)
+    if steps is None or steps[1] == "0" or found[0] is None or found[1] is None:
+        return None
+    return (abs(float(found[0][1])) + 0.5 * abs(float(found[1][1]))) / NS
+
+
+SERVICES = {
+    "pmc": (("pmc", "-u", "-b", "0", "GET CURRENT_DATA_SET"), read_ptp),
+    "chronyc": (("chronyc", "-c", "tracking"), read_chrony),
+}
+"""Questions to time services, and how their answers are read, in the order of preference."""
+
+
+class HostClock:
+    """Asks the time service now and then.
+
+    Attributes:
+        limit_s: Largest error of the clock [s]; 0: not stated.
+
+    """
+
+    def __init__(self) -> None:
+        """Ask for the first time."""
+        self.limit_s, self._text, self._next_s = 0.0, "", 0.0
+        self.read()
+
+    def read(self) -> tuple[str, str, Mapping[str, float]]:
+        """Return a fault (never one), which service states what, and the limit; ask again after 10 s."""
+        if time.monotonic() >= self._next_s:
+            self._next_s = time.monotonic() + READ_EVERY_S
+            self.limit_s, self._text = _ask()
+        return "", self._text, {"clock_limit": self.limit_s}
+
+
+def _ask() -> tuple[float, str]:
+    """Return the largest error of the clock [s] and who states it."""
+    for name, (question, read) in SERVICES.items():
+        if which(name) is None:
+            continue
+        try:
+            answer = subprocess.run(question, capture_output=True, text=True, timeout=TIMEOUT_S, check=False)
+            limit_s = read(answer.stdout)
+        except (OSError, subprocess.TimeoutExpired, ValueError):
+            limit_s = None
+        if limit_s is not None:
+            return limit_s, f"largest error stated by {name}"
+    return 0.0, "no time service states its error; not part of the stamps' error"
