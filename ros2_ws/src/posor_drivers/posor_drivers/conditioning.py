@@ -32,6 +32,9 @@ READINGS = {"gap_voltages": 1, "ring_voltages": 1, DIODE_CURRENTS: CONTACTS}
 SPREADS = {name: f"{name.removesuffix('s')}_spreads" for name in READINGS}
 """Fields of their spreads."""
 
+TIMES = ("exposure_span", "stamp_uncertainty", "stamp_limit")
+"""Fields on the times of a scan, of which the largest of a group is taken."""
+
 ItemT = TypeVar("ItemT", bound=SourceMessage | Pause)
 
 
@@ -125,7 +128,7 @@ def _are_comparable(before: Any, scan: Any) -> bool:
     """Return whether two successive scans may belong to one group, or be background of one another."""
 
     def layout(scan: Any) -> tuple[object, ...]:
-        readings = (scan.gap_voltages, scan.ring_voltages, scan.diode_currents, scan.lit_sources)
+        readings = (scan.gap_voltages, scan.ring_voltages, scan.diode_currents, scan.lit_sources, scan.exposure_offsets)
         return (scan.header.frame_id, *map(len, readings))
 
     earlier, later = stamp_ns(before), stamp_ns(scan)
@@ -160,7 +163,7 @@ def _condition(items: Iterator[ItemT], parameters: ConditioningParameters) -> It
             if isinstance(item, Pause) or item.topic != RAW_TOPIC:
                 yield item
                 continue
-            scan, after_s = _decode(item.data), item.after_s
+            scan, after_s = decode_scan(item.data), item.after_s
             count, all_dark = count + 1, all_dark and is_dark(scan)
             for group in grouper.add_scan(scan):
                 merged = merge_scans(group, parameters)
@@ -176,7 +179,7 @@ def _condition(items: Iterator[ItemT], parameters: ConditioningParameters) -> It
         raise ParameterError(what, where=where, expected="false, or lit scans among the dark ones")
 
 
-def _decode(content: Any) -> Any:
+def decode_scan(content: Any) -> Any:
     """Return a scan as a message.
 
     Raises:
@@ -209,6 +212,9 @@ def merge_scans(group: ScanGroup, parameters: ConditioningParameters) -> Any:
     scan = RawScan(scan=middle.scan, status=group.status, lit_sources=middle.lit_sources)
     scan.header.frame_id = middle.header.frame_id
     scan.header.stamp.sec, scan.header.stamp.nanosec = divmod((stamp_ns(first) + stamp_ns(last)) // 2, NS)
+    scan.exposure_offsets = np.mean([each.exposure_offsets for each in lit], axis=0).tolist()
+    for name in TIMES:  # the error of a mean stamp may be common to all stamps
+        setattr(scan, name, max(getattr(each, name) for each in lit))
     averages = {name: _average_readings(lit, name, significance) for name in READINGS}
     means = {name: average.means for name, average in averages.items()}
     dropped = any(average.dropped for average in averages.values())

@@ -34,6 +34,7 @@ from posor_drivers.driver_parameters import (
 from posor_drivers.live_publisher import LivePublisher
 from posor_drivers.replay_publisher import ReplayPublisher, schedule_replay
 from posor_drivers.sources.source import LiveSource, RecordedSource, load_source_class, registered_sources
+from posor_drivers.stated_times import state_times
 from posor_drivers.tick_scheduler import RunCalls, RunState
 
 if TYPE_CHECKING:
@@ -121,8 +122,7 @@ class DriverNode(PosorNode[DriverParameters]):
         source, parameters = self._source, self.parameters
         calls = RunCalls(self._publish, self._has_subscribers, self._on_run_state)
         if isinstance(source, LiveSource) and isinstance(parameters, LiveDriverParameters):
-            condition = partial(condition_scans, parameters=parameters.conditioning)
-            self._run = LivePublisher(self, source, parameters.spin_us, condition, calls)
+            self._run = LivePublisher(self, source, parameters.spin_us, self._condition, calls)
         else:
             self._run = ReplayPublisher(self._replay_publications, calls)
         self._run.start()
@@ -139,7 +139,11 @@ class DriverNode(PosorNode[DriverParameters]):
             message = f"source '{parameters.source}' is neither live nor recorded"
             raise TypeError(message)
         now_ns = self.get_clock().now().nanoseconds
-        return condition_scans(schedule_replay(source, self._classes, parameters, now_ns), parameters.conditioning)
+        return self._condition(schedule_replay(source, self._classes, parameters, now_ns))
+
+    def _condition(self, items: Iterator[Any]) -> Iterator[Any]:
+        """Return what is to be published of what the source yields."""
+        return state_times(condition_scans(items, self.parameters.conditioning), self.parameters.time)
 
     def _has_subscribers(self) -> bool:
         """Return whether every topic has the subscribers to wait for; report those that are missing."""

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from posor.errors import ParameterError
 from posor.node_parameters import NodeParameters
 from posor.parameter_model import ParameterGroup
-from pydantic import Field, create_model, model_validator
+from pydantic import ConfigDict, Field, create_model, model_validator
 
 from posor_drivers.sample_average import MIN_SAMPLES
 from posor_drivers.sources.source import LiveSource, load_source_class
@@ -51,6 +51,27 @@ class ConditioningParameters(ParameterGroup):
         return self.method == "none" and not self.subtract_dark
 
 
+class TimeParameters(ParameterGroup):
+    """Fields of the scans on their times, in place of what the source states; a default leaves the source's."""
+
+    model_config = ConfigDict(allow_inf_nan=True)
+
+    stamp_uncertainty: Annotated[float, Field(ge=0.0, allow_inf_nan=False)] = Field(
+        default=0.0, description="standard uncertainty of the stamps [s]; 0: as the source states"
+    )
+    stamp_limit: Annotated[float, Field(ge=0.0, allow_inf_nan=False)] = Field(
+        default=0.0, description="largest error of the stamps [s]; 0: as the source states"
+    )
+    exposure_offsets: tuple[float, ...] = Field(
+        default=(),
+        description="middle of each channel's exposure minus the stamp [s], in the order gap probes, ring probes, "
+        "contact currents; .nan: unknown; empty: as the source states",
+    )
+    exposure_span: Annotated[float, Field(ge=0.0, allow_inf_nan=False)] = Field(
+        default=0.0, description="time within which exposures that are unknown lie [s]; 0: as the source states"
+    )
+
+
 class DriverParameters(NodeParameters):
     """Parameters of every driver."""
 
@@ -65,6 +86,7 @@ class DriverParameters(NodeParameters):
         default="exit", description="after the last message: end the program, or stay in the graph"
     )
     conditioning: ConditioningParameters = ConditioningParameters()
+    time: TimeParameters = TimeParameters()
 
 
 class LiveDriverParameters(DriverParameters):

@@ -57,6 +57,17 @@ def numbers(items: Iterable[SourceMessage], **options: Any) -> list[tuple[int, i
     return [(result.scan, result.samples) for result in scans(items, **options)]
 
 
+def test_the_times_of_a_mean_are_those_of_its_scans() -> None:
+    offsets = np.array([[-1e-4, 0.0, 1e-4], [-1e-4, math.nan, 2e-4]])
+    errors = [{"exposure_span": 2e-4, "stamp_uncertainty": 1e-5}, {"exposure_span": 1e-4, "stamp_limit": 1e-3}]
+    raw = [item(n, exposure_offsets=offsets[n], **errors[n]) for n in range(2)]
+    unlike = item(2, exposure_offsets=np.empty(0))
+    first, second = scans([*raw, unlike], samples=3)
+    np.testing.assert_allclose(first.exposure_offsets, [-1e-4, math.nan, 1.5e-4])
+    assert (first.exposure_span, first.stamp_uncertainty, first.stamp_limit) == (2e-4, 1e-5, 1e-3)
+    assert (second.scan, list(second.exposure_offsets)) == (2, [])
+
+
 def test_five_scans_become_one() -> None:
     gaps = np.random.default_rng(1).normal(0.5, 0.01, (5, 3))
     currents = np.random.default_rng(2).normal(5e-5, 1e-6, (5, 8))

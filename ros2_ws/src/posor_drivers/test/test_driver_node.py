@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -74,6 +75,25 @@ def test_table_is_published_as_scans_and_truth(tmp_path: Path) -> None:
         assert [content.status for content in scans] == [0, 1, 2, 0]
         assert [truth.header.stamp for truth in truths] == [content.header.stamp for content in scans]
         assert math.isnan(truths[1].point.x)
+
+
+def test_parameters_state_the_times_of_scans(tmp_path: Path) -> None:
+    table = write_table(tmp_path / "table.csv")
+    offsets = [-1e-4, 0.0, 1e-4, *([math.nan] * 8)]
+    stated = {"stamp_uncertainty": 1e-5, "stamp_limit": 1e-4, "exposure_offsets": offsets, "exposure_span": 1e-3}
+    parameters = {f"time__{name}": value for name, value in stated.items()}
+    program = partial(driver_program, source="table", table__path=str(table), rate=0.0, **LOSSLESS)
+    with Graph() as graph:
+        scans = graph.collect(RawScan, "/joint1/raw")
+        with program(**parameters) as node:
+            graph.wait_until(lambda: len(scans) == 4, "all steps")
+            assert node.wait() == 0
+        for name, value in stated.items():
+            np.testing.assert_array_equal(getattr(scans[-1], name), value)
+        with program(time__exposure_offsets=offsets[1:]) as node:
+            sentence = "parameter 'time.exposure_offsets': 10 offsets; expected 11, one for each channel of scan 1."
+            node.wait_for_line(sentence)
+            assert node.wait() != 0
 
 
 def test_fast_replay_to_a_slow_subscriber_loses_nothing(tmp_path: Path) -> None:
