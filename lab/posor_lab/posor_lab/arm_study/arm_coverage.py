@@ -174,7 +174,7 @@ class ArmSampler:
         posor = self._posors[joint]
         electronics = JointElectronics(scenario, joint, posor.calibration, IN_THE_BUDGET, self._source)
         thetas = thetas_of(seen.rotations)
-        return posor.estimate_each(electronics.scans(self._ticks, seen).scans, thetas)
+        return posor.estimate_each(electronics.scans(self._ticks, lambda _: seen).scans, thetas)
 
 
 def _to_pose_array(poses: FloatArray) -> PoseArray:

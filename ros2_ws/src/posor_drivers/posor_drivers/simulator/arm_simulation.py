@@ -5,7 +5,6 @@ Equal files and seeds give equal numbers in every process, for any ticks in any 
 
 from __future__ import annotations
 
-from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,14 +15,16 @@ from posor_drivers.simulator.electronics import JointElectronics
 from posor_drivers.simulator.faults import JointFaults
 from posor_drivers.simulator.imperfections import Imperfections
 from posor_drivers.simulator.nominal_arm import NominalArm
+from posor_drivers.simulator.pose_array import poses_between
 from posor_drivers.simulator.scenario import load_scenario
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from posor.chain.arm_file import ArmFile
-    from posor.model.scan import Scans
     from posor.numerics.array_types import FloatArray, IntArray
 
-    from posor_drivers.simulator.pose_array import ArmTruth
+    from posor_drivers.simulator.pose_array import ArmTruth, PoseArray
     from posor_drivers.simulator.simulated_scans import SimulatedScans
 
 
@@ -105,11 +106,29 @@ class ArmSimulation:
     def scans(self, joint: str, ticks: IntArray, truth: ArmTruth | None = None) -> SimulatedScans:
         """Return the scans of a joint at ticks (n,); ``truth`` at the same ticks is needed where the stage moves."""
         truth = self.truth(ticks) if truth is None else truth
-        published = self._electronics[joint].scans(ticks, truth.T_parent_child[joint])
+        sound = SoundScans(self._electronics[joint], self._cycle.T_parent_child[joint], self.scenario.ticks_per_second)
+        published = sound.scans_at(ticks, truth.T_parent_child[joint])
         faults = self._faults.get(joint)
-        return published if faults is None else faults.change(published, ticks, partial(self._scan_at, joint))
+        return published if faults is None else faults.change(published, ticks, sound)
 
-    def _scan_at(self, joint: str, tick: int) -> Scans:
-        """Return the scan of a joint at one tick, without the faults of the scenario."""
-        ticks = np.array([tick])
-        return self._electronics[joint].scans(ticks, self.truth(ticks).T_parent_child[joint]).scans
+
+class SoundScans:
+    """Scans of a joint without the faults of the scenario."""
+
+    def __init__(self, electronics: JointElectronics, cycle: PoseArray, rate: int) -> None:
+        """Read poses of the target plate in a cycle, at ticks of a rate [Hz]."""
+        self.electronics, self._cycle, self._rate = electronics, cycle, rate
+
+    def scans_at(self, ticks: IntArray, poses: PoseArray | None = None) -> SimulatedScans:
+        """Return the scans at ticks, (n,); ``poses``: of the target plate there, if the stage moves it."""
+        return self.electronics.scans(ticks, self._poses_at(ticks, poses))
+
+    def exposure_changes(self, ticks: IntArray, interval_s: float) -> dict[str, FloatArray]:
+        """Return what multiplexing at an interval [s] changes in the readings at ticks, (n,), by field."""
+        return self.electronics.exposure_changes(ticks, self._poses_at(ticks), interval_s)
+
+    def _poses_at(self, ticks: IntArray, poses: PoseArray | None = None) -> Callable[[float], PoseArray]:
+        """Return a function that returns the poses at a time after ticks [s]."""
+        around = [self._cycle.select(np.mod(ticks + n, len(self._cycle))) for n in (-1, 0, 1)]
+        present = around[1] if poses is None else poses
+        return lambda after_s: poses_between(present, around, self._rate * after_s) if after_s else present

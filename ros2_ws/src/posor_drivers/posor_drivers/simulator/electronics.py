@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+import math
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from posor.errors import CalibrationError
@@ -17,6 +18,8 @@ from posor_drivers.simulator.imperfections import RandomStream
 from posor_drivers.simulator.simulated_scans import DIODE_FIELD, PROBE_FIELDS, SimulatedScans, find_channel
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from posor.calibration.calibration_file import Calibration
     from posor.model.scan import Scans
     from posor.numerics.array_types import BoolArray, FloatArray, IntArray
@@ -26,6 +29,10 @@ if TYPE_CHECKING:
     from posor_drivers.simulator.pose_array import PoseArray
     from posor_drivers.simulator.scenario import Scenario
 
+READ_IN_TURN = (*PROBE_FIELDS, DIODE_FIELD)
+"""Readings in the order in which a multiplexer reads them."""
+STAMP_ERROR = {"stamp_uncertainties": 1e-9 / math.sqrt(12.0), "stamp_limits": 0.5e-9}
+"""Error of the stamps of the simulator, which are exact but for their steps of a nanosecond [s]."""
 HOME_MARK = 0.25
 """Half the width of the home mark, in bumps; the mark is unambiguous within half a bump."""
 
@@ -69,6 +76,8 @@ class JointElectronics:
                 what = f"a sensor of type {type(sensor).__name__} cannot be simulated"
                 raise CalibrationError(what, where=f"calibration '{calibration.name}'", expected="sensors with rows")
             self._sensors.append(sensor)
+        one = scans_at(self._stack, np.eye(3)[None], np.zeros((1, 3)), np.zeros(1, dtype=np.int64))
+        self._channels = sum(getattr(one, name).size for name in READ_IN_TURN)
         self._readings = RandomStream(scenario.seed, "readings", joint)
         random = RandomStream(scenario.seed, "zero drift", joint).generator()
         phases = random.uniform(0.0, 2.0 * np.pi, size=(len(PROBE_FIELDS), 16))
@@ -102,6 +111,7 @@ class JointElectronics:
         dropouts = settings.dropouts if imperfections.dropouts else None
         self._lost_share = 0.0 if dropouts is None else dropouts.probability.number
         latency = settings.latency if imperfections.latency else None
+        self._multiplexer = settings.multiplexer
         self._latency = (0.0, 0.0) if latency is None else (latency.mean.number, latency.jitter.number)
 
     @property
@@ -121,8 +131,12 @@ class JointElectronics:
         """Return the delay from the stamp of a tick's scan to its publication [ns]."""
         return int(self._latencies_ns(self._readings.generator(tick).uniform(size=2)[1:])[0])
 
-    def scans(self, ticks: IntArray, poses: PoseArray) -> SimulatedScans:
-        """Return the scans at ticks (n,), with the target plate at poses ``T_parent_child``."""
+    def scans(self, ticks: IntArray, poses_at: Callable[[float], PoseArray]) -> SimulatedScans:
+        """Return the scans at ticks (n,).
+
+        ``poses_at`` returns the poses ``T_parent_child`` of the target plate at a time after the ticks [s].
+        """
+        poses = poses_at(0.0)
         supply = self._supply_voltages(ticks)
         scans = scans_at(
             self._stack,
@@ -133,7 +147,14 @@ class JointElectronics:
         )
         out_of_range = {name: np.isnan(getattr(scans, name)) for name in (*PROBE_FIELDS, DIODE_FIELD)}
         home = self.is_at_home(poses.rotations)
-        scans = scans.with_fields({"numbers": ticks, "at_home": home.astype(np.int64)})
+        stated: dict[str, Any] = {"numbers": ticks, "at_home": home.astype(np.int64)}
+        stated |= {name: np.full(len(ticks), value) for name, value in STAMP_ERROR.items()}
+        if self._multiplexer is not None:
+            changes = self.exposure_changes(ticks, poses_at, self._multiplexer.interval.number)
+            stated |= {name: getattr(scans, name) + change for name, change in changes.items()}
+            offsets_s = self.exposure_offsets(self._multiplexer.interval.number)
+            stated |= stated_exposures(offsets_s, len(ticks), self._multiplexer.offsets)
+        scans = scans.with_fields(stated)
         scans, chances = self._add_noise(scans, ticks)
         scans = self._add_contamination(self._add_zero_drift(scans, ticks), ticks)
         scans, saturated = self._convert(scans, out_of_range)
@@ -142,6 +163,35 @@ class JointElectronics:
         statuses = SIMULATED | SATURATED * saturated | HOME_BUMP * home
         sent = np.asarray(chances[:, 0] >= self._lost_share)
         return SimulatedScans(scans, statuses, sent, self._latencies_ns(chances[:, 1]))
+
+    def exposure_offsets(self, interval_s: float) -> FloatArray:
+        """Return the offset of each channel from the stamp, read one after another at an interval [s], (c,)."""
+        return interval_s * (np.arange(self._channels) - 0.5 * (self._channels - 1))
+
+    def exposure_changes(
+        self, ticks: IntArray, poses_at: Callable[[float], PoseArray], interval_s: float
+    ) -> dict[str, FloatArray]:
+        """Return what each reading changes from the stamp to its exposure, by field, (n, ...).
+
+        ``poses_at`` returns the poses at a time after the ticks [s]. Where the lit source changes meanwhile, and where
+        a reading is out of range, it is zero.
+        """
+        stamps_ns, supply = tick_stamp_ns(ticks, self._rate), self._supply_voltages(ticks)
+
+        def read(poses: PoseArray) -> Scans:
+            rotations, translations = np.ascontiguousarray(poses.rotations), np.ascontiguousarray(poses.translations)
+            return scans_at(self._stack, rotations, translations, stamps_ns, supply_voltages=supply)
+
+        offsets_s, present = iter(self.exposure_offsets(interval_s).tolist()), read(poses_at(0.0))
+        changes = {name: np.zeros(getattr(present, name).shape) for name in READ_IN_TURN if getattr(present, name).size}
+        for name, change in changes.items():
+            for channel in np.ndindex(change.shape[1:]):
+                moved = read(poses_at(next(offsets_s)))
+                same = (moved.lit_sources == present.lit_sources).all(axis=1)
+                index = (slice(None), *channel)
+                found = getattr(moved, name)[index] - getattr(present, name)[index]
+                change[index] = np.where(same & np.isfinite(found), found, 0.0)
+        return changes
 
     def _supply_voltages(self, ticks: IntArray) -> FloatArray | None:
         if self._supply is None:
@@ -208,6 +258,17 @@ class JointElectronics:
     def _latencies_ns(self, chances: FloatArray) -> IntArray:
         mean, jitter = self._latency
         return np.round((mean + jitter * (2.0 * chances - 1.0)) * NS).astype(np.int64)
+
+
+def stated_exposures(offsets_s: FloatArray, count: int, statement: str) -> dict[str, FloatArray]:
+    """Return the fields of scans, (count,), that state exposures: "stated", "unknown", or "unstated": none."""
+    if statement == "unstated":
+        return {}
+    offsets = offsets_s if statement == "stated" else np.full(len(offsets_s), np.nan)
+    return {
+        "exposure_offsets": np.tile(offsets, (count, 1)),
+        "exposure_spans": np.full(count, offsets_s[-1] - offsets_s[0]),
+    }
 
 
 def convert_to_digital(

@@ -102,6 +102,16 @@ class Latency(FrozenModel):
         return self
 
 
+class Multiplexer(FrozenModel):
+    """Channels are read one after another, in the order gap probes, ring probes, contact currents, about the stamp.
+
+    ``offsets``: whether scans state the exposures, state none, which means that there is one, or that they are unknown.
+    """
+
+    interval: Seconds
+    offsets: Literal["stated", "unstated", "unknown"] = "stated"
+
+
 class ElectronicsSettings(FrozenModel):
     """Electronics of all joints."""
 
@@ -111,3 +121,4 @@ class ElectronicsSettings(FrozenModel):
     contamination: tuple[Contamination, ...] = ()
     dropouts: Dropouts | None = None
     latency: Latency | None = None
+    multiplexer: Multiplexer | None = None

@@ -17,6 +17,7 @@ from posor.numerics.stamps import NS
 from posor.sensors.diodes import DiodesCalibration
 from pydantic import AfterValidator, model_validator
 
+from posor_drivers.simulator.electronics import stated_exposures
 from posor_drivers.simulator.electronics_settings import TimedEntry
 from posor_drivers.simulator.imperfections import RandomStream
 from posor_drivers.simulator.simulated_scans import DIODE_FIELD, find_channel
@@ -25,12 +26,17 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
     from posor.calibration.calibration_file import Calibration
-    from posor.model.scan import Scans
     from posor.numerics.array_types import IntArray
 
+    from posor_drivers.simulator.arm_simulation import SoundScans
     from posor_drivers.simulator.simulated_scans import SimulatedScans
 
 READING_FIELDS = ("gap_voltages", "ring_voltages", DIODE_FIELD, "lit_sources")
+CONTENT = (*READING_FIELDS, "supply_voltages", "temperatures", "at_home", "statuses")
+"""What a scan says about its time of exposure."""
+NOT_STATED = {"stamp_uncertainties": 0.0, "stamp_limits": 0.0}
+BURST_STEP_NS = 10_000
+"""From one arrival to the next in a burst."""
 READING = "reading"
 """Unit of a size that is in the unit of the reading: V of a probe, A of a contact."""
 
@@ -73,9 +79,11 @@ class PlacedFault:
     light_sources: int  # number of light sources that a diode can see
     random: RandomStream  # random numbers by tick
 
-    def change(self, published: SimulatedScans, which: IntArray, first: Scans) -> SimulatedScans:
-        """Return scans of which some have the fault; ``first`` is the scan without it where it begins."""
-        values = self.kind.values(FaultyScans(self, published, which, first))
+    def change(
+        self, published: SimulatedScans, which: IntArray, ticks: IntArray, first: int, sound: SoundScans
+    ) -> SimulatedScans:
+        """Return scans at ticks of which some have the fault, which begins at the tick ``first``."""
+        values = self.kind.values(FaultyScans(self, published, which, ticks[which], first, sound))
         arrays: dict[str, Any] = {}
         for name, value in values.items():
             arrays[name] = _field(published, name).copy()
@@ -90,7 +98,9 @@ class FaultyScans(NamedTuple):
     fault: PlacedFault
     published: SimulatedScans
     which: IntArray
-    first: Scans
+    ticks: IntArray
+    first: int  # tick at which the fault begins
+    sound: SoundScans
 
     def now(self, name: str) -> Any:
         """Return the values of a field; of the field of the fault's channel, only those of the channel."""
@@ -99,7 +109,13 @@ class FaultyScans(NamedTuple):
 
     def begin(self, *names: str) -> dict[str, Any]:
         """Return the values of fields, or of the channel, in the scan where the fault begins."""
-        return {name: getattr(self.first, name)[(0, *self.fault.index)] for name in names}
+        first = self.sound.scans_at(np.array([self.first])).scans
+        return {name: getattr(first, name)[(0, *self.fault.index)] for name in names}
+
+    def at(self, ticks: IntArray, *names: str) -> dict[str, Any]:
+        """Return the values of fields at other ticks, one for each scan."""
+        other = self.sound.scans_at(ticks)
+        return {name: _field(other, name) for name in names}
 
     def channel(self, values: object) -> dict[str, Any]:
         """Return values of the fault's channel; without ``contact``, a diode has four."""
@@ -133,6 +149,41 @@ def _slip(scans: FaultyScans) -> dict[str, Any]:
     return {"lit_sources": np.where(lit < count, (lit + scans.size) % count, lit)}
 
 
+def _multiplexed(scans: FaultyScans, statement: str) -> dict[str, Any]:
+    changes = scans.sound.exposure_changes(scans.ticks, scans.fault.size)
+    offsets_s = scans.sound.electronics.exposure_offsets(scans.fault.size)
+    return {name: scans.now(name) + change for name, change in changes.items()} | stated_exposures(
+        offsets_s, len(scans.ticks), statement
+    )
+
+
+def _arrival(scans: FaultyScans) -> dict[str, Any]:
+    drawn = [scans.fault.random.generator(tick).normal() for tick in scans.ticks.tolist()]
+    shifts_ns = np.round(scans.size_ns * np.array(drawn)).astype(np.int64)
+    return {"stamps_ns": scans.now("stamps_ns") + shifts_ns, **NOT_STATED}
+
+
+def _burst(scans: FaultyScans) -> dict[str, Any]:
+    since = np.mod(scans.ticks, scans.size)
+    arrived = scans.at(scans.ticks + scans.size - 1 - since, "stamps_ns")["stamps_ns"]
+    return {"stamps_ns": arrived + since * BURST_STEP_NS, **NOT_STATED}
+
+
+def _late_scan(scans: FaultyScans) -> dict[str, Any]:
+    since = scans.ticks - scans.first
+    published = np.where(since < scans.size, scans.ticks + 1, np.where(since == scans.size, scans.first, scans.ticks))
+    return scans.at(published, *CONTENT, "numbers", "stamps_ns")
+
+
+def _restart(scans: FaultyScans) -> dict[str, Any]:
+    return {"numbers": scans.ticks - scans.first, "stamps_ns": scans.now("stamps_ns") + scans.size_ns}
+
+
+def _aged(scans: FaultyScans) -> dict[str, Any]:
+    period_s = float(np.diff(scans.at(scans.first + np.arange(2), "stamps_ns")["stamps_ns"])[0]) / NS
+    return scans.at(scans.ticks - round(scans.fault.size / period_s), *CONTENT)
+
+
 class FaultKind(NamedTuple):
     """What a kind of fault does."""
 
@@ -140,6 +191,7 @@ class FaultKind(NamedTuple):
     unit: str = ""  # of the size; empty: it has no size
     of_channel: bool = False  # whether it concerns one channel
     whole_diode: bool = False  # whether a diode without ``contact`` is all of its contacts
+    states_exposures: bool = False  # whether scans with the fault have offsets, so that those without it have zeros
 
 
 KINDS: dict[str, FaultKind] = {
@@ -161,6 +213,14 @@ KINDS: dict[str, FaultKind] = {
     "status": FaultKind(lambda scans: {"statuses": scans.now("statuses") | scans.size}, "1"),
     "home": FaultKind(lambda scans: {"statuses": scans.now("statuses") | HOME_BUMP, "at_home": 1}),
     "clock": FaultKind(lambda scans: {"stamps_ns": scans.now("stamps_ns") + scans.size_ns}, "s"),
+    "arrival": FaultKind(_arrival, "s"),
+    "burst": FaultKind(_burst, "1"),
+    "late_scan": FaultKind(_late_scan, "1"),
+    "restart": FaultKind(_restart, "s"),
+    "aged": FaultKind(_aged, "s"),
+    "multiplexed": FaultKind(lambda scans: _multiplexed(scans, "stated"), "s", states_exposures=True),
+    "multiplexed_unknown": FaultKind(lambda scans: _multiplexed(scans, "unknown"), "s", states_exposures=True),
+    "multiplexed_unstated": FaultKind(lambda scans: _multiplexed(scans, "unstated"), "s"),
     "number": FaultKind(lambda scans: {"numbers": scans.now("numbers").astype(np.int64) + scans.size}, "1"),
     "repeat": FaultKind(lambda scans: scans.begin(*READING_FIELDS, "numbers", "stamps_ns")),
 }
@@ -205,15 +265,18 @@ class JointFaults:
             random = RandomStream(seed, "faults", fault.joint, fault.kind)
             self._placed.append(PlacedFault(kind, size, ticks, field, index, sources, random))
 
-    def change(self, published: SimulatedScans, ticks: IntArray, scan_at: Callable[[int], Scans]) -> SimulatedScans:
-        """Return the scans at ticks (n,) with the faults; ``scan_at`` returns the scan without faults at a tick."""
+    def change(self, published: SimulatedScans, ticks: IntArray, sound: SoundScans) -> SimulatedScans:
+        """Return the scans at ticks (n,) with the faults; ``sound`` are the scans without them."""
         in_cycle = np.mod(ticks, self._cycle_ticks)
+        if any(placed.kind.states_exposures for placed in self._placed) and not published.scans.exposure_offsets.size:
+            simultaneous = np.tile(sound.electronics.exposure_offsets(0.0), (len(ticks), 1))
+            published = replace(published, scans=published.scans.with_fields({"exposure_offsets": simultaneous}))
         for placed in self._placed:
             begin, end = placed.ticks
             which = np.flatnonzero((in_cycle >= begin) & (in_cycle < end))
             if which.size:
                 first = int(ticks[which[0]] - in_cycle[which[0]]) + begin
-                published = placed.change(published, which, scan_at(first))
+                published = placed.change(published, which, ticks, first, sound)
         return published
 
     def delay_ns(self, tick: int) -> int:

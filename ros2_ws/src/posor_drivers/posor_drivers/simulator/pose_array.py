@@ -10,7 +10,7 @@ import pinocchio as pin
 from scipy.spatial.transform import Rotation
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
     from posor.numerics.array_types import BoolArray, FloatArray, IntArray
 
@@ -74,6 +74,21 @@ class PoseArray:
         """Return the poses after small motions [m], [rad] in the parent axes; rotations are about each own origin."""
         rotations = Rotation.from_rotvec(rotation_vectors).as_matrix()
         return PoseArray(rotations @ self.rotations, self.translations + translations)
+
+
+def poses_between(poses: PoseArray, around: Sequence[PoseArray], share: float) -> PoseArray:
+    """Return poses a share of a tick later, (n,), on the parabola through the poses of three ticks.
+
+    ``around`` are the poses one tick before, at the same tick, and one tick later, of which only the motion counts.
+    """
+    before, present, after = around
+    weights = 0.5 * share * (share - 1.0), 0.5 * share * (share + 1.0)
+    turn, shift = np.zeros_like(poses.translations), np.zeros_like(poses.translations)
+    for weight, other in zip(weights, (before, after), strict=True):
+        relative = np.swapaxes(present.rotations, 1, 2) @ other.rotations
+        turn += weight * Rotation.from_matrix(relative).as_rotvec()
+        shift += weight * (other.translations - present.translations)
+    return PoseArray(poses.rotations @ Rotation.from_rotvec(turn).as_matrix(), poses.translations + shift)
 
 
 @dataclass(frozen=True)

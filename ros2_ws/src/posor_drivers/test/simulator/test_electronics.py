@@ -6,18 +6,19 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
+from posor.chain.arm_file import load_arm_file
 from posor.estimation.posor import Posor
 from posor.model.fault import State
+from posor_drivers.simulator.arm_simulation import ArmSimulation
 from posor_drivers.simulator.electronics import convert_to_digital
 from posor_drivers.simulator.imperfections import Imperfections
 from posor_msgs.msg import RawScan
 
-from ..three_joint_arm import FAR, SECOND, TICKS, N, refused, scenario, simulation
+from ..three_joint_arm import FAR, SECOND, TICKS, N, perfect, refused, scenario, simulation, write_arm
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from posor_drivers.simulator.arm_simulation import ArmSimulation
     from posor_drivers.simulator.simulated_scans import SimulatedScans
 
 
@@ -43,6 +44,30 @@ def test_contamination_of_redundant_readings_is_detected_by_the_estimator(tmp_pa
     found = Posor(dirty.calibrations["shoulder"]).estimate_all(dirty.scans("shoulder", TICKS).scans)
     assert np.all(found.states[600:610] == State.LOST)
     assert np.mean(found.states[:600] == State.OK) > 0.98
+
+
+@pytest.mark.parametrize("statement", ["stated", "unstated", "unknown"])
+def test_multiplexed_channels_are_read_at_their_own_times(tmp_path: Path, statement: str) -> None:
+    interval_s = 1e-3
+    content = perfect(scenario())
+    content["electronics"]["multiplexer"] = {"interval": {"value": interval_s, "unit": "s"}, "offsets": statement}
+    slow = simulation(tmp_path, Imperfections.only(), content)
+    del content["electronics"]["multiplexer"]
+    (folder := tmp_path / "fast").mkdir()
+    fast = ArmSimulation(load_arm_file(write_arm(folder, content)), Imperfections.only(), 1000)
+    scans, offsets = slow.scans("shoulder", TICKS[20:-20]).scans, np.arange(-5, 6)
+    names = ("gap_voltages", "diode_currents")
+    found = np.hstack([getattr(scans, name).reshape(len(scans), -1) for name in names])
+    for channel, offset in enumerate(offsets.tolist()):
+        truth = fast.scans("shoulder", 10 * TICKS[20:-20] + offset).scans
+        expected = np.hstack([getattr(truth, name).reshape(len(truth), -1) for name in names])[:, channel]
+        same = (truth.lit_sources == scans.lit_sources).all(axis=1)
+        step = np.ptp(expected)
+        np.testing.assert_allclose(found[same, channel], expected[same], atol=2e-4 * step)
+    states = {"stated": interval_s * offsets, "unknown": np.full(11, np.nan), "unstated": np.empty(0)}[statement]
+    np.testing.assert_allclose(scans.exposure_offsets[7], states, atol=1e-12)
+    assert scans.exposure_spans[7] == pytest.approx(0.0 if statement == "unstated" else 10.0 * interval_s)
+    assert 0.0 < scans.stamp_uncertainties[7] < scans.stamp_limits[7] < 1e-9
 
 
 @pytest.mark.parametrize("bits", [12, 16])

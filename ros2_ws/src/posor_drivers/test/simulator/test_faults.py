@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 FIRST, END = 100, 130  # ticks with the fault, at 100 Hz; the lit light source changes meanwhile
 FIELDS = (*PROBE_FIELDS, "diode_currents", "lit_sources", "supply_voltages", "temperatures", "numbers", "stamps_ns")
+TIMES = ("exposure_offsets", "exposure_spans", "stamp_uncertainties", "stamp_limits")
 
 
 def fault(kind: str, **entries: Any) -> dict[str, Any]:
@@ -52,13 +53,16 @@ def changed_fields(scans: SimulatedScans, sound: SimulatedScans) -> set[str]:
     out = set()
     pairs = [(name, getattr(scans.scans, name), getattr(sound.scans, name)) for name in FIELDS]
     pairs += [(name, getattr(scans, name), getattr(sound, name)) for name in ("statuses", "sent", "latencies_ns")]
-    for name, found, expected in pairs:
+    pairs += [(name, getattr(scans.scans, name), getattr(sound.scans, name)) for name in TIMES]
+    for name, found, plain in pairs:
+        expected = np.broadcast_to(plain, found.shape) if plain.size else np.zeros(found.shape)
         assert np.array_equal(found[~during], expected[~during], equal_nan=True)
         if not np.array_equal(found[during], expected[during], equal_nan=True):
             out.add(name)
     return out
 
 
+MOVED = {"gap_voltages", "diode_currents", "lit_sources"}
 CASES: list[tuple[str, dict[str, Any], set[str]]] = [
     ("off", {}, {"sent"}),
     ("late", {"size": quantity(0.5, "s")}, {"latencies_ns"}),
@@ -77,6 +81,22 @@ CASES: list[tuple[str, dict[str, Any], set[str]]] = [
     ("home", {}, {"statuses"}),
     ("clock", {"size": quantity(3600.0, "s")}, {"stamps_ns"}),
     ("number", {"size": quantity(-7, "1")}, {"numbers"}),
+    ("arrival", {"size": quantity(2e-3, "s")}, {"stamps_ns", "stamp_uncertainties", "stamp_limits"}),
+    ("burst", {"size": quantity(4, "1")}, {"stamps_ns", "stamp_uncertainties", "stamp_limits"}),
+    ("late_scan", {"size": quantity(2, "1")}, {*MOVED, "numbers", "stamps_ns"} - {"lit_sources"}),
+    ("restart", {"size": quantity(-0.02, "s")}, {"numbers", "stamps_ns"}),
+    ("aged", {"size": quantity(0.04, "s")}, MOVED),
+    (
+        "multiplexed",
+        {"size": quantity(1e-4, "s")},
+        {"gap_voltages", "diode_currents", "exposure_spans", "exposure_offsets"},
+    ),
+    (
+        "multiplexed_unknown",
+        {"size": quantity(1e-4, "s")},
+        {*MOVED, "exposure_spans", "exposure_offsets"} - {"lit_sources"},
+    ),
+    ("multiplexed_unstated", {"size": quantity(1e-4, "s")}, {"gap_voltages", "diode_currents"}),
     ("repeat", {}, {"gap_voltages", "diode_currents", "lit_sources", "numbers", "stamps_ns"}),
 ]
 
@@ -100,7 +120,7 @@ def test_a_fault_changes_its_fields_at_its_time(
     delays = [faulty.latency_ns("shoulder", tick) for tick in (FIRST - 1, FIRST, END - 1, END)]
     assert delays == scans.latencies_ns[[FIRST - 1, FIRST, END - 1, END]].tolist()
     one = faulty.scans("shoulder", TICKS[FIRST + 3 : FIRST + 4])
-    for name in FIELDS:  # a scan does not depend on which other scans are asked for
+    for name in (*FIELDS, *TIMES):  # a scan does not depend on which other scans are asked for
         pair = getattr(one.scans, name)[0], getattr(scans.scans, name)[FIRST + 3]
         assert np.array_equal(*pair, equal_nan=True)
 
@@ -125,6 +145,29 @@ def test_sizes_of_faults(tmp_path: Path, sound: tuple[ArmSimulation, SimulatedSc
     assert np.array_equal(scans.scans.lit_sources[part], (expected.scans.lit_sources[part] + 2) % count)
     assert np.all(expected.scans.stamps_ns[part] - scans.scans.stamps_ns[part] == 2 * SECOND)
     assert np.all(scans.statuses[part] & HOME_BUMP)
+
+
+def test_faults_of_time(tmp_path: Path, sound: tuple[ArmSimulation, SimulatedScans]) -> None:
+    tick_ns, part = SECOND // 100, slice(FIRST, END)
+    sizes = {"arrival": (2e-3, "s"), "burst": (4, "1"), "late_scan": (2, "1"), "restart": (-0.02, "s")}
+    sizes["aged"] = (0.04, "s")
+    expected = sound[1].scans
+
+    def published(kind: str) -> Any:
+        (folder := tmp_path / kind).mkdir()
+        content = {**scenario(), "faults": [fault(kind, size=quantity(*sizes[kind]))]}
+        return simulation(folder, Imperfections.only("noise"), content).scans("shoulder", TICKS).scans
+
+    late = (published("arrival").stamps_ns - expected.stamps_ns)[part] * 1e-9
+    assert 1e-3 < np.std(late) < 3e-3
+    behind = np.divmod(published("burst").stamps_ns - expected.stamps_ns, tick_ns)
+    assert behind[0][part].tolist() == [3 - n % 4 for n in range(FIRST, END)]
+    assert behind[1][part].tolist() == [10_000 * (n % 4) for n in range(FIRST, END)]
+    assert published("late_scan").numbers[FIRST : FIRST + 4].tolist() == [FIRST + 1, FIRST + 2, FIRST, FIRST + 3]
+    restart = published("restart")
+    assert restart.numbers[part].tolist() == list(range(END - FIRST))
+    assert np.all(expected.stamps_ns[part] - restart.stamps_ns[part] == 2 * tick_ns)
+    np.testing.assert_array_equal(published("aged").gap_voltages[part], expected.gap_voltages[FIRST - 4 : END - 4])
 
 
 @pytest.mark.parametrize(
