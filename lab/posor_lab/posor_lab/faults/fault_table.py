@@ -78,6 +78,8 @@ FaultKind = Literal["off", "stuck", "garbage", "wrong", "slow", "clock", "networ
 ArmName = Literal["six_axis", "five_axis", "test_rig"]
 """Installed arms: light rings and four gap probes; bumpy rings and three; fixed diodes and three."""
 ARMS: tuple[ArmName, ...] = get_args(ArmName)
+TIME_RUNS = ("times", "stamps")
+"""Sections whose faults cost scans, but never a wrong pose."""
 COVERED_SHARE = 0.99  # least share of cases in which the protection level covers a fault that is not observable
 
 
@@ -92,6 +94,8 @@ class FaultRow:
     named_by: tuple[str, ...] = ()
     may_hide: bool = False
     quick: bool = False
+    most_lost: int | None = None  # most scans without a pose while the fault lasts; None: not judged
+    least_usable: float | None = None  # least share of scans with a pose while the fault lasts; None: not judged
     run: str = ""  # section of the table: the run that injects the fault
     inject: Mapping[str, Any] = field(default_factory=dict)
 
@@ -102,8 +106,8 @@ class FaultRow:
 
     @property
     def is_observable(self) -> bool:
-        """Whether each scan with the fault shows it: then no pose may be wrong, else the protection level covers it."""
-        return bool(self.named_by) and not self.may_hide
+        """Whether no pose may be wrong, as each scan with the fault shows it; else the protection level covers it."""
+        return bool(self.named_by or self.run in TIME_RUNS) and not self.may_hide
 
 
 def _load_table() -> tuple[Mapping[FaultKind, float], tuple[FaultRow, ...]]:
@@ -129,6 +133,8 @@ class RowResult:
     naming_s: float | None  # time from the fault to the first message that names it [s]; None: not named
     wrong_ok: int  # poses published as valid that are beyond 5 standard deviations of the truth
     covered: float = math.nan  # share of cases within the protection level, of a fault that is not observable
+    lost: int = 0  # scans of the joint that have no pose while the fault lasts, of faults of time
+    scans: int = 0  # scans that came meanwhile
     problem: str = ""  # why the run does not count, such as a joint without a pose before the fault; empty: it counts
 
     @property
@@ -140,6 +146,11 @@ class RowResult:
                 found.append(f"the protection level covers {100.0 * self.covered:.1f} % of the cases")
         elif self.wrong_ok:
             found.append(f"{self.wrong_ok} wrong poses published as valid")
+        most, least = self.row.most_lost, self.row.least_usable
+        if most is not None and self.lost > most:
+            found.append(f"{self.lost} scans lost, limit {most}")
+        if least is not None and not self.scans - self.lost >= least * self.scans > 0.0:
+            found.append(f"{self.scans - self.lost} of {self.scans} scans have a pose, limit {100.0 * least:g} %")
         limit = NAMING_LIMITS_S[self.row.kind]
         if self.row.named_by and self.naming_s is None:
             found.append("not named")
@@ -157,6 +168,7 @@ class RowResult:
             "seen": self.seen,
             "naming_s": None if self.naming_s is None else round(self.naming_s, 4),
             "wrong_ok": self.wrong_ok,
+            "lost": self.lost,
             "covered": None if math.isnan(self.covered) else round(self.covered, 4),
             "failures": self.failures,
         }

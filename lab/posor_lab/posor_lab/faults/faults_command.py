@@ -36,6 +36,7 @@ from posor_lab.faults.node_storm import run_node_storm
 from posor_lab.faults.offline_faults import CASES, run_hidden, run_slips
 from posor_lab.faults.process_run import ProcessRun
 from posor_lab.faults.storm import run_storm, storm_calibrations
+from posor_lab.faults.time_run import ScatterRun, TimeRun
 from posor_lab.reports.arrival_receiver import ArrivalReceiver
 from posor_lab.reports.findings import Finding, Findings, Verdict
 from posor_lab.reports.graph_receiver import running_graph
@@ -123,6 +124,8 @@ OPTIONS = (
 LIVE_RUNS: Mapping[str, type[InjectionRun]] = {  # live runs by section of the table
     "readings": ReadingRun,
     "messages": MessageRun,
+    "times": TimeRun,
+    "stamps": ScatterRun,
     "processes": ProcessRun,
     "devices": DeviceRun,
 }

@@ -37,7 +37,6 @@ if TYPE_CHECKING:
     from posor_lab.faults.fault_table import FaultRow
     from posor_lab.reports.graph_receiver import GraphWatch
 
-SLOT_S = 2  # time from one fault of the scenario to the next
 NEEDS_FIRST_SCAN = ("frozen", "frozen_diodes", "stuck")
 """Kinds that repeat the reading at the beginning of the fault, which must have been published."""
 
@@ -177,19 +176,21 @@ class ReadingRun(InjectionRun):
     """
 
     TITLE, ATTEMPTS = "readings of {0.arm}", 3
+    SLOT_S, LEAD_S = 2, 0.0  # from one fault of the scenario to the next; from its begin to that of its judgement
     SOUND_S, FAULT_S, ACKNOWLEDGE_S, REST_S = 0.2, 0.5, 0.2, 1.1
 
     def _write_arm(self, seed: int) -> ArmFile:
         """Write the arm with the faults in its scenario."""
-        name, self._cycle_s = self.rows[0].arm, SLOT_S * max(2, len(self.rows))
+        name, self._cycle_s = self.rows[0].arm, self.SLOT_S * max(2, len(self.rows))
         joints = list(write_fault_arm(name, self.folder / "sound", self._cycle_s, seed).calibrations)
         self._places = {
-            row.title: (joints[n % len(joints)], SLOT_S * n + self.SOUND_S) for n, row in enumerate(self.rows)
+            row.title: (joints[n % len(joints)], self.SLOT_S * n + self.LEAD_S + self.SOUND_S)
+            for n, row in enumerate(self.rows)
         }
         entries = []
         for row in self.rows:
             joint, begin_s = self._places[row.title]
-            entries.append(fault_entry(joint, row.inject, begin_s, begin_s + self.FAULT_S))
+            entries.append(fault_entry(joint, row.inject, begin_s - self.LEAD_S, begin_s + self.FAULT_S))
         return write_fault_arm(name, self.folder / name, self._cycle_s, seed, entries)
 
     def _joint_of(self, row: FaultRow) -> str:

@@ -6,19 +6,18 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from geometry_msgs.msg import PoseWithCovariance
-from posor.numerics.stamps import NS
+from posor.numerics.stamps import NS, tick_stamp_ns
 from posor.ros_names import ENDPOINT_COVARIANCE_TOPIC, ENDPOINT_STATE_TOPIC, TRANSFORM_TOPIC
-from posor_drivers.simulator.pose_array import PoseArray
+from posor_drivers.simulator.pose_array import PoseArray, poses_between
 
 from posor_lab.harness.message_conversion import is_usable, stamp_ns
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from posor.estimation.estimate import Estimates
     from posor.numerics.array_types import BoolArray, FloatArray
     from posor_drivers.simulator.arm_simulation import ArmSimulation
-    from posor_drivers.simulator.pose_array import ArmTruth
 
     from posor_lab.reports.arrival_receiver import Arrival, ArrivalReceiver
 
@@ -59,11 +58,11 @@ def estimated_poses(estimates: Estimates) -> tuple[PoseArray, FloatArray]:
 
 
 class PoseJudge:
-    """Compares published poses with the truth of a simulation at their stamps."""
+    """Compares published poses with the truth of a simulation at their times."""
 
-    def __init__(self, simulation: ArmSimulation) -> None:
-        """Compare with the truth of ``simulation``."""
-        self._simulation = simulation
+    def __init__(self, simulation: ArmSimulation, time_of: Callable[[Arrival], int] | None = None) -> None:
+        """Compare with the truth of ``simulation``; ``time_of`` returns the time of a pose [ns]; None: its stamp."""
+        self._simulation, self._time_of = simulation, time_of or (lambda arrival: stamp_ns(arrival.message))
 
     def count_wrong(self, receiver: ArrivalReceiver, begin_ns: int, end_ns: int, joint: str = "") -> int:
         """Return how many poses that came as valid between two times [ns] are wrong or stale.
@@ -95,16 +94,18 @@ class PoseJudge:
         """Return found and true poses of the endpoint or a joint, and which are wrong."""
         found = pose_array([each.pose for _, each in parts])
         covariances = np.reshape([_covariance(each) for _, each in parts], (-1, 6, 6))
-        truth = self._truth([each for each, _ in parts])
-        true = truth.T_parent_child[joint] if joint else truth.endpoint
+        true = self._truth([each for each, _ in parts], joint)
         return found, true, wrong_poses(found, covariances, true)
 
-    def _truth(self, arrivals: Sequence[Arrival]) -> ArmTruth:
-        """Return the truth at the stamps of messages."""
-        stamps = np.array([stamp_ns(each.message) for each in arrivals])
-        return self._simulation.truth(
-            np.rint(stamps * (self._simulation.scenario.ticks_per_second / NS)).astype(np.int64)
-        )
+    def _truth(self, arrivals: Sequence[Arrival], joint: str) -> PoseArray:
+        """Return the true poses of the endpoint or a joint at the times of messages."""
+        rate = self._simulation.scenario.ticks_per_second
+        times_ns = np.array([self._time_of(each) for each in arrivals])
+        ticks = np.rint(times_ns * (rate / NS)).astype(np.int64)
+        around = [self._simulation.truth(ticks + n) for n in (-1, 0, 1)]
+        poses = [each.T_parent_child[joint] if joint else each.endpoint for each in around]
+        shares = (times_ns - tick_stamp_ns(ticks, rate)) * (rate / NS)
+        return poses_between(poses[1], poses, shares[:, None]) if np.any(shares) else poses[1]
 
     def _count_wrong(self, parts: Sequence[tuple[Arrival, Any]], joint: str = "") -> int:
         if not parts:

@@ -25,8 +25,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 pytestmark = pytest.mark.timeout(300)
-KEYS = {"fault", "kind", "observable", "expected", "seen", "naming_s", "wrong_ok", "covered", "failures"}
-ROWS = 107
+KEYS = {"fault", "kind", "observable", "expected", "seen", "naming_s", "wrong_ok", "lost", "covered", "failures"}
+ROWS = 129
 QUICK_ROWS = {row.title for row in FAULT_TABLE if row.quick}
 
 
@@ -95,6 +95,13 @@ def test_a_row_fails_for_each_missed_aim() -> None:
     assert hidden.failures == []
     assert "98.0 %" in replace(hidden, covered=0.98).failures[0]
     assert replace(hidden, covered=float("nan")).failures
+    timed = RowResult(
+        replace(row, run="times", named_by=(), most_lost=1, least_usable=0.95), "", None, 0, lost=1, scans=25
+    )
+    assert timed.failures == []
+    assert "2 scans lost, limit 1" in replace(timed, lost=2).failures[0]
+    assert "limit 95 %" in replace(timed, scans=10).failures[0]
+    assert replace(timed, wrong_ok=1).failures
     lucky = RowResult(replace(row, may_hide=True), "LOST", 0.01, 3, covered=1.0)
     assert lucky.failures == []
     assert "0.0 %" in replace(lucky, covered=0.0).failures[0]

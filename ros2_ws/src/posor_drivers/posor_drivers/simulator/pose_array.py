@@ -76,8 +76,8 @@ class PoseArray:
         return PoseArray(rotations @ self.rotations, self.translations + translations)
 
 
-def poses_between(poses: PoseArray, around: Sequence[PoseArray], share: float) -> PoseArray:
-    """Return poses a share of a tick later, (n,), on the parabola through the poses of three ticks.
+def poses_between(poses: PoseArray, around: Sequence[PoseArray], share: float | FloatArray) -> PoseArray:
+    """Return poses a share of a tick later, one or (n, 1), on the parabola through the poses of three ticks.
 
     ``around`` are the poses one tick before, at the same tick, and one tick later, of which only the motion counts.
     """

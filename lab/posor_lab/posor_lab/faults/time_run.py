@@ -1,0 +1,69 @@
+"""Faults of time: clocks that contradict each other, scans in another order, channels read one after another.
+
+A pose is compared with the truth at the time of its readings, which its number tells, where the clock of the stamps was
+set, and with the truth at the stamp where stamps scatter. What a fault costs is counted in the transforms of its joint.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from posor.model.fault import USABLE_STATES
+from posor.numerics.stamps import NS, tick_stamp_ns
+from posor.ros_names import TRANSFORM_TOPIC
+
+from posor_lab.faults.fault_table import RATES
+from posor_lab.faults.injection_run import ReadingRun
+from posor_lab.faults.pose_judge import PoseJudge
+from posor_lab.harness.message_conversion import stamp_ns
+
+if TYPE_CHECKING:
+    from posor_lab.faults.fault_table import FaultRow, RowResult
+    from posor_lab.faults.injection_run import Span
+    from posor_lab.reports.arrival_receiver import Arrival
+
+
+SHIFTED = ("clock", "restart")
+"""Kinds after which the clock of the stamps is another one."""
+
+
+class TimeRun(ReadingRun):
+    """Faults of time that the simulator injects, one in each slot of the scenario."""
+
+    TITLE = "time of {0.arm}"
+
+    def _count_wrong(self, row: FaultRow, span: Span) -> int:
+        joint, rate = self._joint_of(row), RATES[row.arm]
+        times: dict[int, int] = {}  # of the readings, by the stamp of the transform
+        if row.inject["kind"] in SHIFTED:
+            first = round(span.begin_ns * rate / NS)
+            for each in self.receiver.between(f"{joint}/{TRANSFORM_TOPIC}", span.begin_ns, span.until_ns):
+                number = each.message.scan
+                tick = number + (first if number < first // 2 else 0)  # a restarted driver numbers from zero
+                times[stamp_ns(each.message)] = int(tick_stamp_ns(tick, rate))
+
+        def time_of(arrival: Arrival) -> int:
+            stamp = stamp_ns(arrival.message)
+            return times.get(stamp, stamp)
+
+        return PoseJudge(self.simulation, time_of).count_wrong(self.receiver, span.begin_ns, span.until_ns, joint)
+
+    def _result(self, row: FaultRow, span: Span) -> RowResult:
+        """Return the result with the scans that have no pose while the fault lasts."""
+        topic, found = f"{self._joint_of(row)}/{TRANSFORM_TOPIC}", super()._result(row, span)
+        transforms = [each.message for each in self.receiver.between(topic, span.begin_ns, span.end_ns)]
+        lost, scans = sum(each.state not in USABLE_STATES for each in transforms), len(transforms)
+        problem = found.problem
+        if row.inject["kind"] == "late_scan":
+            first = round(span.begin_ns * RATES[row.arm] / NS)
+            if not {first, first + 1} <= {each.scan for each in transforms}:
+                problem = problem or "the driver missed one of the exchanged scans: the host is overloaded"
+        seen = f"{found.seen}; {lost} of {scans} scans lost"
+        return replace(found, lost=lost, scans=scans, seen=seen, problem=problem)
+
+
+class ScatterRun(TimeRun):
+    """Stamps that scatter, judged when the estimator knows by how much: it measures that over 256 scans."""
+
+    TITLE, SLOT_S, LEAD_S = "stamps of {0.arm}", 8, 6.0
