@@ -48,13 +48,12 @@ class TrialFigures:
     seconds: float
     poses: int
     keeps_pace: bool  # whether the rate of the poses is judged
-    stamps_matter: bool  # whether the region is judged with the uncertainty of the stamps
+    stamps_matter: bool  # whether the uncertainty of the stamps, of which only a bound is known, may enlarge the region
     pose_rate: float  # poses per second between the first and the last one
     inside_region: float  # share of the poses whose true position is inside their 95 % region
     rms_um: float  # position error, of all three axes together
     stated_um: float  # root of the mean trace of the stated covariance of the position
     clock_us: float  # standard uncertainty of the stamps of all devices, root mean square, from the diagnostics
-    inside_with_stamps: float  # as inside_region, with the motion in this time added to the covariance
     stamps_late_us: float  # time by which the motion explains the errors best; it holds the least delay of the device
     latency_ms: float  # median time from stamp to reception
     named_after_s: float  # from the stall of a device to the first diagnostics that name it
@@ -105,7 +104,7 @@ def run_trial(trial: DeviceTrial, folder: Path, interrupted: Callable[[], bool])
         named_after_s=named_s,
         poses_in_stall=in_stall,
         back_after_s=back_s,
-        **_pose_figures(readings, arrivals, clock_s),
+        **_pose_figures(readings, arrivals),
     )
 
 
@@ -128,8 +127,8 @@ def _share_inside(errors: FloatArray, covariances: FloatArray) -> float:
     return float(np.mean(normalised_squares(errors, covariances) < chi2.ppf(REGION, 3)))
 
 
-def _pose_figures(readings: SimulatedReadings, arrivals: Sequence[Arrival], clock_s: float) -> dict[str, Any]:
-    """Return the figures of the measured poses; ``clock_s``: standard uncertainty of their stamps.
+def _pose_figures(readings: SimulatedReadings, arrivals: Sequence[Arrival]) -> dict[str, Any]:
+    """Return the figures of the measured poses.
 
     Only noise is simulated behind the servers: one arm has one set of calibration errors, so the share of its poses
     inside a region says nothing about them (``posor_lab arm`` draws many arms). The region is that of the random part.
@@ -137,9 +136,7 @@ def _pose_figures(readings: SimulatedReadings, arrivals: Sequence[Arrival], cloc
     stamps = [stamp_ns(each.message) for each in arrivals]
     points = [each.message.pose.position for each in arrivals]
     errors = np.array([(point.x, point.y, point.z) for point in points]) - readings.true_points(stamps)
-    velocities = readings.joint_velocities(stamps)
-    of_stamps = clock_s**2 * np.einsum("nji,njk->nik", velocities, velocities)
-    velocity = velocities.sum(axis=1)
+    velocity = readings.joint_velocities(stamps).sum(axis=1)
     covariances = np.array([np.reshape(each.message.covariance_random, (6, 6))[:3, :3] for each in arrivals])
     latencies_ns = np.array([each.time_ns for each in arrivals]) - np.array(stamps)
     return {
@@ -148,7 +145,6 @@ def _pose_figures(readings: SimulatedReadings, arrivals: Sequence[Arrival], cloc
         "inside_region": _share_inside(errors, covariances),
         "rms_um": float(1e6 * np.sqrt(np.mean(np.sum(errors**2, axis=1)))),
         "stated_um": float(1e6 * np.sqrt(np.mean(np.trace(covariances, axis1=1, axis2=2)))),
-        "inside_with_stamps": _share_inside(errors, covariances + of_stamps),
         "stamps_late_us": float(-1e6 * np.sum(errors * velocity) / square) if (square := np.sum(velocity**2)) else 0.0,
         "latency_ms": float(np.median(latencies_ns) * 1e3 / NS),
     }

@@ -48,13 +48,13 @@ def run_trials(trial: Trial) -> tuple[Findings, Mapping[str, Any]]:
 def trial_findings(figures: TrialFigures) -> list[Finding]:
     """Return the verdicts on the figures of a trial."""
     name, matter, back_s = figures.name, figures.stamps_matter, figures.back_after_s
-    inside = 100.0 * (figures.inside_with_stamps if matter else figures.inside_region)
+    inside = 100.0 * figures.inside_region
     low, high = 100.0 * (REGION - REGION_TOLERANCE), 100.0 * (REGION + REGION_TOLERANCE)
     least = LEAST_RATE * figures.rate
     judged = Finding.judged
     found = [
         judged(
-            f"{name}: poses inside their 95 % region" + (", with the stamps" if matter else ""),
+            f"{name}: poses inside their 95 % region",
             f"{inside:.1f} %",
             f"{low:g} % or more" if matter else f"{low:g} to {high:g} %",
             holds=low <= inside and (matter or inside <= high),

@@ -158,16 +158,21 @@ class DeviceReader:
                 values[column] = nearest[column]
         return values
 
-    @property
-    def stamp_error(self) -> StampError | None:
-        """The error of the times of the newest frames, with that of the stated least delay; None: not known yet."""
-        with self._lock:
-            return self._stamp_error()
+    def stamp_error_at(self, time_ns: int) -> StampError | None:
+        """Return the error of the times of the frames around a ROS time [ns], with that of the stated least delay.
 
-    def _stamp_error(self) -> StampError | None:
+        None where they are not known.
+        """
+        with self._lock:
+            found = self._timed_place(time_ns) if self._timed else None
+            return self._stamp_error(None if found is None else self._rows_around(found[0]))
+
+    def _stamp_error(self, rows: list[int] | None = None) -> StampError | None:
+        """Return the error of the times of frames; of frames that have a time, by their rows, else the newest."""
         delay_sigma_s = float(self.device.settings.delay.sigmas)
         if self._timed:
-            uncertainty_s, limit_s = self._time_uncertainty_s, UNIFORM * self._time_uncertainty_s
+            uncertainty_s = self._time_uncertainty_s if rows is None else float(self._uncertainties_s[rows].max())
+            limit_s = UNIFORM * uncertainty_s
         elif (line := self._mapping.line) is not None:
             uncertainty_s, limit_s = line.uncertainty_s, line.limit_s
         else:
@@ -278,7 +283,7 @@ class DeviceReader:
         self._mapping = ClockMapping(self.device.frame_rate)
         self._numbers = np.full(CAPACITY, NO_FRAME, dtype=np.int64)
         self._values = np.full((CAPACITY, len(self.device.channels)), np.nan)
-        self._times_ns = np.zeros(CAPACITY, dtype=np.int64)
+        self._times_ns, self._uncertainties_s = np.zeros(CAPACITY, dtype=np.int64), np.zeros(CAPACITY)
         self._timed, self._time_uncertainty_s = False, 0.0
         self._first = 0
         self._last: int | None = None
@@ -379,6 +384,7 @@ class DeviceReader:
         self._numbers[rows], self._values[rows] = frames.counters[which], frames.values[which]
         if frames.times_ns is not None:
             self._times_ns[rows] = frames.times_ns[which] - self._delay_ns
+            self._uncertainties_s[rows] = frames.time_uncertainty_s
 
     def _check_mapping(self) -> None:
         """State why the frames cannot be used yet, or that they can.

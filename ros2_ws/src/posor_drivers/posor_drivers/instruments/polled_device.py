@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 LEAST_ANSWER_TIME_S = 0.2
 """With the period of a device that is asked five times per second, a stall is known within half a second."""
 
+EXPOSURES_EVERY = 100
+"""Frames after which the exposures, which are final when the device is connected, are asked for again."""
 MOST_PERIODS = 3
 """Periods between two frames that are interpolated: a device may answer late."""
 
@@ -39,13 +41,13 @@ class PolledDevice(Device[SettingsT]):
     """Asks for a frame in each period of the stated rate, or as soon as the device has answered.
 
     The device measures between question and answer. The time of a frame is the middle of the two, and its standard
-    uncertainty that of a uniform distribution over the time between them.
+    uncertainty that of a uniform distribution over the time between them that the exposures leave.
     """
 
     def __init__(self, name: str, settings: SettingsT) -> None:
         """Store the settings; ``connect`` opens the connection."""
         super().__init__(name, settings)
-        self._next_s, self._asked = 0.0, 0
+        self._next_s, self._asked, self._span_s = 0.0, 0, 0.0
 
     @property
     def longest_interval_s(self) -> float:
@@ -71,6 +73,9 @@ class PolledDevice(Device[SettingsT]):
         asked_ns = time.time_ns()
         values = np.array([self.ask()])
         answered_ns = time.time_ns()
+        if not self._asked % EXPOSURES_EVERY:
+            exposures = self.exposures
+            self._span_s = 0.0 if math.isnan(sum(exposures.offsets_s)) else exposures.span_s
         self._asked += 1
-        uncertainty_s = (answered_ns - asked_ns) / (2.0 * math.sqrt(3.0) * NS)
+        uncertainty_s = max(0.0, (answered_ns - asked_ns) / NS - self._span_s) / (2.0 * math.sqrt(3.0))
         return Frames(np.array([self._asked]), values, np.array([(asked_ns + answered_ns) // 2]), uncertainty_s)

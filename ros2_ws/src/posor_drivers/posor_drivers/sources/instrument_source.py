@@ -111,9 +111,9 @@ class InstrumentSource(LiveSource[InstrumentParameters]):
         exposures = Exposures(offsets_s, max(each.span_s for each in self._exposures))
         self._writer = ScanWriter(self._joint, self._columns, self.types, exposures)
 
-    def _stamp_error(self) -> StampError:
-        """Return the error of the stamps of scans."""
-        errors = [reader.stamp_error or NOT_STATED for reader in self._scan_readers]
+    def _stamp_error(self, stamp_ns: int) -> StampError:
+        """Return the error of a stamp of scans."""
+        errors = [reader.stamp_error_at(stamp_ns) or NOT_STATED for reader in self._scan_readers]
         host_limit_s = 0.0 if self._host_clock is None else self._host_clock.limit_s
         return StampError(
             max(each.uncertainty_s for each in errors), max(each.limit_s for each in errors) + host_limit_s
@@ -157,7 +157,7 @@ class InstrumentSource(LiveSource[InstrumentParameters]):
         if any(reader.exposures is not used for reader, used in zip(self._scan_readers, self._exposures, strict=True)):
             self._prepare_writer()
         try:
-            scan = self._writer.scan(np.concatenate(present), stamp_ns, tick, self._stamp_error())
+            scan = self._writer.scan(np.concatenate(present), stamp_ns, tick, self._stamp_error(stamp_ns))
         except LitSourceError as error:
             return self._leave_out(str(error))
         self._no_scan = ""

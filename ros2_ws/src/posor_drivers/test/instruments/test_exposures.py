@@ -192,15 +192,18 @@ def test_the_first_channel_of_a_triggered_frame_is_read_at_the_tick() -> None:
     )  # middle of a frame
     reader._store(frames, 0)
     np.testing.assert_array_equal(reader.values_at(1_000_000), [1.0, 1.0])
-    assert reader.stamp_error is not None
-    assert reader.stamp_error.limit_s == pytest.approx(2e-4)
+    error = reader.stamp_error_at(1_000_000)
+    assert error is not None
+    assert error.limit_s == pytest.approx(2e-4)
 
 
 def test_the_uncertainty_of_the_least_delay_is_part_of_the_error_of_the_stamps() -> None:
     reader = DeviceReader(stream_device(delay=quantity(2e-4, "s", 3e-5)))
-    assert reader.stamp_error is None
-    reader._store(Frames(np.arange(3), np.zeros((3, 2)), 1_000_000 * np.arange(3), 4e-5), 0)
-    assert reader.stamp_error == pytest.approx((5e-5, math.sqrt(3.0) * 7e-5))
+    assert reader.stamp_error_at(0) is None
+    for first, uncertainty_s in ((0, 4e-5), (3, 7e-5)):  # of the newest frames it is larger
+        numbers = first + np.arange(3)
+        reader._store(Frames(numbers, np.zeros((3, 2)), 1_000_000 * numbers, uncertainty_s), 0)
+    assert reader.stamp_error_at(800_000) == pytest.approx((5e-5, math.sqrt(3.0) * 7e-5))
 
 
 @pytest.mark.parametrize("entry", [{}, "sometimes", {"interval": quantity(-1.0, "s")}])
