@@ -104,7 +104,7 @@ class PoseJudge:
         ticks = np.rint(times_ns * (rate / NS)).astype(np.int64)
         around = [self._simulation.truth(ticks + n) for n in (-1, 0, 1)]
         poses = [each.T_parent_child[joint] if joint else each.endpoint for each in around]
-        shares = (times_ns - tick_stamp_ns(ticks, rate)) * (rate / NS)
+        shares: FloatArray = np.asarray((times_ns - tick_stamp_ns(ticks, rate)) * (rate / NS), dtype=np.float64)
         return poses_between(poses[1], poses, shares[:, None]) if np.any(shares) else poses[1]
 
     def _count_wrong(self, parts: Sequence[tuple[Arrival, Any]], joint: str = "") -> int:

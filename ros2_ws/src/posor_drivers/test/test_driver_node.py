@@ -81,7 +81,7 @@ def test_parameters_state_the_times_of_scans(tmp_path: Path) -> None:
     table = write_table(tmp_path / "table.csv")
     offsets = [-1e-4, 0.0, 1e-4, *([math.nan] * 8)]
     stated = {"stamp_uncertainty": 1e-5, "stamp_limit": 1e-4, "exposure_offsets": offsets, "exposure_span": 1e-3}
-    parameters = {f"time__{name}": value for name, value in stated.items()}
+    parameters: dict[str, Any] = {f"time__{name}": value for name, value in stated.items()}
     program = partial(driver_program, source="table", table__path=str(table), rate=0.0, **LOSSLESS)
     with Graph() as graph:
         scans = graph.collect(RawScan, "/joint1/raw")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 import time
 from contextlib import ExitStack
@@ -101,9 +102,12 @@ def _list(file: InstrumentsFile) -> None:
     print(f"kinds of devices: {', '.join(device_classes())}")
     for name, device in file.new_devices().items():
         print(f"{name}: {device.settings.kind} at {device.address}, {device.frame_rate:g} frames per second")
-        for channel in device.channels:
+        for channel, offset_s in zip(device.channels, device.exposures.offsets_s, strict=True):
             use = ", ".join(uses.get(f"{name}/{channel.name}", ["not used"]))
-            print(f"  {channel.name} [{channel.unit}]: {use}")
+            exposure = (
+                "read at an unknown time" if math.isnan(offset_s) else f"read {1e6 * offset_s:+g} us from its frame"
+            )
+            print(f"  {channel.name} [{channel.unit}]: {use}" + (f"; {exposure}" if offset_s else ""))
 
 
 def _state_noise(file: InstrumentsFile, arm: ArmFile, output: Path | None) -> None:

@@ -166,7 +166,7 @@ class JointElectronics:
 
     def exposure_offsets(self, interval_s: float) -> FloatArray:
         """Return the offset of each channel from the stamp, read one after another at an interval [s], (c,)."""
-        return interval_s * (np.arange(self._channels) - 0.5 * (self._channels - 1))
+        return np.asarray(interval_s * (np.arange(self._channels) - 0.5 * (self._channels - 1)))
 
     def exposure_changes(
         self, ticks: IntArray, poses_at: Callable[[float], PoseArray], interval_s: float

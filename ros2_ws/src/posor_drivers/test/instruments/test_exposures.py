@@ -79,7 +79,7 @@ def device_of(kind: str, server: Any, statement: str) -> dict[str, Any]:
     names, override = [f"c{n}" for n in range(CHANNELS)], {"exposures": statement} if statement else {}
     if kind == "scpi":
         channels = {name: {"number": FIRST_CHANNEL + n, "unit": "V"} for n, name in enumerate(names)}
-        device = {"address": f"TCPIP::127.0.0.1::{server.port}::SOCKET", "dialect": "keysight_daq970a"}
+        device: dict[str, Any] = {"address": f"TCPIP::127.0.0.1::{server.port}::SOCKET", "dialect": "keysight_daq970a"}
         times = {"channel_delay": quantity(5e-6, "s"), "aperture": quantity(15e-6, "s")}
         return {**device, "channels": channels, "rate": quantity(200, "Hz"), **times, **override}
     channels = {name: {"input": n, "range": quantity(10.0, "V")} for n, name in enumerate(names)}
@@ -169,7 +169,7 @@ NAN = math.nan
 def test_exposures_by_settings_and_statements(
     order: tuple[int, ...], interval_s: float, entry: Any, offsets_s: tuple[float, ...], span_s: float
 ) -> None:
-    stated = entry if entry is None or isinstance(entry, str) else ExposureEntry.model_validate(entry)
+    stated: Any = entry if entry is None or isinstance(entry, str) else ExposureEntry.model_validate(entry)
     found = find_exposures("abc", order, interval_s, 1e-3, stated)
     np.testing.assert_allclose(found.offsets_s, offsets_s, atol=1e-18)
     assert found.span_s == pytest.approx(span_s)

@@ -21,12 +21,14 @@ def content(port: int) -> dict[str, Any]:
 
 
 def test_devices_are_listed_without_a_connection(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["list", write_rig(tmp_path, content(1))]) == 0
+    file = content(1)
+    file["devices"]["box"]["exposures"] = {"offsets": {"gap1": quantity(2e-5, "s"), "plate": "unknown"}}
+    assert main(["list", write_rig(tmp_path, file)]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[1:] == [
         "box: stream at tcp 127.0.0.1:1, 500 frames per second",
-        "  gap1 [m]: elbow gap_voltages[0]",
-        "  plate [degC]: not used",
+        "  gap1 [m]: elbow gap_voltages[0]; read +20 us from its frame",
+        "  plate [degC]: not used; read at an unknown time",
     ]
 
 
