@@ -18,6 +18,7 @@ IN_WORKSPACE := .venv/bin/python -E tools/in_workspace.py
 help:
 	@echo "make demo [BAG=ymo|yzmo|zmo] [CAL=printed|section84]   replay a 1985 test through the nodes and compare"
 	@echo "make arm [ARM=five_axis|path] [CONTROLLER=path]        run a simulated arm, close a loop on it, report its errors"
+	@echo "make arm SHARED=1                                      coverage of arms with errors common to all joints and beams"
 	@echo "make calibrate-demo [CAMPAIGNS=6] [POSOR=both]         calibrate simulated POSORs from bags, compare with the truth"
 	@echo "make faults [FAULTS='--quick ...']                     inject every fault, count wrong poses published as valid"
 	@echo "make time                                              the rows of make faults on time: clocks, late scans, multiplexed channels"
@@ -61,7 +62,7 @@ demo:
 	@./run posor_lab demo --bag $(BAG) --calibration $(CAL)
 
 arm:
-	@./run posor_lab arm --arm $(ARM) $(if $(CONTROLLER),--controller $(CONTROLLER))
+	@./run posor_lab arm --arm $(ARM) $(if $(SHARED),--shared-terms --coverage-only,$(if $(CONTROLLER),--controller $(CONTROLLER)))
 
 calibrate-demo:
 	@./run posor_lab calibrate_demo --campaigns $(CAMPAIGNS) --posor $(POSOR)

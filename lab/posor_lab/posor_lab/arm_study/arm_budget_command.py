@@ -125,19 +125,19 @@ def arm_budget(arm: ArmFile, draws: int = DRAWS) -> dict[str, dict[str, Any]]:
     result: dict[str, dict[str, Any]] = {}
     for configuration, angles in configurations(names).items():
         try:
-            random, systematic = model_covariances(calibrations, chain, angles)
+            model = model_covariances(calibrations, chain, angles)
         except ChainError:
             if any(angles.values()):
                 continue  # a joint cannot reach this angle, such as that of the test rig
             raise
-        cases: dict[str, tuple[Chain, Mapping[str, FloatArray]]] = {
-            NOISE: (straight, random),
-            WHOLE: (chain, {name: random[name] + systematic[name] for name in names}),
+        cases: dict[str, tuple[Chain, Mapping[str, FloatArray], Mapping[str, Mapping[str, FloatArray]]]] = {
+            NOISE: (straight, model.random, {}),
+            WHOLE: (chain, model.own(), model.shared),
         }
         if is_thesis_robot:
             thesis = {name: thesis_covariance(diameter) for name, diameter in joints.items()}
-            cases = {THESIS: (straight, thesis), **cases}
-        budgets = {name: _case_budget(case, angles, covariances, draws) for name, (case, covariances) in cases.items()}
+            cases = {THESIS: (straight, thesis, {}), **cases}
+        budgets = {name: _case_budget(angles, draws, *case) for name, case in cases.items()}
         selected = budgets[THESIS if is_thesis_robot else WHOLE]
         result[configuration] = {**{name: selected[name] for name in FIGURES}, **budgets}
         if is_thesis_robot:
@@ -146,12 +146,16 @@ def arm_budget(arm: ArmFile, draws: int = DRAWS) -> dict[str, dict[str, Any]]:
 
 
 def _case_budget(
-    chain: Chain, angles: Mapping[str, float], covariances: Mapping[str, FloatArray], draws: int
+    angles: Mapping[str, float],
+    draws: int,
+    chain: Chain,
+    covariances: Mapping[str, FloatArray],
+    shared: Mapping[str, Mapping[str, FloatArray]],
 ) -> dict[str, Any]:
-    budget = endpoint_budget(chain, angles, covariances)
+    budget = endpoint_budget(chain, angles, covariances, shared)
     return {
         **_spread_figures(budget.spread),
-        "monte_carlo": _spread_figures(monte_carlo(chain, angles, covariances, draws, SEED)),
+        "monte_carlo": _spread_figures(monte_carlo(chain, angles, covariances, draws, SEED, shared)),
         "contributions": [{"name": part.name, **_spread_figures(part.spread)} for part in budget.contributions],
     }
 

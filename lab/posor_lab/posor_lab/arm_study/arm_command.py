@@ -28,6 +28,7 @@ from posor_lab.arm_study.arm_receiver import ArmReceiver
 from posor_lab.arm_study.arm_record import count_outcomes
 from posor_lab.arm_study.arm_report import ArmOutcome, arm_figures, arm_findings, arm_page
 from posor_lab.arm_study.arm_run import ArmLiveTable, ArmRun
+from posor_lab.arm_study.shared_arm import write_shared_arm
 from posor_lab.harness.ros_domain import isolated_network
 from posor_lab.output_files import write_files, write_json
 from posor_lab.reports.console_progress import InterruptedRunError, StageProgress
@@ -67,6 +68,7 @@ def _parse_options(arguments: Sequence[str]) -> Namespace:
     add("--arms", type=int, default=ARMS, metavar="N", help=default)
     add("--coverage-only", action="store_true", help="draw arms, start no node")
     default = "report; the figures go to FOLDER.json (default: build/arm)"
+    add("--shared-terms", action="store_true", help="of an arm whose files state errors common to all parts")
     add("--output", type=Path, default=Path("build/arm"), metavar="FOLDER", help=default)
     add("--no-live", action="store_true", help="lines instead of a live table")
     add_driver_parameters(parser)
@@ -88,6 +90,8 @@ def _study_arm(options: Namespace, argv: Sequence[str]) -> Findings:
     """Run the study and write its report."""
     console = Console(highlight=False)
     arm = load_checked_arm(options.arm)
+    if options.shared_terms:
+        arm = load_checked_arm(str(write_shared_arm(arm, options.output.with_name(f"{options.output.name}_shared"))))
     console.print(f"{arm.name}: preparing the simulation", soft_wrap=True, markup=False)
     simulation = _checked_simulation(arm, options)
     folder = prepare_output_folder(options.output, OUTPUTS)

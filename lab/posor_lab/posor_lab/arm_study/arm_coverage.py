@@ -20,6 +20,7 @@ from posor.errors import ParameterError
 from posor.estimation.posor import Posor
 from posor.model.fault import State
 from posor.numerics.vector import thetas_of
+from posor_design.arm_allotment import beams_with
 from posor_drivers.simulator.arm_truth import true_cycle
 from posor_drivers.simulator.electronics import JointElectronics
 from posor_drivers.simulator.imperfections import Imperfections
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
+    from posor.chain.beams_file import BeamsFile
     from posor.estimation.estimate import Estimates
     from posor.numerics.array_types import FloatArray
     from posor_drivers.simulator.pose_array import PoseArray
@@ -55,6 +57,8 @@ class ArmSample:
     errors: FloatArray  # errors, (a, p, 6), ROS order, axes of the base
     without_sag: FloatArray  # errors without the correction of the sag, (a, p, 6)
     lost: int  # number of poses that a POSOR did not give; NaN above
+    # ``normalised`` with shared terms taken as independent in each joint and beam, (a, p); None: no file states terms
+    independent: FloatArray | None = None
 
 
 @dataclass(frozen=True)
@@ -72,6 +76,7 @@ class Coverage:
     shift_found_m: FloatArray  # mean displacement that the uncorrected sag leaves, (p, 3), axes of the base
     shift_predicted_m: FloatArray  # prediction of the beams file
     shift_ratio: MeanEstimate  # found over predicted, along the predicted displacement
+    inside_independent: MeanEstimate | None = None  # ``inside`` with shared terms taken as independent; None: no terms
 
 
 def arm_coverage(
@@ -101,7 +106,7 @@ def coverage_figures(sample: ArmSample, predicted: FloatArray) -> Coverage:
         arms=arms,
         poses=poses,
         lost=sample.lost,
-        inside=MeanEstimate.of(np.mean(np.where(known, sample.normalised, np.inf) <= REGION_LIMIT, axis=1)),
+        inside=_inside(sample.normalised),
         nees=MeanEstimate.of(np.array([np.nanmean(of_arm) for of_arm in sample.normalised[known.any(axis=1)]])),
         normalised=sample.normalised[known],
         rms_m=rms(sample.errors[..., :3].reshape(-1, 3)),
@@ -109,7 +114,13 @@ def coverage_figures(sample: ArmSample, predicted: FloatArray) -> Coverage:
         shift_found_m=shifts.sum(axis=0) / np.maximum(known.sum(axis=0), 1)[:, None],
         shift_predicted_m=predicted,
         shift_ratio=MeanEstimate.of(along[seen] / scale[seen]),
+        inside_independent=None if sample.independent is None else _inside(sample.independent),
     )
+
+
+def _inside(normalised: FloatArray) -> MeanEstimate:
+    """Return the share of the poses inside their 95 % region; NaN, a lost pose, is outside."""
+    return MeanEstimate.of(np.mean(np.where(np.isfinite(normalised), normalised, np.inf) <= REGION_LIMIT, axis=1))
 
 
 class ArmSampler:
@@ -128,9 +139,12 @@ class ArmSampler:
         self.chain = arm.chain()
         beams = load_beams(arm.beams)
         straight = beams.model_copy(update={"beams": tuple(b.model_copy(update={"sag": None}) for b in beams.beams)})
-        self.straight = Chain(arm.urdf.read_text(encoding="utf-8"), arm.endpoint_frame, straight)
+        urdf = arm.urdf.read_text(encoding="utf-8")
+        self.straight = Chain(urdf, arm.endpoint_frame, straight)
+        self._independent = Chain(urdf, arm.endpoint_frame, _independent_beams(beams, self.chain))
         self._nominal = NominalArm(self.chain)
         self._posors = {joint: Posor(arm.calibration(joint), false_alarm=FALSE_ALARM) for joint in self._nominal.joints}
+        self._terms = [tuple(posor.calibration.shared) for posor in self._posors.values()]
         cycle = self._scenario.cycle_ticks
         self._ticks = (np.arange(poses) * cycle) // poses + cycle // (2 * poses)
         self._commanded = self._scenario.commanded_angles(self._nominal, self._source)[self._ticks]
@@ -140,6 +154,8 @@ class ArmSampler:
         arms, poses = len(seeds), len(self._ticks)
         normalised = np.full((arms, poses), np.nan)
         errors, without_sag = np.full((2, arms, poses, 6), np.nan)
+        has_terms = bool(self.chain.shared or any(self._terms))
+        independent = np.full((arms, poses), np.nan)
         for n, seed in enumerate(seeds):
             scenario = self._scenario.model_copy(update={"seed": seed})
             truth = true_cycle(scenario, self.chain, self._nominal, self._commanded, IN_THE_BUDGET)
@@ -152,11 +168,19 @@ class ArmSampler:
                 for name in ("poses", "covariances_random", "covariances_systematic")
             ]
             true = truth.endpoint.select(known)
-            endpoints, straight = self.chain.estimate_all(*measured), self.straight.estimate_all(*measured)
+            straight, estimator = self.straight.estimate_all(*measured), self.chain.estimator()
+            estimator.use_terms(self._terms)
+            effects = np.stack([each.shared_effects for each in found.values()], axis=1)[known]
+            most = max(map(len, self._terms))
+            endpoints = estimator.estimate_all(*measured, shared_effects=effects[:, :, :most])
             errors[n, known] = pose_errors(_to_pose_array(endpoints.poses), true)
             without_sag[n, known] = pose_errors(_to_pose_array(straight.poses), true)
             normalised[n, known] = normalised_squares(errors[n, known], endpoints.covariances())
-        return ArmSample(normalised, errors, without_sag, int(np.isnan(normalised).sum()))
+            if has_terms:
+                covariances = self._independent.estimate_all(*measured).covariances()
+                independent[n, known] = normalised_squares(errors[n, known], covariances)
+        lost = int(np.isnan(normalised).sum())
+        return ArmSample(normalised, errors, without_sag, lost, independent if has_terms else None)
 
     def predicted_shift(self) -> FloatArray:
         """Return the endpoint errors by uncorrected sag, (p, 6), that follow from the beams file alone."""
@@ -175,6 +199,15 @@ class ArmSampler:
         electronics = JointElectronics(scenario, joint, posor.calibration, IN_THE_BUDGET, self._source)
         thetas = thetas_of(seen.rotations)
         return posor.estimate_each(electronics.scans(self._ticks, lambda _: seen).scans, thetas)
+
+
+def _independent_beams(beams: BeamsFile, chain: Chain) -> BeamsFile:
+    """Return the beams with their parts of shared terms as uncertainties of their own."""
+    variances = {
+        beam.name: np.diagonal(beam.covariance) + sum(np.square(each) for each in beam.shared_effects.values())
+        for beam in chain.beams
+    }
+    return beams_with(beams, variances).model_copy(update={"shared": {}})
 
 
 def _to_pose_array(poses: FloatArray) -> PoseArray:
@@ -211,4 +244,6 @@ def sample_arms(
     def join(name: str) -> FloatArray:
         return np.concatenate([getattr(part, name) for part in parts])
 
-    return ArmSample(join("normalised"), join("errors"), join("without_sag"), sum(part.lost for part in parts))
+    independent = None if parts[0].independent is None else join("independent")
+    lost = sum(part.lost for part in parts)
+    return ArmSample(join("normalised"), join("errors"), join("without_sag"), lost, independent)

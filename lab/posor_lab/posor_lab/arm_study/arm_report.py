@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from posor_lab.arm_study.arm_record import ArmRecord, TickOutcomes
 
 COVERAGE_TOLERANCE = 0.02  # allowed difference of the coverage from 95 %
+SHARED_TOLERANCE = 0.015  # the same of arms whose files state shared terms
 SAG_TOLERANCE = 0.02  # allowed relative difference of the displacement by uncorrected sag from the predicted one
 BUDGET_TOLERANCE = 0.02
 MIN_SIGMAS = 3.0  # with few arms, a tolerance is at least so many standard uncertainties of the figure
@@ -111,7 +112,9 @@ def _coverage_findings(coverage: Coverage) -> Iterator[Finding]:
     inside, ratio = coverage.inside, coverage.shift_ratio
     sample = f"{coverage.arms} arms, {coverage.poses} poses of each"
     binomial = float(np.sqrt(REGION * (1.0 - REGION) / (coverage.arms * coverage.poses)))
-    allowed = max(COVERAGE_TOLERANCE, MIN_SIGMAS * max(inside.sigma, binomial))
+    independent = coverage.inside_independent
+    tolerance = COVERAGE_TOLERANCE if independent is None else SHARED_TOLERANCE
+    allowed = max(tolerance, MIN_SIGMAS * max(inside.sigma, binomial))
     yield judge(
         texts["region"],
         holds=abs(inside.value - REGION) <= allowed,
@@ -124,6 +127,9 @@ def _coverage_findings(coverage: Coverage) -> Iterator[Finding]:
         lost=coverage.lost,
         surprise=_coverage_remark(coverage),
     )
+    if independent is not None:
+        shares = {"inside": 100.0 * independent.value, "sigma": 100.0 * independent.sigma}
+        yield judge(texts["independent"], **shares)
     allowed = max(SAG_TOLERANCE, MIN_SIGMAS * ratio.sigma)
     yield judge(
         texts["sag"],
@@ -253,5 +259,7 @@ def _endpoint_figures(record: ArmRecord) -> dict[str, Any]:
 def _coverage_figures(coverage: Coverage) -> dict[str, Any]:
     figures = figures_of(coverage, page_notes("arm")["figures"])
     shifts = {"found": coverage.shift_found_m, "predicted": coverage.shift_predicted_m}
+    if coverage.inside_independent is not None:
+        figures["coverage95_independent"] = coverage.inside_independent.value
     figures["sag"] |= {f"displacement_{name}_m": np.linalg.norm(each, axis=1).tolist() for name, each in shifts.items()}
     return figures

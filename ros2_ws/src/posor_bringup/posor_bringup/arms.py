@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from posor.calibration.shared_terms import check_same_terms
 from posor.chain.arm_file import ArmFile, load_arm_file
 from posor.errors import ChainError, ParameterError
 from posor_drivers.simulator.arm_simulation import ArmSimulation
@@ -33,18 +34,23 @@ def find_arm(text: str) -> Path:
 def load_checked_arm(text: str) -> ArmFile:
     """Load an arm, given as for ``find_arm``, and check that all its files can be read and are consistent.
 
-    Raises ParameterError: there is no such arm; CalibrationError: a file cannot be read or is invalid, or the scenario
-    does not fit the arm; ChainError: the URDF is invalid, or the calibrations do not match its joints.
+    Raises ParameterError: there is no such arm; CalibrationError: a file cannot be read or is invalid, two files state
+    different uncertainties of a shared term, or the scenario does not fit the arm; ChainError: the URDF is invalid, or
+    the calibrations do not match its joints.
     """
     arm = load_arm_file(find_arm(text))
-    for joint in arm.chain().joints:
-        frames = arm.calibration(joint.name).frames
+    chain = arm.chain()
+    terms = {str(arm.beams): chain.shared}
+    for joint in chain.joints:
+        calibration = arm.calibration(joint.name)
+        frames, terms[str(arm.calibrations[joint.name])] = calibration.frames, calibration.shared
         if (frames.parent, frames.child) != (joint.parent, joint.child):
             raise ChainError(
                 f"measures '{frames.child}' in '{frames.parent}'",
                 where=f"{arm.calibrations[joint.name]}, calibration of joint '{joint.name}'",
                 expected=f"'{joint.child}' in '{joint.parent}', as in {arm.urdf}",
             )
+    check_same_terms(terms)
     if arm.scenario is not None:
         ArmSimulation(arm)  # each driver makes one; here its errors are reported before anything is started
     return arm

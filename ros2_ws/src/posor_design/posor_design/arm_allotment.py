@@ -27,7 +27,7 @@ from posor.errors import DesignError, FitError, ParameterError
 from posor.uncertainty.budget_poses import model_covariances
 from scipy.optimize import NonlinearConstraint, minimize
 
-from posor_design.endpoint_budget import BEAMS, endpoint_budget
+from posor_design.endpoint_budget import BEAMS, SHARED, endpoint_budget
 from posor_design.reliability_report import AXES
 
 if TYPE_CHECKING:
@@ -72,7 +72,7 @@ class Allotment:
     endpoint: FloatArray  # its standard uncertainty with the allotment, (postures, 6)
     before: FloatArray  # with the present covariances of the joints and the present beams, (postures, 6)
     # part of each group in the variance of the axis that uses most of its requirement, (g,); what is missing from 1 is
-    # the sag of the beams
+    # the sag of the beams and shared terms
     shares: FloatArray
 
 
@@ -94,22 +94,24 @@ class EndpointWeights:
             *(Group(name, what, beam=False) for name in self._joints for what in ("angles", "translations")),
             *(Group(beam.joint, what, beam=True) for beam in listed for what in ("angles", "translations")),
         )
-        covariances = self._present_covariances(chain)
-        spreads = (endpoint_budget(chain, *each).spread for each in zip(postures, covariances, strict=True))
+        calibrations = {name: arm.calibration(name) for name in self._joints}
+        models = [model_covariances(calibrations, chain, posture) for posture in postures]
+        covariances = [model.own() for model in models]
+        budgets = [
+            endpoint_budget(chain, posture, own, model.shared)
+            for posture, own, model in zip(postures, covariances, models, strict=True)
+        ]
         # present standard uncertainty of the endpoint by its budget, axis by axis, (postures, 6)
-        self.before = np.sqrt([_variances(spread) for spread in spreads])
+        self.before = np.sqrt([_variances(budget.spread) for budget in budgets])
         # their present standard uncertainties, (g,): the largest of three axes, as all three are allotted alike
         self.present = np.array([*self._largest(covariances), *(s for beam in listed for s in _present_beam(beam))])
-        # variances that are not allotted, (postures, 6)
+        # variances that are not allotted, sag and shared terms, (postures, 6)
         self.fixed = np.array([self._beam_variances(posture, "", np.zeros(6)) for posture in postures])
+        for n, budget in enumerate(budgets):
+            for part in budget.contributions:
+                self.fixed[n] += _variances(part.spread) if part.name.startswith(SHARED) else 0.0
         # variance of an axis by unit variance of a group, (postures, 6, g)
         self.weights = np.array([self._weights(posture) for posture in postures])
-
-    def _present_covariances(self, chain: Chain) -> list[dict[str, FloatArray]]:
-        """Return the covariances of the joints in each posture, (6, 6) each, ROS order, by name."""
-        calibrations = {name: self._arm.calibration(name) for name in self._joints}
-        models = [model_covariances(calibrations, chain, posture) for posture in self._postures]
-        return [{name: random[name] + systematic[name] for name in self._joints} for random, systematic in models]
 
     def _largest(self, covariances: Sequence[Mapping[str, FloatArray]]) -> list[float]:
         """Return the largest uncertainty of each joint over axes and postures: angles and translations in turn."""

@@ -16,10 +16,13 @@ from posor.chain.joint_measurements import MeasuredJoint
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from posor.chain.kinematic_chain import Chain
+    from posor.chain.kinematic_chain import Chain, Endpoint
     from posor.numerics.array_types import FloatArray
 
+    SharedEffects = Mapping[str, Mapping[str, FloatArray]]
+
 BEAMS = "measuring beams"  # name of the contribution of all beams
+SHARED = "shared: "  # before the name of a shared term
 
 
 @dataclass(frozen=True)
@@ -43,7 +46,7 @@ class Spread:
 
 @dataclass(frozen=True)
 class Contribution:
-    """Contribution of one POSOR, or of all measuring beams, if everything else were exact."""
+    """Contribution of one POSOR, of all measuring beams, or of a shared term, if everything else were exact."""
 
     name: str
     spread: Spread
@@ -54,57 +57,85 @@ class EndpointBudget:
     """Standard uncertainties of the endpoint and their contributions."""
 
     spread: Spread  # total of all contributions
-    # of each joint, and of the beams unless they are exact; in decreasing order of displacement
+    # of each joint, of the beams unless they are exact, and of shared terms; in decreasing order of displacement
     contributions: tuple[Contribution, ...]
 
 
-def endpoint_budget(chain: Chain, angles: Mapping[str, float], covariances: Mapping[str, FloatArray]) -> EndpointBudget:
+def endpoint_budget(
+    chain: Chain,
+    angles: Mapping[str, float],
+    covariances: Mapping[str, FloatArray],
+    shared: SharedEffects | None = None,
+) -> EndpointBudget:
     """Return the budget of an arm at rest.
 
     ``chain``: the arm, with the uncertainty of its beams. ``angles``: angle of each joint [rad], by name.
-    ``covariances``: covariance of each POSOR's transform, (6, 6) in ROS order, by name.
+    ``covariances``: covariance of each POSOR's transform without shared terms, (6, 6) in ROS order, by name.
+    ``shared``: effects of shared terms on each POSOR's transform, by joint and term, (6,); None: none.
     """
-    none = np.zeros((6, 6))
-    exact = dict.fromkeys(covariances, none)
-    beams = _covariance(chain, angles, exact)
+    exact = dict.fromkeys(covariances, np.zeros((6, 6)))
+    still = _estimate(chain, angles, exact, {})
+    whole = _estimate(chain, angles, covariances, shared or {})
+    beams = still.covariance() - _squares(still)
     parts = [
-        Contribution(joint.name, Spread.of(_covariance(chain, angles, {**exact, joint.name: own}) - beams))
+        Contribution(joint.name, Spread.of(alone.covariance() - still.covariance()))
         for joint in chain.joints
-        for own in (covariances[joint.name],)
+        for alone in (_estimate(chain, angles, {**exact, joint.name: covariances[joint.name]}, {}),)
     ]
-    if beams.any():
+    if any(beam.covariance.any() or beam.sag_sigma for beam in chain.beams):
         parts.append(Contribution(BEAMS, Spread.of(beams)))
+    parts += [Contribution(f"{SHARED}{name}", Spread.of(np.outer(e, e))) for name, e in whole.shared_effects.items()]
     parts.sort(key=lambda part: part.spread.total, reverse=True)
-    return EndpointBudget(Spread.of(_covariance(chain, angles, covariances)), tuple(parts))
+    return EndpointBudget(Spread.of(whole.covariance()), tuple(parts))
 
 
-def _covariance(chain: Chain, angles: Mapping[str, float], covariances: Mapping[str, FloatArray]) -> FloatArray:
-    names = [joint.name for joint in chain.joints]
-    nominal = {name: chain.nominal_joint(name, angles[name]) for name in names}
-    measured = {name: MeasuredJoint(nominal[name], covariance_systematic=covariances[name]) for name in names}
-    return chain.estimate(measured).covariance()
+def _squares(endpoint: Endpoint) -> FloatArray:
+    """Return the covariance of all shared terms, (6, 6)."""
+    return np.sum([np.outer(effect, effect) for effect in endpoint.shared_effects.values()], axis=0, initial=0.0)
+
+
+def _estimate(
+    chain: Chain, angles: Mapping[str, float], covariances: Mapping[str, FloatArray], shared: SharedEffects
+) -> Endpoint:
+    measured = {}
+    for joint in chain.joints:
+        effects = shared.get(joint.name, {})
+        systematic = covariances[joint.name] + sum(np.outer(each, each) for each in effects.values())
+        pose = chain.nominal_joint(joint.name, angles[joint.name])
+        measured[joint.name] = MeasuredJoint(pose, covariance_systematic=systematic, shared_effects=effects)
+    return chain.estimate(measured)
 
 
 def monte_carlo(
-    chain: Chain, angles: Mapping[str, float], covariances: Mapping[str, FloatArray], draws: int, seed: int
+    chain: Chain,
+    angles: Mapping[str, float],
+    covariances: Mapping[str, FloatArray],
+    draws: int,
+    seed: int,
+    shared: SharedEffects | None = None,
 ) -> Spread:
     """Return the spread of the endpoint over drawn errors of joints and beams, each through the exact chain.
 
-    ``angles``, ``covariances``: see ``endpoint_budget``. ``draws``: number
-    of draws; relative uncertainty of the spread: 1 / sqrt(2 draws). ``seed``: seed of the draws.
+    ``angles``, ``covariances``, ``shared``: see ``endpoint_budget``. ``draws``: number of draws; relative uncertainty
+    of the spread: 1 / sqrt(2 draws). ``seed``: seed of the draws.
     """
     random = np.random.default_rng(seed)
     exact = {joint.name: chain.nominal_joint(joint.name, angles[joint.name]) for joint in chain.joints}
     beams = _beams(chain, exact)
     nominal = chain.estimate({name: MeasuredJoint(pose) for name, pose in exact.items()}).T_base_endpoint
     joint_errors = {name: _drawn(random, covariances[name], draws) for name in exact}
-    beam_errors = [_drawn(random, covariance, draws) for _, covariance, _ in beams]
+    beam_errors = [_drawn(random, covariance, draws) for _, covariance, _, _ in beams]
+    terms = {name: random.normal(size=(draws, 1)) for name in _term_names(chain, shared or {})}
+    for name, effects in (shared or {}).items():
+        joint_errors[name] += sum(terms[term] * effect for term, effect in effects.items())
+    for n, (_, _, effects, _) in enumerate(beams):
+        beam_errors[n] += sum(terms[term] * effect for term, effect in effects.items())
     errors = np.empty((draws, 6))
     for n in range(draws):
         # The error of a beam is applied to the measurement of the next joint.
         extra = [
             after.inverse() * link.inverse() * disturbed(link, drawn[n]) * after
-            for (link, _, after), drawn in zip(beams, beam_errors, strict=True)
+            for (link, _, _, after), drawn in zip(beams, beam_errors, strict=True)
         ]
         measured = {
             name: MeasuredJoint(before * disturbed(exact[name], joint_errors[name][n]))
@@ -116,18 +147,25 @@ def monte_carlo(
     return Spread.of(errors.T @ errors / draws)
 
 
-def _beams(chain: Chain, exact: Mapping[str, pin.SE3]) -> list[tuple[pin.SE3, FloatArray, pin.SE3]]:
-    """Return for each link its sagging beam, the beam's covariance, and the transform after the beam."""
+def _term_names(chain: Chain, shared: SharedEffects) -> list[str]:
+    return list(dict.fromkeys([*chain.shared, *(term for effects in shared.values() for term in effects)]))
+
+
+def _beams(
+    chain: Chain, exact: Mapping[str, pin.SE3]
+) -> list[tuple[pin.SE3, FloatArray, Mapping[str, FloatArray], pin.SE3]]:
+    """Return for each link its sagging beam, the beam's covariance, its shared terms, and the transform after it."""
     beams = []
     pose = pin.SE3.Identity()
     for link, joint in zip(chain.links, [*exact.values(), pin.SE3.Identity()], strict=True):
         pose *= link.before
         if link.beam is None:
-            beam, covariance = pin.SE3.Identity(), np.zeros((6, 6))
+            beam, covariance, effects = pin.SE3.Identity(), np.zeros((6, 6)), {}
         else:
             force = pose.rotation.T @ chain.gravity
             beam, covariance = link.beam.T_under(force), link.beam.covariance_under(force)
-        beams.append((beam, covariance, link.after))
+            effects = link.beam.shared_effects_under(force)
+        beams.append((beam, covariance, effects, link.after))
         pose = pose * beam * link.after * joint
     return beams
 

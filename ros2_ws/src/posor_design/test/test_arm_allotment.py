@@ -80,9 +80,7 @@ def test_the_present_uncertainty_of_a_part_is_that_of_its_worst_axis() -> None:
     present = {(group.part, group.what): sigma for group, sigma in zip(own.groups, own.present, strict=True)}
     models = [model_covariances(calibrations, arm().chain(), posture) for posture in own.postures]
     for name in calibrations:
-        sigmas = np.max(
-            [np.sqrt(np.diagonal(random[name] + systematic[name])) for random, systematic in models], axis=0
-        )
+        sigmas = np.max([np.sqrt(np.diagonal(model.own()[name])) for model in models], axis=0)
         assert present[name, "translations"] == pytest.approx(np.max(sigmas[:3]))
         assert present[name, "angles"] == pytest.approx(np.max(sigmas[3:]))
 
@@ -90,9 +88,8 @@ def test_the_present_uncertainty_of_a_part_is_that_of_its_worst_axis() -> None:
 def test_the_present_endpoint_is_that_of_its_budget_axis_by_axis() -> None:
     calibrations = {name: arm().calibration(name) for name in arm().calibrations}
     for posture, before in zip(allotment().postures, allotment().before, strict=True):
-        random, systematic = model_covariances(calibrations, arm().chain(), posture)
-        covariances = {name: random[name] + systematic[name] for name in calibrations}
-        spread = endpoint_budget(arm().chain(), posture, covariances).spread
+        model = model_covariances(calibrations, arm().chain(), posture)
+        spread = endpoint_budget(arm().chain(), posture, model.own(), model.shared).spread
         np.testing.assert_allclose(before, [*spread.displacement, *spread.orientation], rtol=1e-9)
         assert before[5] > 1.2 * before[3]  # theta of a POSOR is less certain than alpha
 

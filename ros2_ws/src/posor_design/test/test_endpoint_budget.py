@@ -143,7 +143,7 @@ def test_model_covariances_are_split_into_noise_and_calibration(straight: Chain)
         name: sized_design("triad_bumpy_ring", 6.0 * INCH, frames=(f"{name}_r", f"{name}_t"), title=name)
         for name in STILL
     }
-    random, systematic = model_covariances(calibrations, straight, {"turn": 2.0, "lift": -1.0})
+    random, systematic, _ = model_covariances(calibrations, straight, {"turn": 2.0, "lift": -1.0})
     assert set(random) == set(systematic) == set(STILL)
     for covariance in (*random.values(), *systematic.values()):
         assert np.all(np.linalg.eigvalsh(covariance) > 0.0)

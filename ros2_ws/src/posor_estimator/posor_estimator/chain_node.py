@@ -115,7 +115,7 @@ class ChainNode(PosorNode[ChainParameters]):
         layouts = [self._kinds[name].row_layout for name in names]
         self._estimator = chain.estimator(self.parameters.acceleration_window, layouts)
         self._buffers = [
-            (name, self._kinds[name].size, row[LEAD : LEAD + self._kinds[name].size].data)
+            (name, kind := self._kinds[name], row[LEAD : LEAD + kind.size].data, row[kind.row_layout.shared :].data)
             for name, row in zip(names, self._estimator.rows, strict=True)
         ]
         self._home, self._pose_stamp, self._reported = None, b"", None
@@ -239,12 +239,13 @@ class ChainNode(PosorNode[ChainParameters]):
         try:
             data = schema_of_class(JointTransform).normal(data)
             values = schema_of_class(JointTransform).values(data)
+            self._kinds[joint.name].shared_terms(data)
         except TopicError as error:
             self._refuse_transform(joint, str(error), bytes(8))
             return b""
         frames = (str(values["header.frame_id"]), str(values["child_frame_id"]))
         if frames == (joint.parent, joint.child):
-            return data
+            return data  # of other shared terms than the message before, or with other padding
         reason = (
             f"transforms from '{frames[0]}' to '{frames[1]}' arrive; "
             f"expected '{joint.parent}' to '{joint.child}', as in the URDF"
@@ -286,10 +287,15 @@ class ChainNode(PosorNode[ChainParameters]):
                 self._report_refused_scan(verdict)
 
     def _publish_endpoint(self, scan: dict[str, bytes], stamp_ns: int) -> None:
-        for name, size, row in self._buffers:
+        estimator, terms = self._estimator, []
+        for name, kind, row, effects in self._buffers:
             data = scan[name]
-            row[:] = data if len(data) == size else data[:size]
-        estimator = self._estimator
+            row[:] = data if len(data) == kind.size else data[: kind.size]
+            names, part = kind.shared_terms(data)
+            if names:
+                effects[: part.stop - part.start] = data[part]
+            terms.append(names)
+        estimator.use_terms(terms)
         stamp = self._last_stamp = data[STAMP]
         refusal = self._inputs.refusal(stamp_ns)
         if refusal:

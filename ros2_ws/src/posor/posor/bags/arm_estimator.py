@@ -9,6 +9,7 @@ import numpy as np
 
 from posor.bags.block_synchroniser import JOINT_ROWS, BlockSynchroniser
 from posor.bags.reprocess_task import EndpointSummary, JointSummary
+from posor.calibration.shared_terms import check_same_terms
 from posor.errors import ChainError
 from posor.estimation.estimate import Estimates
 from posor.estimation.posor import Posor
@@ -37,6 +38,7 @@ class ArmEstimator:
 
     Attributes:
         frames: Receiving and target frame of each joint.
+        shared_terms: Names of the shared terms of each joint.
         endpoint: The kinematic chain; None: joints only.
 
     """
@@ -48,8 +50,12 @@ class ArmEstimator:
         self._joints = {
             name: _JointEstimator(calibrations[name], joint.false_alarm) for name, joint in settings.joints.items()
         }
+        self.shared_terms = {name: tuple(each.shared) for name, each in calibrations.items()}
         loaded = settings.load_chain()
-        self.endpoint = None if loaded is None else EndpointPipeline(*loaded, self.frames)
+        self.endpoint = None if loaded is None else EndpointPipeline(*loaded, self.frames, self.shared_terms)
+        files = {str(settings.joints[name].calibration): each.shared for name, each in calibrations.items()}
+        if loaded is not None:
+            check_same_terms({loaded[1].beams: loaded[0].shared, **files})
 
     def estimate_block(self, scans: Mapping[str, Sequence[RecordedScans]]) -> ArmEstimates:
         """Return the transforms of all joints, and the endpoint at all stamps that become complete with them.
@@ -117,10 +123,18 @@ class EndpointPipeline:
 
     """
 
-    def __init__(self, chain: Chain, parameters: ChainParameters, frames: Mapping[str, tuple[str, str]]) -> None:
-        """Prepare; ``parameters``: of chain_node; ``frames``: receiving and target frame of each calibrated joint.
+    def __init__(
+        self,
+        chain: Chain,
+        parameters: ChainParameters,
+        frames: Mapping[str, tuple[str, str]],
+        shared_terms: Mapping[str, tuple[str, ...]],
+    ) -> None:
+        """Prepare.
 
-        Raises ChainError: a joint of the chain has no calibration, or one between other frames.
+        ``parameters``: of chain_node; ``frames``: receiving and target frame of each calibrated joint;
+        ``shared_terms``: names of its shared terms. Raises ChainError: a joint of the chain has no calibration, or one
+        between other frames.
         """
         self.joints = tuple(joint.name for joint in chain.joints)
         where = f"URDF {parameters.urdf}"
@@ -136,6 +150,8 @@ class EndpointPipeline:
                     expected=f"'{joint.parent}' to '{joint.child}'",
                 )
         self._estimator = chain.estimator(parameters.acceleration_window)
+        self._estimator.use_terms([shared_terms[name] for name in self.joints])
+        self._terms = max(len(shared_terms[name]) for name in self.joints)
         self._relative = parameters.reference == "home"
         self._home: FloatArray | None = None
         self.frame = f"{parameters.endpoint_frame}_home" if self._relative else chain.base_frame
@@ -165,6 +181,7 @@ class EndpointPipeline:
             of_joints("covariance_systematic"),
             complete[0]["stamp_ns"],
             of_joints("theta"),
+            of_joints("shared_effects")[:, :, : self._terms],
         )
         usable[:, all_usable] &= endpoints.faults.T == 0
         self._count(states, usable)
@@ -215,4 +232,5 @@ def _joint_rows(estimates: Estimates, order: IntArray) -> NDArray[np.void]:
     rows["state"], rows["theta"], rows["pose"] = estimates.states, estimates.thetas, estimates.poses
     rows["covariance_random"] = estimates.covariances_random
     rows["covariance_systematic"] = estimates.covariances_systematic
+    rows["shared_effects"] = estimates.shared_effects
     return rows

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from posor.chain.time_synchroniser import TimeSynchroniser, synchronise_stamps
+from posor.model.scan import MAX_TERMS
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -29,6 +30,7 @@ JOINT_ROWS = np.dtype(  # a joint's transform as the chain needs it
         ("pose", "f8", (7,)),
         ("covariance_random", "f8", (6, 6)),
         ("covariance_systematic", "f8", (6, 6)),
+        ("shared_effects", "f8", (MAX_TERMS, 6)),
     ]
 )
 MOST_OPEN = 65_536  # transforms of a joint that may wait for others; then the oldest are given up, to bound memory

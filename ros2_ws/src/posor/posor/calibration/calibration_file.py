@@ -4,7 +4,8 @@ Versions of the format:
 
 1. First version: ``sensors`` by type, ``sessions``, ``tilt_angle``, ``motion``. Still read.
 2. ``fits``: recording, method, residuals and covariances of fitted values.
-3. ``environment``: valid ranges of supply and temperature; ``converter``: its steps.
+3. ``environment``: valid ranges of supply and temperature; ``converter``: its steps; ``shared``: errors that several
+   quantities share, also of other files.
 """
 
 from __future__ import annotations
@@ -18,8 +19,10 @@ from pydantic import Field, PrivateAttr, SerializeAsAny, create_model, field_val
 
 from posor.calibration.file_model import EntryError, FrozenModel, select_model_by_key
 from posor.calibration.fit_record import FitRecord
+from posor.calibration.parameter_covariance import parameter_entries
 from posor.calibration.quantity import Quantity, measured
 from posor.calibration.session import Session
+from posor.calibration.shared_terms import SharedQuantity, SharedTerm, check_shared_terms
 from posor.calibration.yaml_document import parse_document, read_text
 from posor.errors import CalibrationError, FitError, checked_path
 from posor.sensors.base import SensorCalibration
@@ -155,6 +158,7 @@ class Calibration(FrozenModel):
     motion: Motion | None = None
     environment: Environment | None = None
     converter: Converter | None = None
+    shared: dict[str, SharedTerm] = Field(default_factory=dict)
     sensors: list[SerializeAsAny[SensorCalibration]]
     sessions: dict[str, Session] = Field(default_factory=dict)
     fits: list[FitRecord] = Field(default_factory=list)
@@ -171,10 +175,21 @@ class Calibration(FrozenModel):
     def _check_version(self) -> Self:
         if self.fits and self.version == 1:
             raise EntryError("fits in a file of version 1", key=("fits",), expected="version 2")
-        for key in ("environment", "converter"):
-            if getattr(self, key) is not None and self.version < VERSION:
+        for key in ("environment", "converter", "shared"):
+            if getattr(self, key) and self.version < VERSION:
                 what = f"{key} in a file of version {self.version}"
                 raise EntryError(what, key=(key,), expected=f"version {VERSION}")
+        return self
+
+    @model_validator(mode="after")
+    def _check_shared(self) -> Self:
+        if self.shared:
+            known: dict[str, SharedQuantity] = {}
+            for entry in (each for name in ("", *self.sessions) for each in parameter_entries(self, name) if each):
+                unit = entry.quantity.unit
+                known[entry.key] = SharedQuantity(unit, entry.quantity.array.shape)
+                known[entry.name] = known.get(entry.name, SharedQuantity(unit, ()))
+            check_shared_terms(self.shared, known, known)
         return self
 
     def __repr__(self) -> str:
@@ -192,7 +207,7 @@ class Calibration(FrozenModel):
         A file keeps the hash that it had before later versions added keys.
         """
         content = self.model_dump(mode="json")
-        for key in ("fits", "environment", "converter"):
+        for key in ("fits", "environment", "converter", "shared"):
             if not content[key]:
                 del content[key]
         text = json.dumps(content, sort_keys=True, separators=(",", ":"))

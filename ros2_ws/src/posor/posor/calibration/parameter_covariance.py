@@ -2,7 +2,7 @@
 
 The file states standard uncertainties, and each fit record the covariance of the values that it replaced, with one
 another and with the values that it took as known. A value replaced again later has the covariance of the later record.
-All other values are independent.
+All other values are independent, but for the shared terms of the file (``calibration.shared_terms``).
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import numpy as np
 
 from posor.calibration.file_model import FrozenModel
 from posor.calibration.quantity import Quantity
+from posor.calibration.shared_terms import effect_on
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -83,11 +84,28 @@ def stated_covariance(calibration: Calibration, session: str = "") -> FloatArray
     """
     entries = parameter_entries(calibration, session)
     sigmas = np.array([0.0 if e is None else float(e.quantity.sigmas[e.index]) for e in entries])
-    return _correlation(calibration, entries) * np.outer(sigmas, sigmas)
+    shared = _shared_effects(calibration, entries)
+    return _correlation(calibration, entries) * np.outer(sigmas, sigmas) + shared @ shared.T
+
+
+def shared_effects(calibration: Calibration, session: str = "") -> FloatArray:
+    """Return the change of each parameter by one standard uncertainty of each shared term, (p, terms)."""
+    return _shared_effects(calibration, parameter_entries(calibration, session))
+
+
+def _shared_effects(calibration: Calibration, entries: Sequence[ParameterEntry | None]) -> FloatArray:
+    effects = np.zeros((len(entries), len(calibration.shared)))
+    for own, entry in zip(effects, entries, strict=True):
+        for k, term in enumerate(calibration.shared.values() if entry is not None else ()):
+            values = entry.quantity.array
+            own[k] = effect_on(term, entry.key, values)[entry.index]
+            if entry.index:
+                own[k] += effect_on(term, entry.name, values[entry.index])
+    return effects
 
 
 def stated_correlation(calibration: Calibration, session: str = "") -> FloatArray:
-    """Return the correlations of a stack's parameter vector, (p, p), as ``stated_covariance``."""
+    """Return the correlations of a stack's parameter vector without shared terms, (p, p), as ``stated_covariance``."""
     return _correlation(calibration, parameter_entries(calibration, session))
 
 
@@ -139,10 +157,15 @@ class CovarianceSquareRoot:
     spans: IntArray
     coefficients: FloatArray  # coefficients of the factors, parameter after parameter, (n,)
     factor_count: int  # number of independent standard normal factors
+    shared: FloatArray  # coefficients of one more factor for each shared term, (p, terms)
 
     @staticmethod
-    def of(sigmas: FloatArray, correlation: FloatArray | None = None) -> CovarianceSquareRoot:
+    def of(
+        sigmas: FloatArray, correlation: FloatArray | None = None, shared: FloatArray | None = None
+    ) -> CovarianceSquareRoot:
         """Return the square root for standard uncertainties (p,) and correlations (p, p); None: independent.
+
+        ``shared``: effects of shared terms, (p, terms), see ``shared_effects``; None: there is no term.
 
         A parameter without correlations has one factor of its own. Each block of correlated parameters has as many
         factors as its rank.
@@ -160,14 +183,15 @@ class CovarianceSquareRoot:
             spans[block, 2] = stored + count * np.arange(block.size)
             coefficients.append(root.ravel())
             factors, stored = factors + count, stored + root.size
-        return CovarianceSquareRoot(spans, np.concatenate(coefficients), factors)
+        shared = np.zeros((sigmas.size, 0)) if shared is None else shared
+        return CovarianceSquareRoot(spans, np.concatenate(coefficients), factors, shared)
 
     def dense(self) -> FloatArray:
-        """Return the square root as a matrix, (p, factor_count)."""
+        """Return the square root as a matrix, (p, factor_count + terms)."""
         matrix = np.zeros((len(self.spans), self.factor_count))
         for row, (first, count, begin) in zip(matrix, self.spans, strict=True):
             row[first : first + count] = self.coefficients[begin : begin + count]
-        return matrix
+        return np.hstack([matrix, self.shared])
 
 
 def _correlated_blocks(parameters: IntArray, correlation: FloatArray | None) -> list[IntArray]:

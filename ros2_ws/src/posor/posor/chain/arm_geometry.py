@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import chain
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -12,7 +13,7 @@ if TYPE_CHECKING:
     from posor.chain.joint_measurements import RecordArray
     from posor.chain.measuring_beam import MeasuringBeam
     from posor.chain.robot_model import RobotModel
-    from posor.numerics.array_types import FloatArray
+    from posor.numerics.array_types import FloatArray, IntArray
 
 NO_INDEX = -1
 ELEMENT = np.dtype([("joint", np.int64), ("beam", np.int64), ("rotation", float, (3, 3)), ("translation", float, 3)])
@@ -41,6 +42,10 @@ class ArmGeometry(NamedTuple):
     joint_origins: FloatArray  # rotation of each joint's origin in its parent link, (j, 3, 3)
     joint_positions: FloatArray  # each joint's origin in its parent link [m], (j, 3)
     gravity: FloatArray  # [m/s^2], (3,), axes of the base
+    # Shared terms: T of a joint at most, K of the arm
+    joint_terms: IntArray  # which of the arm's terms each term of a joint is, (j, T); ``NO_INDEX``: none
+    beam_effects: FloatArray  # ``MeasuringBeam.shared_effects``, (K, b, 6)
+    beam_sags: FloatArray  # gain of the sag times its change, (K, b, 6, 3), as ``MeasuringBeam.sag_gain``
 
     @classmethod
     def from_model(cls, robot: RobotModel, beams: Sequence[MeasuringBeam], gravity: FloatArray) -> ArmGeometry:
@@ -65,6 +70,25 @@ class ArmGeometry(NamedTuple):
             np.array([joint.T_parent_joint.rotation for joint in robot.joints]),
             np.array([joint.T_parent_joint.translation for joint in robot.joints]),
             np.array(gravity, dtype=float),
+            np.zeros((len(robot.joints), 0), dtype=np.int64),
+            np.zeros((0, len(beams), 6)),
+            np.zeros((0, len(beams), 6, 3)),
+        )
+
+    def with_terms(
+        self, beams: Sequence[MeasuringBeam], of_joints: Sequence[Sequence[str]]
+    ) -> tuple[tuple[str, ...], ArmGeometry]:
+        """Return the names of all shared terms, and the same arm with them; ``of_joints``: names of each joint's."""
+        names = tuple(dict.fromkeys(chain(*(beam.shared_effects for beam in beams), *of_joints)))
+        of_joint = np.full((len(of_joints), max(map(len, of_joints), default=0)), NO_INDEX, dtype=np.int64)
+        for row, own in zip(of_joint, of_joints, strict=True):
+            row[: len(own)] = [names.index(name) for name in own]
+        effects = [[beam.shared_effects.get(name, np.zeros(6)) for beam in beams] for name in names]
+        sags = [[beam.shared_sags.get(name, 0.0) * beam.sag_gain for beam in beams] for name in names]
+        return names, self._replace(
+            joint_terms=of_joint,
+            beam_effects=np.reshape(effects, (len(names), len(beams), 6)).astype(float),
+            beam_sags=np.reshape(sags, (len(names), len(beams), 6, 3)).astype(float),
         )
 
 

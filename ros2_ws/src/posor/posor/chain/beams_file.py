@@ -3,7 +3,8 @@
 Versions of the format:
 
 1. First version: ``gravity`` and ``beams``, each with ``uncertainty`` and, where it sags, ``sag``. Still read.
-2. ``temperature`` of a beam: coefficient of expansion, and largest deviation from the temperature of the URDF.
+2. ``temperature`` of a beam: coefficient of expansion, and largest deviation from the temperature of the URDF;
+   ``shared``: errors that several beams share, also with calibrations.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from pydantic import Field, model_validator
 from posor.calibration.calibration_file import Provenance
 from posor.calibration.file_model import EntryError, FrozenModel
 from posor.calibration.quantity import Quantity, measured
+from posor.calibration.shared_terms import SharedQuantity, SharedTerm, check_shared_terms
 from posor.calibration.yaml_document import parse_document, read_text
 
 if TYPE_CHECKING:
@@ -133,9 +135,13 @@ class BeamsFile(FrozenModel):
     provenance: Provenance
     gravity: Annotated[Quantity, measured("m/s^2", 3)] = Quantity(value=[0.0, 0.0, -STANDARD_GRAVITY], unit="m/s^2")
     beams: Annotated[list[BeamFile], Field(min_length=1)]
+    shared: dict[str, SharedTerm] = Field(default_factory=dict)
 
     @model_validator(mode="after")
     def _check_version(self) -> Self:
+        if self.shared and self.version < VERSION:
+            what = f"shared in a file of version {self.version}"
+            raise EntryError(what, key=("shared",), expected=f"version {VERSION}")
         for index, beam in enumerate(self.beams):
             if beam.temperature is not None and self.version < VERSION:
                 what, key = f"temperature in a file of version {self.version}", ("beams", index, "temperature")
@@ -149,6 +155,15 @@ class BeamsFile(FrozenModel):
             if beam.joint in seen:
                 raise EntryError(f"duplicate beam '{beam.joint}'", key=("beams", index), expected="each beam once")
             seen.add(beam.joint)
+        return self
+
+    @model_validator(mode="after")
+    def _check_shared(self) -> Self:
+        """Check the terms: they may change ``position``, ``orientation`` and ``sag`` of a beam, after its name."""
+        positions = {f"{beam.joint}.position": SharedQuantity("m", (3,)) for beam in self.beams}
+        orientations = {f"{beam.joint}.orientation": SharedQuantity("rad", (3,)) for beam in self.beams}
+        sags = {f"{beam.joint}.sag": SharedQuantity("1", ()) for beam in self.beams if beam.sag is not None}
+        check_shared_terms(self.shared, positions | sags, positions | orientations)
         return self
 
 

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
     from posor.chain.arm_geometry import ArmGeometry
     from posor.chain.joint_measurements import JointRowLayout, MeasuredJoint
+    from posor.chain.measuring_beam import MeasuringBeam
     from posor.numerics.array_types import FloatArray, IntArray
 
 
@@ -51,6 +52,7 @@ class EndpointEstimator:
         covariance_systematic: Of the same, (6, 6), as ``Endpoint.covariance_systematic``.
         angles: Joint angles about the nominal axes [rad], (j,).
         faults: Of the joints, (j,): zero, or a key of ``joint_measurements.FAULT_TEXTS``.
+        shared_terms: Names of the shared terms of beams and joints, see ``use_terms``.
         relative_pose: Endpoint in the axes at home, (7,), written by ``estimate_relative_to``.
         relative_covariance_random: Of the same, (6, 6).
         relative_covariance_systematic: Of the same, (6, 6).
@@ -63,12 +65,13 @@ class EndpointEstimator:
         joints: tuple[str, ...],
         acceleration_window: float = 0.0,
         row_layouts: Sequence[JointRowLayout] = (),
+        beams: Sequence[MeasuringBeam] = (),
     ) -> None:
         """Allocate all arrays.
 
         ``joints``: names of its joints; ``acceleration_window``: time over which the accelerations of the beams are
         estimated [s]; zero: they are those in ``accelerations``, at first zero; ``row_layouts``: layouts of the joints'
-        rows, for ``estimate_rows``.
+        rows, for ``estimate_rows``; ``beams``: its measuring beams.
         """
         self.joints = joints
         self._arm = arm
@@ -78,27 +81,53 @@ class EndpointEstimator:
         self._relative = self._endpoints.with_own_poses()
         self._rows = JointRows.allocate(row_layouts)
         self.rows = self._rows.octets
-        self._stamp_ns, *measured = self._measurements
+        self._stamp_ns, *measured = self._measurements[:5]
         self.poses, self.covariances_random, self.covariances_systematic, self.thetas = (array[0] for array in measured)
         self.accelerations = self._history.accelerations.reshape(-1, 3)
         self.beam_transforms = self._history.transforms
         for row, beam in zip(self.beam_transforms, arm.beams, strict=True):  # without sag; stays of beams off the way
             row[:] = pin.SE3ToXYZQUAT(pin.SE3(beam["rotation"], beam["translation"]))
         self.pose, self.covariance_random, self.covariance_systematic, self.angles, self.faults = (
-            array[0] for array in self._endpoints
+            array[0] for array in self._endpoints[:5]
         )
         self.relative_pose, self.relative_covariance_random, self.relative_covariance_systematic = (
             array[0] for array in self._relative[:3]
         )
+        self._beams = beams
+        self._joint_terms: list[tuple[str, ...]] = [()] * len(joints)
+        self.shared_terms: tuple[str, ...] = ()
         self._prepare_arguments()
+        if any(beam.shared_effects for beam in beams):
+            self._set_terms(self._joint_terms)
         self._estimate = compile_for(estimate_endpoints, self._arguments)
         self._estimate_rows = compile_for(estimate_endpoint_of_rows, self._row_arguments)
+
+    def use_terms(self, of_joints: list[tuple[str, ...]]) -> None:
+        """Take the names of each joint's shared terms, in the order of its effects, from the next scan on."""
+        if of_joints != self._joint_terms:
+            self._set_terms(of_joints)
+
+    def _set_terms(self, of_joints: list[tuple[str, ...]]) -> None:
+        self._joint_terms = of_joints
+        self.shared_terms, self._arm = self._arm.with_terms(self._beams, of_joints)
+        most, count = self._arm.joint_terms.shape[1], len(self.shared_terms)
+        self._measurements = self._measurements._replace(shared_effects=np.zeros((1, len(of_joints), most, 6)))
+        self._endpoints, self._relative = (
+            each._replace(shared_effects=np.full((1, count, 6), np.nan)) for each in (self._endpoints, self._relative)
+        )
+        self._prepare_arguments()
+
+    @property
+    def shared_effects(self) -> dict[str, FloatArray]:
+        """Change of the endpoint by one standard uncertainty of each shared term, by name, (6,), axes of the base."""
+        return dict(zip(self.shared_terms, self._endpoints.shared_effects[0].copy(), strict=True))
 
     def set_measurements(self, measured: Mapping[str, MeasuredJoint]) -> None:
         """Fill ``poses`` and both covariances with measurements by joint name.
 
         Raises ChainError: the measurement of a joint is missing.
         """
+        self.use_terms([tuple(measured[name].shared_effects) if name in measured else () for name in self.joints])
         for number, name in enumerate(self.joints):
             if name not in measured:
                 raise ChainError(
@@ -109,6 +138,8 @@ class EndpointEstimator:
             self.poses[number] = pin.SE3ToXYZQUAT(measured[name].T_parent_child)
             self.covariances_random[number] = measured[name].covariance_random
             self.covariances_systematic[number] = measured[name].covariance_systematic
+            for k, effect in enumerate(measured[name].shared_effects.values()):
+                self._measurements.shared_effects[0, number, k] = effect
 
     def estimate(self, stamp_ns: int = 0) -> bool:
         """Estimate the endpoint from ``poses``, both covariances and ``thetas``; return whether there is one.
@@ -134,12 +165,14 @@ class EndpointEstimator:
         covariances_systematic: FloatArray,
         stamps_ns: IntArray | None = None,
         thetas: FloatArray | None = None,
+        shared_effects: FloatArray | None = None,
     ) -> Endpoints:
         """Return the endpoints of n scans, bit for bit as ``estimate`` gives them one after the other.
 
         Of the attributes only ``accelerations`` are used. ``poses``: (n, j, 7), ``covariances_random`` and
         ``covariances_systematic``: (n, j, 6, 6), as the attributes; ``stamps_ns``: times of the scans, (n,); required
-        with an acceleration window; ``thetas``: (n, j), as the attribute; None: turns are not counted. Raises
+        with an acceleration window; ``thetas``: (n, j), as the attribute; None: turns are not counted;
+        ``shared_effects``: (n, j, T, 6) for the terms of ``use_terms``, T the largest number of a joint. Raises
         ChainError: an array has the wrong shape, or there is an acceleration window but no stamps.
         """
         count, joints = len(poses), len(self.joints)
@@ -148,23 +181,26 @@ class EndpointEstimator:
                 raise ChainError("the endpoints of an arm in motion need stamps", expected=f"{count} stamps")
             stamps_ns = np.zeros(count, dtype=np.int64)
         thetas = np.full((count, joints), np.nan) if thetas is None else thetas
+        terms = self._arm.joint_terms.shape[1]
+        shared = np.zeros((count, joints, terms, 6)) if shared_effects is None else shared_effects
         shapes = {
             "stamps_ns": (stamps_ns, (count,)),
             "poses": (poses, (count, joints, 7)),
             "covariances_random": (covariances_random, (count, joints, 6, 6)),
             "covariances_systematic": (covariances_systematic, (count, joints, 6, 6)),
             "thetas": (thetas, (count, joints)),
+            "shared_effects": (shared, (count, joints, terms, 6)),
         }
         for name, (array, shape) in shapes.items():
             if array.shape != shape:
                 raise ChainError(f"{name} of shape {array.shape}", where="the chain", expected=f"{shape}")
         # The kernel is compiled for exactly these array types; read-only arrays are copied.
-        numbers = poses, covariances_random, covariances_systematic, thetas
+        numbers = poses, covariances_random, covariances_systematic, thetas, shared
         measurements = JointMeasurements(
             np.require(stamps_ns, np.int64, ["C", "A", "W"]),
             *(np.require(array, np.float64, ["C", "A", "W"]) for array in numbers),
         )
-        endpoints, done = Endpoints.allocate(count, joints), 0
+        endpoints, done = Endpoints.allocate(count, joints, len(self.shared_terms)), 0
         while (done := self._estimate(self._arm, self._history, measurements, endpoints, done)) < count:
             self._enlarge_history()
         return endpoints

@@ -3,6 +3,11 @@
 The covariance of a point is of x, y, z [m], about X, Y, Z [rad], axes of the base, the small turn applied on the base's
 side at the point. It is propagated from joint to joint as ``Blocks``: position, position and turn, turn. The random
 part (white from scan to scan) and the systematic part (common to all scans, with that of the beams) go separate ways.
+The effects of a shared term are taken out of the joints' covariances, and added over joints and beams before the sum is
+squared: with A_j from a shift of joint j to one of the endpoint, e_jk the effect of term k on the joint and b_k that on
+the beams, the systematic covariance is
+
+    sum_j A_j (S_j - sum_k e_jk e_jk') A_j' + beams + sum_k (sum_j A_j e_jk + b_k) (sum_j A_j e_jk + b_k)'
 
 Checked against pinocchio's forward kinematics and Jacobian by ``test/chain/test_endpoint_estimator.py``.
 """
@@ -15,7 +20,7 @@ from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 import numpy as np
 
 from posor.chain.beam_acceleration import append_centres, estimate_accelerations, forget_after_gap, has_free_row
-from posor.chain.joint_measurements import ENDPOINT_NOT_FINITE, measurement_fault, read_row
+from posor.chain.joint_measurements import ENDPOINT_NOT_FINITE, measurement_fault, read_row, shared_fault
 from posor.model.fault import USABLE_STATES
 from posor.numerics.compiled import in_place, inlined
 from posor.numerics.vector import (
@@ -63,9 +68,10 @@ class Endpoints(NamedTuple):
     covariances_systematic: FloatArray  # (n, 6, 6), as ``Endpoint.covariance_systematic``
     angles: FloatArray  # joint angles about the nominal axes [rad], (n, j)
     faults: IntArray  # (n, j): zero, or a key of ``joint_measurements.FAULT_TEXTS``
+    shared_effects: FloatArray  # change by one standard uncertainty of each shared term, (n, K, 6)
 
     @classmethod
-    def allocate(cls, scans: int, joints: int) -> Endpoints:
+    def allocate(cls, scans: int, joints: int, terms: int = 0) -> Endpoints:
         """Return NaN for all scans, without faults."""
         return cls(
             np.full((scans, 7), np.nan),
@@ -73,6 +79,7 @@ class Endpoints(NamedTuple):
             np.full((scans, 6, 6), np.nan),
             np.full((scans, joints), np.nan),
             np.zeros((scans, joints), dtype=np.int64),
+            np.full((scans, terms, 6), np.nan),
         )
 
     @property
@@ -93,7 +100,8 @@ class Endpoints(NamedTuple):
 
     def with_own_poses(self) -> Endpoints:
         """Return the same with NaN in new arrays of poses and covariances."""
-        return Endpoints.allocate(*self.angles.shape)._replace(angles=self.angles, faults=self.faults)
+        own = Endpoints.allocate(*self.angles.shape, self.shared_effects.shape[1])
+        return own._replace(angles=self.angles, faults=self.faults)
 
 
 @inlined
@@ -165,15 +173,56 @@ def _added(triangle: UpperTriangle, block: Matrix) -> UpperTriangle:
 
 
 @inlined
-def add_outer_product(blocks: Blocks, shift: Vector, turn: Vector) -> Blocks:
-    """Return the sum with the covariance of one standard deviation along a shift [m] and a turn [rad], axes of base."""
+def add_outer_product(blocks: Blocks, sign: float, shift: Vector, turn: Vector) -> Blocks:
+    """Return the sum with the covariance of one standard deviation along a shift [m] and a turn [rad], axes of base.
+
+    ``sign``: 1, or -1 for the difference.
+    """
     position, mixed, turns = blocks
     x, y, z = mixed
+    a, b, c = times(sign, shift)
     return (
-        _added(position, (times(shift[0], shift), times(shift[1], shift), times(shift[2], shift))),
-        (plus(x, times(shift[0], turn)), plus(y, times(shift[1], turn)), plus(z, times(shift[2], turn))),
-        _added(turns, (times(turn[0], turn), times(turn[1], turn), times(turn[2], turn))),
+        _added(position, (times(a, shift), times(b, shift), times(c, shift))),
+        (plus(x, times(a, turn)), plus(y, times(b, turn)), plus(z, times(c, turn))),
+        _added(turns, (times(sign * turn[0], turn), times(sign * turn[1], turn), times(sign * turn[2], turn))),
     )
+
+
+@inlined
+def _move_effects(effects: FloatArray, lever: Vector) -> None:
+    """Replace effects on a point (K, 6) by those on another point of the same body, ``lever`` [m] away."""
+    for k in range(effects.shape[0]):
+        put(effects, k, 0, plus(within(effects, k, 0), cross(within(effects, k, 3), lever)))
+
+
+@inlined
+def _separate_joint_terms(
+    systematic: Blocks, terms: IntArray, own: FloatArray, parent: Matrix, effects: FloatArray
+) -> Blocks:
+    """Take the shared terms (T,) of a joint, effects ``own`` (T, 6), out of the sum; add them to ``effects`` (K, 6)."""
+    for t in range(terms.shape[0]):
+        k = terms[t]
+        if k >= 0:
+            shift, turn = applied(parent, within(own, t, 0)), applied(parent, within(own, t, 3))
+            systematic = add_outer_product(systematic, -1.0, shift, turn)
+            _add_effect(effects, k, shift, turn)
+    return systematic
+
+
+@inlined
+def _add_beam_terms(arm: ArmGeometry, b: int, force: Vector, parent: Matrix, effects: FloatArray) -> None:
+    """Add the shared terms of a beam under a specific force [m/s^2] to ``effects`` (K, 6)."""
+    for k in range(effects.shape[0]):
+        own, sag = arm.beam_effects[k], arm.beam_sags[k, b]
+        shift = plus(within(own, b, 0), applied(matrix(sag, 0), force))
+        turn = plus(within(own, b, 3), applied(matrix(sag, 3), force))
+        _add_effect(effects, k, applied(parent, shift), applied(parent, turn))
+
+
+@inlined
+def _add_effect(effects: FloatArray, k: int, shift: Vector, turn: Vector) -> None:
+    put(effects, k, 0, plus(within(effects, k, 0), shift))
+    put(effects, k, 3, plus(within(effects, k, 3), turn))
 
 
 @inlined
@@ -217,6 +266,10 @@ def compute_endpoint(
     rotation = unbent = IDENTITY
     last = translation = (0.0, 0.0, 0.0)
     random = systematic = ZERO_COVARIANCE
+    effects, own_effects = endpoints.shared_effects[scan], measurements.shared_effects[scan]
+    for k in range(effects.shape[0]):
+        for i in range(6):
+            effects[k, i] = 0.0
     for n in range(arm.elements.shape[0]):
         element = arm.elements[n]
         fixed = matrix(element["rotation"], 0)
@@ -231,6 +284,8 @@ def compute_endpoint(
             lever = minus(translation, last)
             random = add_rotated(moved_along(random, lever), parent, random_parts[j])
             systematic = add_rotated(moved_along(systematic, lever), parent, systematic_parts[j])
+            _move_effects(effects, lever)
+            systematic = _separate_joint_terms(systematic, arm.joint_terms[j], own_effects[j], parent, effects)
         elif b >= 0:
             beam = arm.beams[b]
             half_span = times(0.5, applied(rotation, at(beam["translation"], 0)))
@@ -246,11 +301,16 @@ def compute_endpoint(
             systematic = add_rotated(moved_along(systematic, lever), parent, beam["covariance"])
             shift = applied(parent, applied(matrix(beam["sigma_shift_gain"], 0), force))
             turn_vector = applied(parent, applied(matrix(beam["sigma_turn_gain"], 0), force))
-            systematic = add_outer_product(systematic, shift, turn_vector)
+            systematic = add_outer_product(systematic, 1.0, shift, turn_vector)
+            _move_effects(effects, lever)
+            _add_beam_terms(arm, b, force, parent, effects)
         else:
             lever = minus(translation, last)
             random, systematic = moved_along(random, lever), moved_along(systematic, lever)
+            _move_effects(effects, lever)
         last = translation
+    for k in range(effects.shape[0]):
+        systematic = add_outer_product(systematic, 1.0, within(effects, k, 0), within(effects, k, 3))
     write_covariance(random, endpoints.covariances_random[scan])
     write_covariance(systematic, endpoints.covariances_systematic[scan])
     write_pose(rotation, translation, endpoints.poses[scan])
@@ -290,7 +350,9 @@ def estimate_endpoints(
         usable = True
         for j in range(faults.shape[0]):
             theta, origin = measurements.thetas[n, j], arm.joint_positions[j]
-            faults[j] = measurement_fault(poses[j], random[j], systematic[j], theta, origin, scratch)
+            faults[j] = measurement_fault(poses[j], random[j], systematic[j], theta, origin, scratch) or shared_fault(
+                measurements.shared_effects[n, j], systematic[j]
+            )
             usable = usable and faults[j] == 0
         if not usable:
             write_nan(endpoints, n)
@@ -333,6 +395,10 @@ def estimate_endpoint_of_rows(
         measurements.thetas[0, j] = read_row(
             rows.layouts, j, rows.numbers[j], measurements.poses[0, j], random, systematic
         )
+        shared, first = measurements.shared_effects[0, j], rows.layouts[j]["shared"]
+        for t in range(shared.shape[0]):
+            for i in range(6):
+                shared[t, i] = rows.numbers[j, first + 6 * t + i] if arm.joint_terms[j, t] >= 0 else 0.0
     if estimate_endpoints(arm, history, measurements, endpoints, 0) == 0:
         return HISTORY_FULL
     return UNUSABLE if math.isnan(endpoints.poses[0, 0]) else worst
@@ -357,6 +423,8 @@ def write_nan(endpoints: Endpoints, n: int) -> None:
     for i in range(6):
         for k in range(6):
             endpoints.covariances_random[n, i, k] = endpoints.covariances_systematic[n, i, k] = math.nan
+        for t in range(endpoints.shared_effects.shape[1]):
+            endpoints.shared_effects[n, t, i] = math.nan
     for j in range(endpoints.angles.shape[1]):
         endpoints.angles[n, j] = math.nan
 
@@ -372,3 +440,6 @@ def write_relative(home: FloatArray, endpoints: Endpoints, relative: Endpoints) 
         systematic = add_rotated(ZERO_COVARIANCE, back, endpoints.covariances_systematic[n])
         write_covariance(random, relative.covariances_random[n])
         write_covariance(systematic, relative.covariances_systematic[n])
+        for k in range(endpoints.shared_effects.shape[1]):
+            put(relative.shared_effects[n], k, 0, applied(back, within(endpoints.shared_effects[n], k, 0)))
+            put(relative.shared_effects[n], k, 3, applied(back, within(endpoints.shared_effects[n], k, 3)))

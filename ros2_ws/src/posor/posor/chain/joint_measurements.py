@@ -14,7 +14,7 @@ from posor.numerics.compiled import inlined
 from posor.numerics.vector import rotation_of_pose
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     import pinocchio as pin
 
@@ -27,6 +27,7 @@ MAX_OFFSET = 0.02
 MAX_VARIANCE = 100.0  # largest variance [m^2], [rad^2]; a greater one is useless and may overflow along the arm
 POSE_NOT_FINITE, QUATERNION_NOT_UNIT, COVARIANCE_NOT_FINITE, NATIVE_DISAGREES, POSE_TOO_FAR = 1, 2, 3, 4, 5
 VARIANCE_TOO_LARGE, COVARIANCE_NOT_SYMMETRIC, COVARIANCE_NOT_POSITIVE, ENDPOINT_NOT_FINITE = 6, 7, 8, 9
+SHARED_TOO_LARGE = 10
 FAULT_TEXTS = {  # why a joint's measurement cannot be used, by its fault in ``Endpoints.faults``
     POSE_NOT_FINITE: "has a pose that is not finite",
     QUATERNION_NOT_UNIT: "has an orientation that is not a unit quaternion",
@@ -37,6 +38,7 @@ FAULT_TEXTS = {  # why a joint's measurement cannot be used, by its fault in ``E
     COVARIANCE_NOT_SYMMETRIC: "has a covariance that is not symmetric",
     COVARIANCE_NOT_POSITIVE: "has a covariance that is not positive semi-definite",
     ENDPOINT_NOT_FINITE: "gives an endpoint that is not finite",
+    SHARED_TOO_LARGE: "has effects of shared terms that exceed its systematic covariance",
 }
 UNIT_QUATERNION_TOLERANCE = 1e-6  # largest difference of a quaternion's length from one
 NATIVE_TOLERANCE = 1e-8  # largest difference of native angles from the pose [rad]; x, y and gap are equal
@@ -45,7 +47,7 @@ PIVOT_TOLERANCE = 1e-9  # part of a variance that counts as rounding in the test
 LARGEST_FLOAT = sys.float_info.max
 
 ROW_LAYOUT = np.dtype(
-    [(name, np.int64) for name in ("pose", "native", "covariance_random", "covariance_systematic", "state")]
+    [(name, np.int64) for name in ("pose", "native", "covariance_random", "covariance_systematic", "shared", "state")]
 )
 """Where a row of message bytes holds its fields: indices of 8-byte numbers, and of the byte ``state``."""
 
@@ -60,6 +62,9 @@ class MeasuredJoint:
     covariance_random: FloatArray = field(default_factory=lambda: np.zeros((6, 6)))
     # The same, common to all scans of one calibration
     covariance_systematic: FloatArray = field(default_factory=lambda: np.zeros((6, 6)))
+    # Change of the pose by one standard uncertainty of each shared term, by name, (6,); its square is in the systematic
+    # covariance
+    shared_effects: Mapping[str, FloatArray] = field(default_factory=dict)
 
 
 class JointMeasurements(NamedTuple):
@@ -70,14 +75,16 @@ class JointMeasurements(NamedTuple):
     covariances_random: FloatArray  # as ``MeasuredJoint.covariance_random``, (n, j, 6, 6)
     covariances_systematic: FloatArray  # as ``MeasuredJoint.covariance_systematic``, (n, j, 6, 6)
     thetas: FloatArray  # counted large rotations [rad], (n, j); NaN: not counted; infinite: see NATIVE_DISAGREES
+    shared_effects: FloatArray  # as ``MeasuredJoint.shared_effects``, (n, j, T, 6), see ``ArmGeometry.joint_terms``
 
     @classmethod
-    def allocate(cls, scans: int, joints: int) -> JointMeasurements:
+    def allocate(cls, scans: int, joints: int, terms: int = 0) -> JointMeasurements:
         """Return measurements at the identity, without covariances and without a counted theta."""
         poses = np.zeros((scans, joints, 7))
         poses[..., 6] = 1.0
         random, systematic = np.zeros((2, scans, joints, 6, 6))
-        return cls(np.zeros(scans, dtype=np.int64), poses, random, systematic, np.full((scans, joints), np.nan))
+        thetas, shared = np.full((scans, joints), np.nan), np.zeros((scans, joints, terms, 6))
+        return cls(np.zeros(scans, dtype=np.int64), poses, random, systematic, thetas, shared)
 
 
 @dataclass(frozen=True)
@@ -88,6 +95,7 @@ class JointRowLayout:
     native: int  # six native coordinates, of which the counted large rotation [rad] is the last, likewise
     covariance_random: int  # 36 numbers, row by row, likewise
     covariance_systematic: int  # the same
+    shared: int  # six numbers for each shared term, likewise
     state: int  # ``State``, one byte
     size: int  # length of the row
 
@@ -97,7 +105,7 @@ class JointRowLayout:
 
         Raises ValueError: the offset of a number is not a multiple of 8.
         """
-        numbers = self.pose, self.native, self.covariance_random, self.covariance_systematic
+        numbers = self.pose, self.native, self.covariance_random, self.covariance_systematic, self.shared
         if any(offset % 8 for offset in numbers):
             message = f"{self}: expected offsets of numbers that are multiples of 8"
             raise ValueError(message)
@@ -185,6 +193,18 @@ def measurement_fault(
     if math.isinf(theta):
         return NATIVE_DISAGREES
     return covariance_fault(random, scratch) or covariance_fault(systematic, scratch)
+
+
+@inlined
+def shared_fault(shared: FloatArray, systematic: FloatArray) -> int:
+    """Return a key of ``FAULT_TEXTS`` where effects of shared terms (T, 6) are not part of a covariance; else zero."""
+    for i in range(6):
+        total = 0.0
+        for t in range(shared.shape[0]):
+            total += shared[t, i] * shared[t, i]
+        if not total <= systematic[i, i] * (1.0 + PIVOT_TOLERANCE):
+            return SHARED_TOO_LARGE
+    return 0
 
 
 @inlined

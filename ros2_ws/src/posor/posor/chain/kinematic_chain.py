@@ -7,7 +7,7 @@ covariance is that of the beams file. ``chain.forward_kinematics`` computes the 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -40,6 +40,8 @@ class Endpoint:
     # applied on the base's side at the endpoint (ROS order, REP-103)
     covariance_random: FloatArray
     covariance_systematic: FloatArray  # the same, from calibrations and beams, common to all scans
+    # Change of the endpoint by one standard uncertainty of each shared term, by name, (6,), likewise
+    shared_effects: Mapping[str, FloatArray] = field(default_factory=dict)
 
     def covariance(self) -> FloatArray:
         """Return the sum of both covariances, (6, 6)."""
@@ -71,6 +73,7 @@ class Chain:
         fixed_transforms: The fixed joints of the URDF that are no beams of the beams file.
         urdf: The robot description (XML text).
         gravity: [m/s^2], (3,), in the base frame.
+        shared: Shared terms of the beams file, by name.
 
     """
 
@@ -96,9 +99,10 @@ class Chain:
         self.joints = self._robot.joints
         self.urdf = urdf
         self.beam_joints = self._robot.freed
+        self.shared = {} if beams is None else beams.shared
         self.fixed_transforms = self._robot.fixed_transforms()
         self.beams = tuple(
-            MeasuringBeam(beam, joint.T_parent_joint, beams_source)
+            MeasuringBeam(beam, joint.T_parent_joint, beams_source, self.shared)
             for beam, joint in zip(entries, self.beam_joints, strict=True)
         )
         self.gravity: FloatArray = np.array([0.0, 0.0, -STANDARD_GRAVITY]) if beams is None else beams.gravity.array
@@ -154,7 +158,8 @@ class Chain:
     ) -> Endpoint:
         """Return pose and covariances of the endpoint, corrected for the sag of the beams.
 
-        ``measured``: measurement of each floating joint, by joint name. Joints are taken as independent;
+        ``measured``: measurement of each floating joint, by joint name. Joints are taken as independent
+        but for shared terms;
         ``accelerations``: accelerations of beams [m/s^2], (3,), axes of the base, by name; a beam without is at rest.
         Raises ChainError: the measurement of a joint is missing or invalid.
         """
@@ -165,7 +170,7 @@ class Chain:
         if not estimator.estimate():
             raise ChainError(estimator.fault_text(), where="the chain", expected="numbers that can be used")
         covariances = estimator.covariance_random.copy(), estimator.covariance_systematic.copy()
-        return Endpoint(pin.XYZQUATToSE3(estimator.pose), *covariances)
+        return Endpoint(pin.XYZQUATToSE3(estimator.pose), *covariances, estimator.shared_effects)
 
     def estimate_all(
         self,
@@ -190,7 +195,7 @@ class Chain:
         measurements, for ``EndpointEstimator.estimate_rows``.
         """
         names = tuple(joint.name for joint in self.joints)
-        return EndpointEstimator(self._geometry, names, acceleration_window, row_layouts)
+        return EndpointEstimator(self._geometry, names, acceleration_window, row_layouts, self.beams)
 
 
 def load_chain(urdf: Path, endpoint_frame: str, beams: Path | None = None) -> Chain:

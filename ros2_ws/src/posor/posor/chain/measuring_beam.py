@@ -13,10 +13,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pinocchio as pin
 
+from posor.calibration.shared_terms import effect_on
 from posor.chain.beam_bending import PointForce, Tube, on_gimbals
 from posor.errors import ChainError
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from posor.calibration.shared_terms import SharedTerm
     from posor.chain.beams_file import BeamFile, SagFile
     from posor.numerics.array_types import FloatArray
 
@@ -35,14 +39,20 @@ class MeasuringBeam:
         start_gain: (6, 3): translation [m] and rotation vector [rad] of the plate at the start, axes of the start, for
             a specific force [m/s^2] in the same axes, counted from the line through the gimbals.
         end_gain: (6, 3): the same of the plate at the end.
+        shared_effects: By name of a shared term: change of the end by one standard uncertainty, (6,) as ``covariance``,
+            which does not contain the terms; the change of the sag apart.
+        shared_sags: The same: relative change of the sag.
 
     """
 
-    def __init__(self, entry: BeamFile, T_start_end: pin.SE3, source: str) -> None:
+    def __init__(
+        self, entry: BeamFile, T_start_end: pin.SE3, source: str, shared: Mapping[str, SharedTerm] | None = None
+    ) -> None:
         """Create the beam from its entries in the beams file and in the URDF.
 
         ``entry``: its entry in the beams file; ``T_start_end``: origin of its fixed joint; ``source``: name of the
-        beams file in errors. Raises ChainError: a gimbal or plate is beyond the ends of the beam.
+        beams file in errors; ``shared``: the file's shared terms. Raises ChainError: a gimbal or plate is beyond the
+        ends of the beam.
         """
         self.name = entry.joint
         self.T_start_end = T_start_end
@@ -58,6 +68,13 @@ class MeasuringBeam:
         if entry.sag is not None:
             self.sag_sigma = entry.sag.uncertainty.number
             self._compute_gains(entry.sag, f"{source}, beam '{entry.joint}'")
+        self.shared_effects: dict[str, FloatArray] = {}
+        self.shared_sags: dict[str, float] = {}
+        for name, term in (shared or {}).items():
+            shift = effect_on(term, f"{entry.joint}.position", T_start_end.translation)
+            turn = effect_on(term, f"{entry.joint}.orientation", np.zeros(3))
+            self.shared_effects[name] = np.concatenate([shift, turn])
+            self.shared_sags[name] = float(effect_on(term, f"{entry.joint}.sag", np.ones(())))
 
     def _compute_gains(self, sag: SagFile, where: str) -> None:
         length = float(np.linalg.norm(self.T_start_end.translation))
@@ -94,6 +111,11 @@ class MeasuringBeam:
             return self.covariance
         sag = self.sag_sigma * (self.sag_gain @ force)
         return self.covariance + np.outer(sag, sag)
+
+    def shared_effects_under(self, force: FloatArray) -> dict[str, FloatArray]:
+        """Return the changes of ``T_under`` by one standard uncertainty of each shared term, by name, (6,)."""
+        sag = self.sag_gain @ force
+        return {name: effect + self.shared_sags[name] * sag for name, effect in self.shared_effects.items()}
 
     @property
     def sag_gain(self) -> FloatArray:

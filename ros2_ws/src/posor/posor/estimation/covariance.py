@@ -9,6 +9,8 @@ With the rows' derivatives J, the readings' variances R (random, diagonal) and G
   covariance (``calibration.parameter_covariance``). Then S = B B', with B the derivatives of the readings with respect
   to the factors. A factor that reaches only one reading adds to the variance of that reading and needs no column of B.
   Which products are needed is found once for the selected rows and holds as long as the scans read the same rows.
+  A shared term of the calibration file (``calibration.shared_terms``) is one more factor; its effect on the pose is
+  kept beside the sum, because the chain adds the effects of all joints before it squares them.
 
 Both are turned from the local tangent into ROS order: x, y, z, about X, Y, Z along the axes of R, the small turn
 applied on the parent's side at the origin of T.
@@ -28,7 +30,7 @@ from posor.numerics.matrix import (
     multiply_vector,
     product_transposed,
 )
-from posor.numerics.vector import ZERO_MATRIX, ZERO_VECTOR, matrix, plus, put, row_times, times, within
+from posor.numerics.vector import ZERO_MATRIX, ZERO_VECTOR, applied, matrix, plus, put, row_times, times, within
 
 if TYPE_CHECKING:
     from posor.estimation.workspace import Model
@@ -82,14 +84,28 @@ def _write_in_parent_axes(local: Symmetric, axes: Matrix, out: FloatArray) -> No
 
 @inlined
 def _parameter_of(model: Model, reading: int, k: int) -> int:
-    """Return the parameter of derivative k of a reading, first those of its row, or -1 where it has no uncertainty."""
+    """Return the parameter of derivative k of a reading, first those of its row; -1: none."""
     if k < PARAMETERS:
-        parameter = model.row_parameters[model.workspace[0].active_rows[reading], k]
-    else:
-        parameter = model.linearisation_parameters[reading, k - PARAMETERS]
+        return int(model.row_parameters[model.workspace[0].active_rows[reading], k])
+    return int(model.linearisation_parameters[reading, k - PARAMETERS])
+
+
+@inlined
+def _uncertain_parameter_of(model: Model, reading: int, k: int) -> int:
+    """Return the same, or -1 where the parameter has no uncertainty of its own."""
+    parameter = _parameter_of(model, reading, k)
     if parameter >= 0 and model.parameter_factors[parameter].count == 0:
         parameter = -1
-    return int(parameter)
+    return parameter
+
+
+@inlined
+def _derivative_of(model: Model, reading: int, k: int) -> int:
+    """Return the index of derivative k of a reading in ``derivatives``."""
+    if k < PARAMETERS:
+        return reading * PARAMETERS + k
+    columns = model.linearisation_parameters.shape[1]
+    return int(model.workspace[0].reading_count * PARAMETERS + reading * columns + k - PARAMETERS)
 
 
 @in_place
@@ -102,7 +118,7 @@ def find_contributions(model: Model) -> None:  # noqa: C901  loops over plain nu
         model.factor_uses[f].column = -1
     for r in range(m):
         for k in range(length):
-            parameter = _parameter_of(model, r, k)
+            parameter = _uncertain_parameter_of(model, r, k)
             if parameter >= 0:
                 use = model.factor_uses[model.parameter_factors[parameter].first_factor]
                 use.uses += 1
@@ -122,7 +138,7 @@ def find_contributions(model: Model) -> None:  # noqa: C901  loops over plain nu
             if block.first_reading <= r <= block.last_reading:
                 workspace.first_correlated[r] = min(workspace.first_correlated[r], block.first_reading)
                 workspace.end_correlated[r] = max(workspace.end_correlated[r], block.last_reading + 1)
-        if workspace.unmeasured != 0:  # see estimation.linearise
+        if workspace.unmeasured != 0 or model.shared_readings.shape[1] > 0:  # see estimation.linearise
             workspace.first_correlated[r], workspace.end_correlated[r] = 0, m
 
 
@@ -133,7 +149,7 @@ def _add_contributions(model: Model, shared: bool, next_coefficient: int) -> int
     next_column = 0
     for r in range(workspace.reading_count):
         for k in range(PARAMETERS + model.linearisation_parameters.shape[1]):
-            parameter = _parameter_of(model, r, k)
+            parameter = _uncertain_parameter_of(model, r, k)
             if parameter < 0:
                 continue
             factors = model.parameter_factors[parameter]
@@ -143,10 +159,7 @@ def _add_contributions(model: Model, shared: bool, next_coefficient: int) -> int
             contribution = model.contributions[workspace.contribution_count]
             contribution.reading, contribution.column = r, -1
             contribution.count, contribution.assigns = factors.count, 0
-            contribution.derivative = r * PARAMETERS + k
-            if k >= PARAMETERS:
-                columns = model.linearisation_parameters.shape[1]
-                contribution.derivative = workspace.reading_count * PARAMETERS + r * columns + k - PARAMETERS
+            contribution.derivative = _derivative_of(model, r, k)
             if shared:
                 if use.column < 0:
                     use.column = next_column
@@ -235,3 +248,42 @@ def _row_product(effects: FloatArray, i: int, j: int, first: int, count: int) ->
     for k in range(whole, first + count):
         a += effects[i, k] * effects[j, k]
     return (a + b) + (c + d)
+
+
+@in_place
+def add_shared_terms(model: Model) -> None:
+    """Write ``shared_readings`` [m] and add their covariance to ``systematic_readings``.
+
+    Without ``shared_coefficients`` (sensors in plain Python) the caller has done both.
+    """
+    workspace, by_term = model.workspace[0], model.shared_readings
+    m, terms = workspace.reading_count, by_term.shape[1]
+    if model.shared_coefficients.shape[0] == 0:
+        return
+    for r in range(m):
+        for t in range(terms):
+            by_term[r, t] = 0.0
+        for k in range(PARAMETERS + model.linearisation_parameters.shape[1]):
+            parameter = _parameter_of(model, r, k)
+            if parameter >= 0:  # ``derivatives`` are those of predictions minus readings
+                derivative = model.derivatives[_derivative_of(model, r, k)]
+                for t in range(terms):
+                    by_term[r, t] -= derivative * model.shared_coefficients[parameter, t]
+    for r in range(m):
+        for q in range(m):
+            for t in range(terms):
+                workspace.systematic_readings[r, q] += by_term[r, t] * by_term[q, t]
+
+
+@in_place
+def write_shared_effects(model: Model, out: FloatArray) -> None:
+    """Write the change of the pose by one standard uncertainty of each shared term, ROS order, (terms, 6)."""
+    workspace, by_term = model.workspace[0], model.shared_readings
+    axes = matrix(workspace.pose.rotation, 0)
+    for t in range(by_term.shape[1]):
+        v, w = ZERO_VECTOR, ZERO_VECTOR
+        for r in range(workspace.reading_count):
+            v = plus(v, times(by_term[r, t], within(workspace.gain, r, 0)))
+            w = plus(w, times(by_term[r, t], within(workspace.gain, r, 3)))
+        put(out, t, 0, applied(axes, v))
+        put(out, t, 3, applied(axes, w))

@@ -10,7 +10,7 @@ import numpy as np
 
 from posor.model.fault import Fault, State
 from posor.model.native_coordinates import native_from_rotation
-from posor.model.scan import Scans
+from posor.model.scan import MAX_TERMS, Scans
 from posor.numerics.stamps import NS, span_text
 
 if TYPE_CHECKING:
@@ -38,6 +38,7 @@ ESTIMATE = np.dtype(  # the estimate of one scan as the kernels write it; fields
         ("native", "f8", (6,)),
         ("random", "f8", (6, 6)),
         ("systematic", "f8", (6, 6)),
+        ("shared", "f8", (MAX_TERMS, 6)),  # effects of shared terms; only those of the calibration's terms are written
     ],
     align=True,
 )
@@ -59,6 +60,7 @@ _ATTRIBUTES = {  # attributes of ``Estimates`` that are fields of the records
     "natives": "native",
     "covariances_random": "random",
     "covariances_systematic": "systematic",
+    "shared_effects": "shared",
 }
 
 
@@ -159,6 +161,8 @@ class Estimates:
         redundancies: Degrees of freedom of each chi-square; 0 of a LOST scan, shape (n,).
         covariances_random: From the noise of the readings, see ``Estimate``, shape (n, 6, 6).
         covariances_systematic: From the uncertainties of the calibration, shape (n, 6, 6).
+        shared_effects: Change of the pose by one standard uncertainty of each shared term of the calibration file, in
+            its order, as ``covariances_systematic``, which contains them, shape (n, 8, 6); zero behind the last term.
 
     """
 
@@ -173,6 +177,7 @@ class Estimates:
     natives: FloatArray
     covariances_random: FloatArray
     covariances_systematic: FloatArray
+    shared_effects: FloatArray
 
     def __init__(
         self,

@@ -10,7 +10,13 @@ import math
 from typing import TYPE_CHECKING, Any
 
 from posor.estimation.clocks import IN_ORDER, elapsed_at, follow_clocks, motion_allowance, stamp_sigma
-from posor.estimation.covariance import add_systematic_covariance, find_contributions, write_covariances
+from posor.estimation.covariance import (
+    add_shared_terms,
+    add_systematic_covariance,
+    find_contributions,
+    write_covariances,
+    write_shared_effects,
+)
 from posor.estimation.exposure import TIME, add_stamp_variance, move_to_stamp, write_twist
 from posor.estimation.frozen import NOT_FROZEN, count_repetitions
 from posor.estimation.linearise import add_unmeasured, environment_is_valid, linearise_scan, unmeasured
@@ -39,7 +45,7 @@ from posor.estimation.tracking import (
 )
 from posor.model.fault import Fault, State
 from posor.model.reading_rows import begin_scan, differentiate_by_parameters, pair_spots, prepare_row, turn_row
-from posor.model.scan import DIODES_ESTIMATED, PROBES_ESTIMATED, SATURATED
+from posor.model.scan import DIODES_ESTIMATED, MAX_TERMS, PROBES_ESTIMATED, SATURATED
 from posor.numerics.compiled import in_place, inlined, without_lock
 from posor.numerics.vector import at, matrix, store, theta_in_kernel, wrapped, write_pose
 
@@ -238,10 +244,7 @@ def solve_and_check(
         _write_unsolved(workspace, outcome, _flagged(scan), estimate)
         return DONE
     differentiate_by_parameters(workspace.rows, workspace.reading_count, pose, model.by_row)
-    add_systematic_covariance(model)
-    if workspace.unmeasured != 0:
-        add_unmeasured(workspace)
-    write_covariances(workspace, estimate.random, estimate.systematic)
+    _write_covariances(model, estimate)
     sigma = stamp_sigma(tracker, scan)
     if sigma > 0.0:
         checks.faults |= add_stamp_variance(workspace, sigma, estimate.random, estimate.systematic)
@@ -270,6 +273,20 @@ def solve_and_check(
     if settings.period > 0.0 and not tracker.counted:
         estimate.state = UNCOUNTED
     return DONE
+
+
+@inlined
+def _write_covariances(model: Model, estimate: Any) -> None:
+    """Write both covariances of the solution, and the effects of shared terms."""
+    workspace, has_terms = model.workspace[0], model.shared_readings.shape[1] > 0
+    add_systematic_covariance(model)
+    if workspace.unmeasured != 0:
+        add_unmeasured(workspace)
+    if has_terms:
+        add_shared_terms(model)
+    write_covariances(workspace, estimate.random, estimate.systematic)
+    if has_terms:
+        write_shared_effects(model, estimate.shared)
 
 
 @in_place
@@ -337,6 +354,9 @@ def write_lost(estimate: Any, faults: int) -> None:
         for j in range(6):
             estimate.random[i, j] = math.nan
             estimate.systematic[i, j] = math.nan
+    for t in range(MAX_TERMS):
+        for i in range(6):
+            estimate.shared[t, i] = math.nan
 
 
 @without_lock

@@ -115,6 +115,8 @@ class PlainSensors:
                 turn_rows(record_view(rows), wrapped(former_theta - theta_in_kernel(before.rotation)))
             effects = self._stack.residual_jacobian(scan, before.rotation, before.translation) @ self._square_root
             systematic = effects @ effects.T
+            shared = self._model.shared_readings
+            shared[:] = effects[:, effects.shape[1] - shared.shape[1] :]  # the last factors, see CovarianceSquareRoot
             left, updated = solve_once()
             blind = int(estimate["faults"]) & Fault.ILL_CONDITIONED
             if attempt == 0:

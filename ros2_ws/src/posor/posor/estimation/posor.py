@@ -11,7 +11,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from posor.calibration.calibration_file import Calibration, Environment, TiltAngle
-from posor.calibration.parameter_covariance import CovarianceSquareRoot, stated_correlation
+from posor.calibration.parameter_covariance import CovarianceSquareRoot, shared_effects, stated_correlation
 from posor.errors import ParameterError, ShapeError, check_probability, check_type
 from posor.estimation.estimate import ESTIMATE, Estimate, Estimates, estimate_of
 from posor.estimation.estimate_scan import DONE, START, estimate_scans
@@ -78,7 +78,9 @@ class Posor:
         self._slip_angle = max(sensor.slip_angle for sensor in calibration.sensors)
         correlated = any(record.covariances for record in calibration.fits)
         self._square_root = CovarianceSquareRoot.of(
-            self.stack.parameter_sigmas, stated_correlation(calibration, calibration.session) if correlated else None
+            self.stack.parameter_sigmas,
+            stated_correlation(calibration, calibration.session) if correlated else None,
+            shared_effects(calibration, calibration.session) if calibration.shared else None,
         )
         self._prepare()
 
@@ -179,6 +181,11 @@ class Posor:
     def parameter_square_root(self) -> FloatArray:
         """A square root of the covariance of the stack's parameters that the calibration states, (p, factors)."""
         return self._square_root.dense()
+
+    @property
+    def shared_effects(self) -> FloatArray:
+        """Change of the parameters by one standard uncertainty of each shared term of the calibration, (p, terms)."""
+        return self._square_root.shared
 
     @property
     def has_plain_sensors(self) -> bool:

@@ -230,6 +230,7 @@ class Stack:
         records, linearisation = self._sensor_records(sources)
         longest_map = max([0, *(source.map_parameters.shape[1] for source in present)])
         m, factors = self.readings, 0 if square_root is None else square_root.factor_count
+        shared = np.zeros((self.parameters, 0)) if square_root is None else square_root.shared
         of_rows = m * PARAMETERS
         derivatives = np.zeros(of_rows + linearisation.size)
         by_linearisation = derivatives[of_rows:].reshape(linearisation.shape)
@@ -263,6 +264,8 @@ class Stack:
             contribution_coefficients=np.zeros(most),
             blocks=record_view(np.zeros(factors, dtype=BLOCK)),
             factor_uses=record_view(np.zeros(factors, dtype=FACTOR_USE)),
+            shared_coefficients=np.ascontiguousarray(shared[:0] if self.plain_sensors else shared),
+            shared_readings=np.zeros((m, shared.shape[1])),
         )
 
     def _sensor_records(self, sources: Sequence[ReadingSource | None]) -> tuple[NDArray[np.void], IntArray]:

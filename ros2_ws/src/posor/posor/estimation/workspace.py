@@ -226,3 +226,7 @@ class Model(NamedTuple):
     contribution_coefficients: FloatArray  # the coefficients in the order of the contributions
     blocks: NDArray[np.void]  # dtype BLOCK
     factor_uses: NDArray[np.void]  # shape (F,), dtype FACTOR_USE
+    # Change of each parameter by one standard uncertainty of each of T shared terms, shape (P, T); shape (0, T) with
+    # sensors in plain Python
+    shared_coefficients: FloatArray
+    shared_readings: FloatArray  # the same of the readings minus predictions, shape (m, T)

@@ -118,7 +118,7 @@ def estimate_joint(posor: Posor, recorded: RecordedScans) -> Estimates:
 def lost_records(recorded: RecordedScans, code: int) -> np.ndarray[tuple[int], np.dtype[np.void]]:
     """Return records of scans that are not estimated: LOST, every number of the pose NaN."""
     records = np.zeros(len(recorded), dtype=ESTIMATE)
-    for name in ("rotation", "translation", "pose", "native", "random", "systematic", "residual"):
+    for name in ("rotation", "translation", "pose", "native", "random", "systematic", "shared", "residual"):
         records[name] = np.nan
     records["number"], records["stamp_ns"] = recorded.scans.numbers, recorded.scans.stamps_ns
     records["state"], records["faults"] = int(State.LOST), int(Fault.BAD_READING)

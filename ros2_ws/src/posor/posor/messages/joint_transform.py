@@ -10,15 +10,19 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from posor.chain.joint_measurements import JointRowLayout
+from posor.errors import TopicError
 from posor.estimation.estimate_scan import LOST
 from posor.messages.cdr_schema import LITTLE_ENDIAN, STAMP
 from posor.messages.message_definitions import installed_schema
 from posor.messages.message_table import LEAD, MessageRows, MessageTable, TableLayout
+from posor.model.scan import MAX_TERMS
 from posor.numerics.compiled import in_place, inlined, record_view
 from posor.numerics.stamps import time_ns
 from posor.ros_names import JOINT_TRANSFORM
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
     from posor.estimation.estimate import Estimates
@@ -36,17 +40,23 @@ FIELDS = {  # fields that an estimate fills, by their names in TRANSFORM_LAYOUT
     "residual": "residual",
     "covariance_random": "covariance_random",
     "covariance_systematic": "covariance_systematic",
+    "shared_effects": "shared_effects",
 }
-TRANSFORM_LAYOUT = np.dtype([(name, "i8") for name in FIELDS])
-"""Byte offsets of the fields in a row of bytes."""
+TRANSFORM_LAYOUT = np.dtype([*((name, "i8") for name in FIELDS), ("shared_count", "i8")])
+"""Byte offsets of the fields in a row of bytes, and the number of shared terms."""
 
 _STAMP = struct.Struct("<iI")
 _FAULTS = struct.Struct("<I")
 
 
-def joint_transform_layout(schema: Schema, parent: str, child: str) -> TableLayout:
-    """Return the layout of transforms between two frames; ``schema``: JointTransform."""
-    return TableLayout.of(schema.encode({"header.frame_id": parent, "child_frame_id": child}), schema)
+def joint_transform_layout(schema: Schema, parent: str, child: str, shared: Sequence[str] = ()) -> TableLayout:
+    """Return the layout of transforms between two frames; ``schema``: JointTransform; ``shared``: its shared terms."""
+    return TableLayout.of(_example(schema, parent, child, shared), schema)
+
+
+def _example(schema: Schema, parent: str, child: str, shared: Sequence[str]) -> bytes:
+    terms = {"shared_terms": list(shared), "shared_effects": [0.0] * (6 * len(shared))}
+    return schema.encode({"header.frame_id": parent, "child_frame_id": child, **terms})
 
 
 def packing_layout(transforms: TableLayout) -> NDArray[np.void]:
@@ -54,6 +64,7 @@ def packing_layout(transforms: TableLayout) -> NDArray[np.void]:
     layout = np.zeros(1, dtype=TRANSFORM_LAYOUT)
     for name, path in FIELDS.items():
         layout[name] = LEAD + transforms.offset(path)
+    layout["shared_count"] = transforms.dtype["shared_effects"].shape[0] // 6
     return layout
 
 
@@ -75,6 +86,9 @@ def pack_estimate(estimate: Any, layout: Any, template: FloatArray, rows: Messag
         for j in range(6):
             floats[n, random + 6 * i + j] = estimate.random[i, j]
             floats[n, systematic + 6 * i + j] = estimate.systematic[i, j]
+    for t in range(layout.shared_count):
+        for i in range(6):
+            floats[n, layout.shared_effects // 8 + 6 * t + i] = estimate.shared[t, i]
 
 
 @in_place
@@ -110,8 +124,9 @@ def row_layout_of(layout: TableLayout) -> JointRowLayout:
         native=LEAD + layout.offset("native"),
         covariance_random=LEAD + layout.offset("covariance_random"),
         covariance_systematic=LEAD + layout.offset("covariance_systematic"),
+        shared=(shared := -(-(LEAD + layout.size) // 8) * 8),  # not where a message has them: that depends on names
         state=LEAD + layout.offset("state"),
-        size=LEAD + layout.size,
+        size=shared + 8 * 6 * MAX_TERMS,
     )
 
 
@@ -119,16 +134,18 @@ class JointTransformFormat:
     """Format of serialised transforms between two plates.
 
     Attributes:
-        size: Of a message [bytes]; surplus bytes at its end are ignored.
+        size: Of a message without shared terms [bytes]; surplus bytes at its end are ignored.
         row_layout: Offsets of the fields in a row with the message.
 
     """
 
     def __init__(self, parent: str, child: str) -> None:
         schema = installed_schema(JOINT_TRANSFORM)
-        example = schema.encode({"header.frame_id": parent, "child_frame_id": child})
+        example = _example(schema, parent, child, ())
         layout = schema.layout(example)
         self.row_layout = row_layout_of(TableLayout.of(example, schema))
+        self._schema, self._begin_shared = schema, layout.lengths["shared_terms"]
+        self._known_shared, self._shared, self._least = bytes(8), ((), slice(0)), layout.size
         self.size = layout.size
         self._frames = example[STAMP.stop : layout["scan"].offset]
         self._unpack = layout.unpacker(("header.frame_id", "child_frame_id")).unpack_from
@@ -136,12 +153,26 @@ class JointTransformFormat:
         self._state, self._faults = layout["state"].offset, layout["faults"].offset
 
     def matches(self, data: bytes) -> bool:
-        """Return whether a message is a transform between these plates."""
-        if len(data) < self.size:
+        """Return whether a message is a transform between these plates, with the shared terms seen last."""
+        if len(data) < self._least or not data.startswith(self._known_shared, self._begin_shared):
             return False
         if data.startswith(self._frames, STAMP.stop) and data.startswith(LITTLE_ENDIAN):
             return True
         return bool(self._unpack(data) == self._unpacked_frames)  # the padding after the names is arbitrary
+
+    def shared_terms(self, data: bytes) -> tuple[tuple[str, ...], slice]:
+        """Return the names of the shared terms of a message in plain CDR, and the bytes of their effects.
+
+        Raises TopicError: invalid bytes, or not six effects for each term.
+        """
+        if len(data) < self._least or not data.startswith(self._known_shared, self._begin_shared):
+            names, span = self._schema.values(data)["shared_terms"], self._schema.layout(data)["shared_effects"]
+            if span.length != 6 * len(names):
+                what = f"a message has {span.length} shared_effects"
+                raise TopicError(what, where=self._schema.name, expected=f"{6 * len(names)}, six for each shared term")
+            self._shared, self._least = (tuple(names), span.part), max(self.size, span.part.stop)
+            self._known_shared = data[self._begin_shared : span.offset if names else self.size]
+        return self._shared
 
     def read_state(self, data: bytes) -> tuple[int, int]:
         """Return ``State`` and ``Fault`` of a message as plain numbers."""

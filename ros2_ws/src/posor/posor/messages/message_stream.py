@@ -248,7 +248,8 @@ class RawScanStream:
         """Take the layout of an ``example`` in plain CDR. Raises TopicError: the example is not a raw scan."""
         frames = posor.calibration.frames
         raw = TableLayout.of(example, installed_schema(RAW_SCAN))
-        transform = joint_transform_layout(installed_schema(JOINT_TRANSFORM), frames.parent, frames.child)
+        shared = list(posor.calibration.shared)
+        transform = joint_transform_layout(installed_schema(JOINT_TRANSFORM), frames.parent, frames.child, shared)
         self._posor, self._parent, self.frame = posor, frames.parent, raw.strings["header.frame_id"]
         row, out = raw.row[None].copy(), transform.row[None].copy()
         self._estimator = MessageEstimator(posor, MessageStream.of(raw, transform, row, out, check=True))

@@ -26,6 +26,7 @@ the home mark seen."""
 STATED_HOME = 2  # ``at_home`` where an operator states that the joint is within half a period of the home mark
 
 MAX_GAP_PROBES, MAX_RING_PROBES, MAX_DIODES = 8, 8, 4  # bounds of the sequences of ``posor_msgs/RawScan``
+MAX_TERMS = 8  # bound of the shared terms of ``posor_msgs/JointTransform``
 MAX_CHANNELS = MAX_GAP_PROBES + MAX_RING_PROBES + CONTACTS * MAX_DIODES
 
 SCAN = np.dtype(

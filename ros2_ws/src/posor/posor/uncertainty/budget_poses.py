@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -131,15 +131,29 @@ def _middle_scans(posor: Posor) -> Scans:
     return empty_scans(np.zeros(1, dtype=np.int64)).with_fields(fields)
 
 
+class ModelCovariances(NamedTuple):
+    """Covariances of the POSORs' sensor models, by joint, ROS order."""
+
+    random: dict[str, FloatArray]  # noise, (6, 6)
+    systematic: dict[str, FloatArray]  # calibration, with shared terms, (6, 6)
+    shared: dict[str, dict[str, FloatArray]]  # effect of each shared term, by name, (6,)
+
+    def own(self) -> dict[str, FloatArray]:
+        """Return the sums of both covariances of each joint without shared terms."""
+        return {
+            name: random + self.systematic[name] - sum(np.outer(each, each) for each in self.shared[name].values())
+            for name, random in self.random.items()
+        }
+
+
 def model_covariances(
     calibrations: Mapping[str, Calibration], chain: Chain, angles: Mapping[str, float]
-) -> tuple[dict[str, FloatArray], dict[str, FloatArray]]:
-    """Return the covariances of the POSORs' sensor models, by joint.
+) -> ModelCovariances:
+    """Return the covariances of the POSORs' sensor models.
 
-    Returns the random covariances (noise) and systematic covariances (calibration), (6, 6) each, ROS order. Raises
-    ChainError: a POSOR has no valid pose at its angle.
+    Raises ChainError: a POSOR has no valid pose at its angle.
     """
-    random, systematic = {}, {}
+    random, systematic, shared = {}, {}, {}
     for joint in chain.joints:
         pose = chain.nominal_joint(joint.name, angles[joint.name])
         posor = Posor(calibrations[joint.name])
@@ -151,4 +165,6 @@ def model_covariances(
             raise ChainError(what, where=f"joint '{joint.name}'", expected="an angle in the range of its sensors")
         random[joint.name] = estimates.covariances_random[0]
         systematic[joint.name] = estimates.covariances_systematic[0]
-    return random, systematic
+        terms = calibrations[joint.name].shared
+        shared[joint.name] = dict(zip(terms, estimates.shared_effects[0], strict=False))
+    return ModelCovariances(random, systematic, shared)

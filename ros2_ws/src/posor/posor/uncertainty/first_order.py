@@ -58,8 +58,8 @@ class ErrorBudget:
         contributions: All contributions with an effect, in decreasing order of their largest share in an output.
         covariance: Covariance of the outputs, with all contributions and correlations, shape (k, k).
         without_uncertainty: Quantities without a stated uncertainty, taken as exact.
-        correlated: Contributing quantities with stated correlations. Their contributions do not add up to the total,
-            which may be far smaller.
+        correlated: Contributing quantities with stated correlations, but for shared terms. Their contributions do not
+            add up to the total, which may be far smaller.
 
     """
 
@@ -167,7 +167,8 @@ def error_budget(posor: Posor, scan: Scan, T_R_T: pin.SE3, points: Sequence[Plat
     """
     check_place(posor, T_R_T, "error_budget")
     found = sensitivities(posor, scan, T_R_T, points)
-    root = posor.parameter_square_root
+    whole = posor.parameter_square_root
+    root = whole[:, : whole.shape[1] - len(posor.calibration.shared)]
     noise = found.by_reading * found.noise
     parts = [
         Contribution(f"{name}: noise", ContributionKind.RANDOM, np.abs(effect))
@@ -179,16 +180,19 @@ def error_budget(posor: Posor, scan: Scan, T_R_T: pin.SE3, points: Sequence[Plat
         own = found.by_parameter[:, quantity.parameters]
         if not np.any(own):
             continue  # without effect at this pose, such as a light source that is not lit
-        if not np.any(root[where]):
+        if not np.any(whole[where]):
             without_uncertainty.append(quantity.name)
             continue
         if np.any(np.delete(root, where, axis=0)[:, np.any(root[where], axis=0)]):
             correlated.append(quantity.name)
         effects = np.linalg.norm(own @ root[where], axis=1)
         parts.append(Contribution(quantity.name, ContributionKind.SYSTEMATIC, effects))
+    for name, effect in zip(posor.calibration.shared, posor.shared_effects.T, strict=True):
+        effects = np.abs(found.by_parameter @ effect)
+        parts.append(Contribution(f"shared: {name}", ContributionKind.SYSTEMATIC, effects))
     largest = _shares(np.array([part.effects for part in parts])).max(axis=1)
     order = sorted(range(len(parts)), key=lambda i: largest[i], reverse=True)
-    systematic = found.by_parameter @ root
+    systematic = found.by_parameter @ whole
     return ErrorBudget(
         T_R_T=T_R_T,
         outputs=found.outputs,

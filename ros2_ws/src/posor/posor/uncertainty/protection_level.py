@@ -142,8 +142,8 @@ def arm_reliability(
     joint do not determine all six freedoms.
     """
     poses = {joint.name: chain.nominal_joint(joint.name, angles[joint.name]) for joint in chain.joints}
-    random, systematic = model_covariances(calibrations, chain, angles)
-    measured = {name: MeasuredJoint(pose, random[name], systematic[name]) for name, pose in poses.items()}
+    random, systematic, shared = model_covariances(calibrations, chain, angles)
+    measured = {name: MeasuredJoint(pose, random[name], systematic[name], shared[name]) for name, pose in poses.items()}
     joints, endpoint_shifts = {}, {}
     for name, effect in endpoint_effects(chain, poses).items():
         posor = Posor(calibrations[name])

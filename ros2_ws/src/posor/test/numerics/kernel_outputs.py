@@ -130,11 +130,13 @@ def arm(rng: np.random.Generator) -> list[float]:
     beams["covariance"] = systematic[-1]
     stamps = np.cumsum(rng.integers(1, 1000, scans))
     thetas = rng.uniform(-9.0, 9.0, (scans, 2))
-    endpoints = Endpoints.allocate(scans, 2)
+    terms, shared = np.array([[0, 1], [1, -1]]), 1e-8 * rng.normal(size=(scans, 2, 2, 6))
+    common = 1e-6 * rng.normal(size=(3, 2, 6)), 1e-8 * rng.normal(size=(3, 2, 6, 3))
+    endpoints = Endpoints.allocate(scans, 2, 3)
     estimate_endpoints(
-        ArmGeometry(elements, beams, rotations[:2], np.zeros((2, 3)), np.array([0.1, 0.2, -9.8])),
+        ArmGeometry(elements, beams, rotations[:2], np.zeros((2, 3)), np.array([0.1, 0.2, -9.8]), terms, *common),
         BeamHistory.allocate(3e-6, 2),
-        JointMeasurements(stamps, poses, random[:-1], systematic[:-1], thetas),
+        JointMeasurements(stamps, poses, random[:-1], systematic[:-1], thetas, shared),
         endpoints,
         0,
     )

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pinocchio as pin
 
-from posor_drivers.simulator.imperfections import RandomStream
+from posor_drivers.simulator.imperfections import RandomStream, shared_errors
 from posor_drivers.simulator.mechanics import (
     LinkCompliance,
     apply_backlash,
@@ -58,6 +58,9 @@ class TrueBeam:
         random = RandomStream(seed, "beam", beam.name).generator()
         error = np.sqrt(np.diagonal(beam.covariance)) * random.normal(size=6)
         scale = 1.0 + beam.sag_sigma * float(random.normal())
+        for name, value in zip(beam.shared_effects, shared_errors(seed, beam.shared_effects), strict=True):
+            error += value * beam.shared_effects[name]
+            scale += value * beam.shared_sags[name]
         end = beam.T_start_end
         if imperfections.beam_errors:
             end = pin.SE3(pin.exp3(error[3:]) @ end.rotation, end.translation + error[:3])

@@ -6,6 +6,7 @@ import math
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+from posor.calibration.parameter_covariance import shared_effects
 from posor.errors import CalibrationError
 from posor.estimation.forward import scans_at
 from posor.estimation.sensor_stack import Stack
@@ -14,7 +15,7 @@ from posor.numerics.stamps import NS, tick_stamp_ns
 from posor.numerics.vector import thetas_of, wrapped_angles
 from posor.sensors.base import RowSensor
 
-from posor_drivers.simulator.imperfections import RandomStream
+from posor_drivers.simulator.imperfections import RandomStream, shared_errors
 from posor_drivers.simulator.simulated_scans import DIODE_FIELD, PROBE_FIELDS, SimulatedScans, find_channel
 
 if TYPE_CHECKING:
@@ -69,6 +70,9 @@ class JointElectronics:
         if imperfections.calibration_errors:
             random = RandomStream(scenario.seed, "calibration", joint).generator()
             errors = self._stack.parameter_sigmas * random.normal(size=self._stack.parameters)
+            if calibration.shared:
+                common = shared_effects(calibration, calibration.session)
+                errors += common @ shared_errors(scenario.seed, calibration.shared)
             self._stack = self._stack.with_parameter_values(self._stack.parameter_values + errors)
         self._sensors: list[RowSensor] = []
         for sensor in self._stack.sensors:

@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import hashlib
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from posor.numerics.array_types import FloatArray
 
 
 class Imperfections(BaseModel):
@@ -52,3 +57,8 @@ class RandomStream:
         # The lowest counter word counts the draws, so the tick uses a word that draws never reach.
         counter = np.array([0, 0, tick, 0], dtype=np.uint64)
         return np.random.Generator(np.random.Philox(key=self._key, counter=counter))
+
+
+def shared_errors(seed: int, terms: Iterable[str]) -> FloatArray:
+    """Return the errors of an arm's shared terms over their standard uncertainties, (terms,): the same in all parts."""
+    return np.array([RandomStream(seed, "shared", name).generator().normal() for name in terms])

@@ -1,0 +1,58 @@
+"""Errors that one calibration laboratory gives all parts of an arm: the scale of its length reference, its temperature.
+
+A relative error of the reference makes every length wrong by the same part of it. A wrong temperature of the parts
+while they are measured does so by their expansion, and shifts the temperature to which the readings of probes refer.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from posor.calibration.calibration_file import VERSION, Calibration, calibration_from
+from posor.calibration.parameter_covariance import parameter_entries
+from posor.chain.beams_file import VERSION as BEAMS_VERSION
+from posor.chain.beams_file import BeamsFile
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+LENGTH_SCALE, TEMPERATURE = "length_scale", "calibration_temperature"
+
+
+@dataclass(frozen=True)
+class CommonErrors:
+    """Standard uncertainties of both errors; zero: exact, not stated."""
+
+    length_scale: float  # relative
+    temperature: float  # [K]
+    expansion: float  # linear expansion of the parts [1/K]
+
+    def calibration_with(self, calibration: Calibration) -> Calibration:
+        """Return a calibration that states both errors for all its lengths and reference temperatures."""
+        entries = [entry for entry in parameter_entries(calibration) if entry is not None]
+        lengths = {entry.key for entry in entries if entry.quantity.unit == "m"}
+        references = {entry.key for entry in entries if entry.key.endswith("temperature.reference")}
+        content = calibration.model_dump(mode="json")
+        shared = {**content["shared"], **self._terms(sorted(lengths), sorted(references))}
+        return calibration_from({**content, "version": VERSION, "shared": shared})
+
+    def beams_with(self, beams: BeamsFile) -> BeamsFile:
+        """Return a beams file that states both errors for the lengths of all beams."""
+        content = beams.model_dump(mode="json")
+        shared = {**content["shared"], **self._terms([f"{beam.joint}.position" for beam in beams.beams], ())}
+        return BeamsFile.model_validate({**content, "version": BEAMS_VERSION, "shared": shared})
+
+    def _terms(self, lengths: Iterable[str], references: Iterable[str]) -> dict[str, Any]:
+        terms = {
+            LENGTH_SCALE: {
+                "uncertainty": {"value": self.length_scale, "unit": "1"},
+                "relative": {key: {"value": 1.0, "unit": "1"} for key in lengths},
+            },
+            TEMPERATURE: {
+                "uncertainty": {"value": self.temperature, "unit": "K"},
+                "relative": {key: {"value": self.expansion, "unit": "1/K"} for key in lengths},
+                "change": {key: {"value": 1.0, "unit": "1"} for key in references},
+            },
+        }
+        return {name: term for name, term in terms.items() if term["uncertainty"]["value"] > 0.0}
