@@ -9,7 +9,7 @@ from posor.calibration.document_text import document_text
 from posor.calibration.edit import edit_document
 from posor.calibration.yaml_document import read_text
 from posor.chain.beams_file import load_beams
-from posor.chain.common_errors import CommonErrors
+from posor.uncertainty.common_errors import CommonErrors
 
 from posor_lab.output_files import write_files
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from posor.chain.arm_file import ArmFile
 
-LABORATORY = CommonErrors(length_scale=1e-6, temperature=1.0, expansion=23e-6)
+LABORATORY = CommonErrors(length_scale=1e-6, temperature=1.0)
 """1 ppm of length, 1 K, parts of aluminium: five_axis is 1.93 m long, so 1.93 um and 44 um at the endpoint."""
 COMMENT = "Made by posor_lab arm --shared-terms."
 

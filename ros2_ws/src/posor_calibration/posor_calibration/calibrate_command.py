@@ -64,6 +64,8 @@ def make_parser() -> CommandLineParser:
         text = "the file to write, with OUT.html and OUT.json beside it; default: none"
         action.add_argument("--output", type=Path, metavar="OUT.yaml", help=text)
         action.add_argument("--force", action="store_true", help="replace these files; the old OUT.yaml is kept")
+        text = "shared term and relative standard uncertainty of the length scale of the references; may be repeated"
+        action.add_argument("--length-scale", action="append", default=[], metavar="NAME=S", help=text)
         add_options(action, procedure.options)
     return parser
 
@@ -130,7 +132,10 @@ def calibrate(options: argparse.Namespace, report: Callable[[str], object]) -> F
     recording, instruments = _read_recording(options, calibration, report)
     report(f"{procedure.name}: fitting")
     given = given_options(procedure.options, options)
-    return fit_recording(procedure, calibration, recording, instruments, settings, given, text=text, source=source)
+    scales = {name: _parse_scale(name, sigma) for name, sigma in _split("--length-scale", options.length_scale)}
+    return fit_recording(
+        procedure, calibration, recording, instruments, settings, given, text=text, source=source, scales=scales
+    )
 
 
 def write_result(result: FitResult, options: argparse.Namespace, console: Console) -> None:
@@ -231,6 +236,14 @@ def _split(option: str, given: Sequence[str]) -> list[tuple[str, str]]:
             raise ParameterError(f"'{text}'", where=f"option {option}", expected="TOPIC=..., such as /cmm/pose=...")
         pairs.append((topic, value))
     return pairs
+
+
+def _parse_scale(name: str, text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        where = f"option --length-scale {name}"
+        raise ParameterError(f"'{text}'", where=where, expected="a relative standard uncertainty") from None
 
 
 def _parse_sigmas(topic: str, text: str) -> list[float]:

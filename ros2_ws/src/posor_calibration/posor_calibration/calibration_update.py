@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import datetime as dt
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import PurePath
 from typing import TYPE_CHECKING, Any
 
@@ -12,6 +12,7 @@ from posor.calibration.calibration_file import VERSION, calibration_from, parse_
 from posor.calibration.edit import edit_document, parse_key_path
 from posor.calibration.file_model import first_problem
 from posor.calibration.fit_record import CovarianceRecord, FitRecord, Instrument, RecordedData, Residuals
+from posor.calibration.parameter_covariance import is_part
 from posor.calibration.quantity import Quantity
 from posor.errors import CalibrationError
 from pydantic import ValidationError
@@ -35,6 +36,8 @@ class FitContext:
     options: Mapping[str, str]
     instruments: Sequence[Instrument]
     date: dt.datetime
+    # Relative standard uncertainty of the length scale of the reference by name of the shared term
+    scales: Mapping[str, float] = field(default_factory=dict)
 
 
 def update_text(text: str, source: str, outcome: Outcome, recording: Recording, context: FitContext) -> str:
@@ -81,7 +84,34 @@ def _list_changes(
         changes[part.key] = _to_yaml(part.content)
     fits = [*calibration.fits, _make_record(calibration, outcome, recording, context)]
     changes["fits"] = [fit.model_dump(mode="json", exclude_defaults=True) for fit in fits]
+    if calibration.shared or context.scales:
+        changes["shared"] = _shared_terms(calibration, outcome, context.scales)
     return changes
+
+
+def _shared_terms(calibration: Calibration, outcome: Outcome, scales: Mapping[str, float]) -> dict[str, Any]:
+    """Return the shared terms of the new file: former ones no longer hold for replaced values, new ones do.
+
+    Raises CalibrationError: the file states another uncertainty of a scale.
+    """
+    replaced = [*(new.key for new in outcome.replacements), *(part.key for part in outcome.parts)]
+    terms: dict[str, Any] = {}
+    for name, term in calibration.shared.items():
+        content = term.model_dump(mode="json", exclude_defaults=True)
+        for kind in content.keys() & {"relative", "change"}:
+            content[kind] = {k: e for k, e in content[kind].items() if not any(is_part(k, key) for key in replaced)}
+        if content.get("relative") or content.get("change"):
+            terms[name] = {kind: part for kind, part in content.items() if part}
+    units = {new.key: _find_quantity(calibration, new.key).unit for new in outcome.replacements}
+    lengths = {key: {"value": 1.0, "unit": "1"} for key, unit in units.items() if unit == "m" or unit.startswith("m/")}
+    for name, sigma in scales.items() if lengths else ():
+        new = {"uncertainty": {"value": sigma, "unit": "1"}, "relative": lengths}
+        known = terms.setdefault(name, new)
+        if known["uncertainty"] != new["uncertainty"]:
+            what = f"shared term '{name}' has the standard uncertainty {known['uncertainty']['value']:g}"
+            raise CalibrationError(what, where=f"calibration '{calibration.name}'", expected=f"{sigma:g}, as given")
+        known["relative"] = {**known.get("relative", {}), **lengths}
+    return terms
 
 
 def _find_quantity(calibration: Calibration, key: str) -> Quantity:

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import datetime as dt
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 import yaml
 from posor.bags.recording import Recording
-from posor.calibration.calibration_file import Calibration, load_calibration, parse_calibration
+from posor.calibration.calibration_file import Calibration, calibration_from, load_calibration, parse_calibration
 from posor.calibration.designs import design
+from posor.calibration.document_text import document_text
 from posor.calibration.fit_record import Instrument
 from posor.calibration.parameter_covariance import parameter_entries, stated_covariance
 from posor.errors import CalibrationError
@@ -19,6 +21,7 @@ from posor.estimation.posor import Posor
 from posor_calibration.calibration_update import FitContext, update_calibration, update_text
 from posor_calibration.least_squares import fit_parameters
 from posor_calibration.procedure import JointCovariance, Outcome, Part, Replacement
+from posor_lab.harness.case_tables import refusal
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -76,6 +79,30 @@ def test_the_new_file_is_the_old_one_with_new_values_and_a_record(rig_calibratio
     again = parse_calibration(update_text(new_text, "new", outcome(), RECORDING, CONTEXT), "again")
     assert [fit_record.former for fit_record in again.fits] == [old.content_hash, new.content_hash]
     assert len({old.content_hash, new.content_hash, again.content_hash}) == 3
+
+
+def test_a_replaced_value_loses_its_shared_terms_and_gets_that_of_its_reference() -> None:
+    """A value from a new reference no longer has the errors of the old one."""
+    one, kept = {"value": 1.0, "unit": "1"}, "sensors[0].probes[1].tip"
+    content = design("quad_bumpy_ring").model_dump(mode="json", exclude_defaults=True)
+    content["shared"] = {
+        "cmm": {"uncertainty": {"value": 1e-6, "unit": "1"}, "relative": {f"{TIP}[0]": one, kept: one}},
+        "meter": {"uncertainty": {"value": 1e-3, "unit": "V"}, "change": {SHIFT: one}},
+    }
+    old = calibration_from(content)
+    values = replace(outcome(), parts=())
+    assert update_calibration(old, values, RECORDING, CONTEXT).shared.keys() == {"cmm"}
+    for scale in ({"laser": 2e-7}, {"cmm": 1e-6}):
+        new = update_calibration(old, values, RECORDING, replace(CONTEXT, scales=scale))
+        [name] = scale
+        assert {key for term in new.shared.values() for key in term.relative} == {kept, TIP}
+        assert TIP in new.shared[name].relative
+        assert SHIFT not in new.shared[name].relative
+    text = document_text(old.model_dump(mode="json", exclude_defaults=True), "old")
+    new = parse_calibration(update_text(text, "old", values, RECORDING, replace(CONTEXT, scales={"laser": 2e-7})), "")
+    assert new.shared.keys() == {"cmm", "laser"}
+    error = refusal(CalibrationError, update_text, text, "", values, RECORDING, replace(CONTEXT, scales={"cmm": 2e-6}))
+    assert (error.what, error.expected) == ("shared term 'cmm' has the standard uncertainty 1e-06", "2e-06, as given")
 
 
 @pytest.mark.parametrize(

@@ -25,6 +25,7 @@ from posor.chain.beams_file import load_beams
 from posor.chain.kinematic_chain import Chain
 from posor.errors import DesignError, FitError, ParameterError
 from posor.uncertainty.budget_poses import model_covariances
+from posor.uncertainty.common_errors import CommonErrors
 from scipy.optimize import NonlinearConstraint, minimize
 
 from posor_design.endpoint_budget import BEAMS, SHARED, endpoint_budget
@@ -44,6 +45,7 @@ LARGEST_IMPROVEMENT, LARGEST_RELAXATION = 10.0, 100.0
 """Present over allotted uncertainty of a part at most, and allotted over present."""
 _UNIT = 1e-6  # standard uncertainty for which the weights are computed [m], [rad]; the budget is linear in its square
 _MICRO = 1e6
+NO_COMMON_ERRORS = CommonErrors()
 
 
 class Group(NamedTuple):
@@ -74,27 +76,30 @@ class Allotment:
     # part of each group in the variance of the axis that uses most of its requirement, (g,); what is missing from 1 is
     # the sag of the beams and shared terms
     shares: FloatArray
+    errors: CommonErrors  # of the calibrating laboratory, which no part can reduce
 
 
 class EndpointWeights:
     """Weights of all groups in the variances of an arm's endpoint."""
 
-    def __init__(self, arm: ArmFile, postures: Sequence[Mapping[str, float]]) -> None:
-        """Compute the weights from the endpoint budget.
+    def __init__(
+        self, arm: ArmFile, postures: Sequence[Mapping[str, float]], errors: CommonErrors = NO_COMMON_ERRORS
+    ) -> None:
+        """Compute the weights from the endpoint budget; ``errors``: see ``allot``.
 
         Raises PosorError: a file of the arm is invalid, or a POSOR has no pose at an angle.
         """
         self._arm, self._postures = arm, postures
-        chain = arm.chain()
+        self._beams = None if arm.beams is None else errors.beams_with(load_beams(arm.beams))
+        chain = Chain(arm.chain().urdf, arm.endpoint_frame, self._beams)
         self._joints = [joint.name for joint in chain.joints]
-        self._beams = None if arm.beams is None else load_beams(arm.beams)
         self._exact = Chain(chain.urdf, arm.endpoint_frame)
         listed = [] if self._beams is None else [beam for beam in self._beams.beams if _is_uncertain(beam)]
         self.groups = (
             *(Group(name, what, beam=False) for name in self._joints for what in ("angles", "translations")),
             *(Group(beam.joint, what, beam=True) for beam in listed for what in ("angles", "translations")),
         )
-        calibrations = {name: arm.calibration(name) for name in self._joints}
+        calibrations = {name: errors.calibration_with(arm.calibration(name)) for name in self._joints}
         models = [model_covariances(calibrations, chain, posture) for posture in postures]
         covariances = [model.own() for model in models]
         budgets = [
@@ -151,18 +156,21 @@ class EndpointWeights:
         return np.asarray(np.sqrt(self.fixed + self.weights @ np.square(sigmas)))
 
 
-def allot(arm: ArmFile, required: FloatArray, postures: Sequence[Mapping[str, float]]) -> Allotment:
+def allot(
+    arm: ArmFile, required: FloatArray, postures: Sequence[Mapping[str, float]], errors: CommonErrors = NO_COMMON_ERRORS
+) -> Allotment:
     """Return the allotment of least effort.
 
     ``arm``: the arm; its present POSORs and beams state what accuracy costs the effort 1. ``required``: largest
     standard uncertainty of the endpoint along and about the axes of the base, (6,) [m, rad]. ``postures``: angles of
-    the joints [rad], by name, in which the requirement holds. Raises DesignError: the requirement cannot be met; the
+    the joints [rad], by name, in which the requirement holds. ``errors``: of the laboratory that calibrates all parts,
+    which the files state as shared terms. Raises DesignError: the requirement cannot be met; the
     error names the axis and the nearest requirement. Raises FitError: no allotment was found. Raises PosorError: a file
     of the arm is invalid, or a POSOR has no pose at an angle.
     """
     if not postures:
         raise ParameterError("no posture", where=f"arm '{arm.name}'", expected="at least one")
-    weights = EndpointWeights(arm, postures)
+    weights = EndpointWeights(arm, postures, errors)
     _require_feasible(arm, weights, required)
     allotted = _least_effort(weights, required)
     endpoint = weights.endpoint(allotted)
@@ -177,6 +185,7 @@ def allot(arm: ArmFile, required: FloatArray, postures: Sequence[Mapping[str, fl
         endpoint,
         weights.before,
         np.asarray(own / endpoint[posture, axis] ** 2),
+        errors,
     )
 
 

@@ -12,6 +12,7 @@ from posor.chain.arm_file import load_arm_file
 from posor.errors import ParameterError
 from posor.reporting.command_line_parser import CommandLineParser
 from posor.reporting.report_console import report_console
+from posor.uncertainty.common_errors import CommonErrors
 
 from posor_design.arm_allotment import allot
 from posor_design.arm_design_page import allotment_tables, render_arm_page
@@ -40,12 +41,14 @@ def _parser() -> CommandLineParser:
         ("--displacement", "m", "QUANTITY", "largest uncertainty along each axis of the base"),
         ("--orientation", "rad", "QUANTITY", "largest uncertainty about each axis of the base"),
         ("--coverage-factor", "1", "NUMBER", "default: 1, standard uncertainties"),
+        ("--length-scale", "1", "NUMBER", "relative uncertainty of one length reference for all parts; default: exact"),
+        ("--temperature", "K", "QUANTITY", "uncertainty of one calibration temperature for all parts; default: exact"),
     ):
         parser.add_argument(
             option,
             type=partial(_positive, si=unit, where=f"{WHERE}, {option}"),
-            required=unit != "1",
-            default=1.0,
+            required=unit in {"m", "rad"},
+            default=1.0 if option == "--coverage-factor" else 0.0,
             metavar=metavar,
             help=text,
         )
@@ -97,7 +100,8 @@ def main(arguments: Sequence[str]) -> int:
         raise ParameterError(what, where=f"{WHERE}, --layouts", expected="an arm that can be simulated")
     folder = output_folder(options.output, arm.name, JSON, force=options.force)
     required = np.array([options.displacement] * 3 + [options.orientation] * 3) / options.coverage_factor
-    allotment = allot(arm, required, postures_of(options.posture, [joint.name for joint in arm.chain().joints]))
+    postures = postures_of(options.posture, [joint.name for joint in arm.chain().joints])
+    allotment = allot(arm, required, postures, CommonErrors(options.length_scale, options.temperature))
     requirements = joint_requirements(arm, allotment)
     found = search_layouts(requirements).items() if options.layouts else ()
     layouts = {name: chosen for name, (_, chosen) in found}

@@ -63,7 +63,7 @@ def allotted_beams(arm: ArmFile, allotment: Allotment) -> str | None:
         name: np.square([*(own["translations"],) * 3, *(own["angles"],) * 3])
         for name, own in _by_part(allotment, beam=True).items()
     }
-    content = beams_with(load_beams(arm.beams), variances).model_dump(mode="json")
+    content = allotment.errors.beams_with(beams_with(load_beams(arm.beams), variances)).model_dump(mode="json")
     content["version"] = BEAMS_VERSION
     content["provenance"]["notes"] = [*content["provenance"]["notes"], "uncertainties allotted by posor design arm"]
     return document_text(content, made_by(PROGRAM))
@@ -88,7 +88,8 @@ def arm_files(
     bits = max(each.layout.bits(requirements[name].scan_rate.number) for name, each in layouts.items())
     for joint in chain.joints:
         frames = (joint.parent, joint.child)
-        calibration = layouts[joint.name].layout.calibration(requirements[joint.name], frames)
+        designed = layouts[joint.name].layout.calibration(requirements[joint.name], frames)
+        calibration = allotment.errors.calibration_with(designed)
         files[f"calibrations/{joint.name}.yaml"] = document_text(calibration.model_dump(mode="json"), made_by(PROGRAM))
     beams = allotted_beams(arm, allotment)
     if beams is not None:

@@ -12,7 +12,7 @@ from posor.calibration.designs import design, sized_design
 from posor.chain.kinematic_chain import Chain
 from posor.errors import ChainError
 from posor.uncertainty.budget_poses import model_covariances
-from posor_design.endpoint_budget import BEAMS, Spread, configurations, disturbed, endpoint_budget, monte_carlo
+from posor_design.endpoint_budget import BEAMS, SHARED, Spread, configurations, disturbed, endpoint_budget, monte_carlo
 from posor_lab.harness.beams import beams_file, quantity, tube, uncertainty
 
 if TYPE_CHECKING:
@@ -83,6 +83,28 @@ def test_the_contributions_add_up_and_the_largest_comes_first(accuracies: dict[s
         np.testing.assert_allclose(np.square(getattr(budget.spread, figure)), squares, rtol=1e-9)
     totals = [part.spread.total for part in budget.contributions]
     assert totals == sorted(totals, reverse=True)
+
+
+def test_a_shared_term_is_one_contribution_of_joints_and_beams(accuracies: dict[str, np.ndarray]) -> None:
+    """Both beams are 1.5 m and 0.5 m along X of the extended arm: a common scale moves the tip by the sum."""
+    chain = Chain(TWO_JOINTS, "tip", common_beams())
+    effects = {name: {"scale": np.array([1e-6, 0.0, 0.0, 0.0, 0.0, 0.0])} for name in STILL}
+    budget = endpoint_budget(chain, STILL, accuracies, effects)
+    parts = {part.name: part.spread for part in budget.contributions}
+    assert set(parts) == {"turn", "lift", BEAMS, f"{SHARED}scale"}
+    assert parts[f"{SHARED}scale"].displacement[0] == pytest.approx(2e-6 + (1.5 + 0.5) * 1e-6, rel=1e-3)
+    squares = sum(np.square(part.displacement) for part in parts.values())
+    np.testing.assert_allclose(np.square(budget.spread.displacement), squares, rtol=1e-9)
+    drawn = monte_carlo(chain, STILL, accuracies, DRAWS // 4, 7, effects)
+    np.testing.assert_allclose(drawn.displacement, budget.spread.displacement, rtol=0.1)
+
+
+def common_beams() -> BeamsFile:
+    one, names = {"value": 1.0, "unit": "1"}, [beam.joint for beam in beams(bend=False).beams]
+    term = {"uncertainty": {"value": 1e-6, "unit": "1"}, "relative": {f"{name}.position": one for name in names}}
+    return BeamsFile.model_validate(
+        {**beams(bend=False).model_dump(mode="json"), "version": 2, "shared": {"scale": term}}
+    )
 
 
 def test_exact_beams_do_not_contribute(straight: Chain, accuracies: dict[str, np.ndarray]) -> None:

@@ -90,6 +90,32 @@ def test_only_complete_scans_of_usable_transforms_give_a_pose() -> None:
         assert (values["scans_refused"], values["scans_incomplete"]) == ("2", "2")
 
 
+def test_shared_terms_of_both_joints_are_added_before_they_are_squared() -> None:
+    """The names may change from scan to scan, as after a new calibration; both effects are along Z."""
+    size, same = 0.5e-6, (["bench"], ["bench"])
+    terms = [same, (["bench"], ["other"]), (["other", "bench"], ["bench"]), ([], []), same]
+
+    def send(second: int, names: tuple[list[str], list[str]], missing: int = 0) -> None:
+        for joint, own in zip(PLATES, names, strict=True):
+            message = transform_of(second, plates=PLATES[joint])
+            effects = [0.0] * (6 * len(own))
+            if own:
+                effects[-4] = size  # along Z, of the last term
+            message.shared_terms, message.shared_effects = own, effects[missing:]
+            rig.publishers[joint].publish(message)
+
+    with running() as rig:
+        for second, names in enumerate(terms, start=1):
+            send(second, names)
+        rig.wait_for_poses(len(terms))
+        variances = [np.reshape(each.pose.covariance, (6, 6))[2, 2] for each in rig.with_covariance]
+        independent = variances[1]
+        expected = [independent + added * 2.0 * size**2 for added in (1, 0, 1, 0, 1)]
+        np.testing.assert_allclose(variances, expected, rtol=1e-9)
+        send(9, same, missing=1)
+        rig.wait_for_message("no pose: elbow: JointTransform: a message has 5 shared_effects; expected 6")
+
+
 @pytest.mark.parametrize("wrong", [2, 900])
 def test_a_wrong_stamp_of_one_joint_costs_one_pose(wrong: int) -> None:
     with running() as rig:

@@ -112,6 +112,23 @@ def test_a_transform_is_recognised_and_read_for_the_chain() -> None:
         assert rows[n, kind.row_layout.state] == message.state
 
 
+def test_shared_terms_are_found_behind_names_of_any_length() -> None:
+    scan, estimate = next(scans((3, 0, 8))), next(estimates())
+    kind, chance = JointTransformFormat("plate_r", "plate_t"), np.random.default_rng(3)
+    for names in ((), ("scale",), ("scale", "temperature_of_the_bench"), tuple("abcdefgh"), ()):
+        message = transform_message(scan, estimate, "plate_r", "plate_t")
+        message.shared_terms, message.shared_effects = list(names), chance.normal(size=6 * len(names))
+        data = JOINT_TRANSFORM.serialize(message)
+        for written in (data, data + b"surplus", serialize_message(message)):
+            found, part = kind.shared_terms(written)
+            assert kind.matches(written)
+            assert found == names
+            assert written[part] == np.asarray(message.shared_effects).tobytes()
+    message.shared_terms, message.shared_effects = ["scale"], [0.0] * 5
+    error = refusal(TopicError, kind.shared_terms, JOINT_TRANSFORM.serialize(message))
+    assert (error.what, error.expected) == ("a message has 5 shared_effects", "6, six for each shared term")
+
+
 def test_a_transform_between_other_plates_is_not_taken() -> None:
     scan, estimate = next(scans((3, 0, 8))), next(estimates())
     own, other, longer = (

@@ -114,7 +114,7 @@ def _correlation(calibration: Calibration, entries: Sequence[ParameterEntry | No
     correlation = np.eye(len(entries))
     for record in calibration.fits:
         replaced = np.array(
-            [i for name, i in position.items() if any(_is_part(name, key) for key in record.replaced)], dtype=np.int64
+            [i for name, i in position.items() if any(is_part(name, key) for key in record.replaced)], dtype=np.int64
         )
         correlation[replaced], correlation[:, replaced] = 0.0, 0.0
         correlation[replaced, replaced] = 1.0
@@ -130,7 +130,8 @@ def _correlation(calibration: Calibration, entries: Sequence[ParameterEntry | No
     return correlation
 
 
-def _is_part(name: str, key: str) -> bool:
+def is_part(name: str, key: str) -> bool:
+    """Return whether a key is that of another key or of a part of its entry."""
     return name == key or name.startswith((f"{key}[", f"{key}."))
 
 

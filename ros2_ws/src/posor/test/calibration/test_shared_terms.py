@@ -16,6 +16,8 @@ from posor.errors import CalibrationError
 from posor.estimation.forward import scans_at
 from posor.estimation.posor import Posor
 from posor.model.native_coordinates import rotation_from_native
+from posor.uncertainty.budget_poses import middle_pose, scan_at
+from posor.uncertainty.first_order import error_budget
 from posor_lab.harness.case_tables import cases, edited, refusal
 
 if TYPE_CHECKING:
@@ -120,3 +122,13 @@ def test_one_term_has_one_uncertainty_in_all_files_of_an_arm() -> None:
     error = refusal(CalibrationError, check_same_terms, files)
     assert (error.where, error.expected) == ("c.yaml", "0.5 K, as in a.yaml")
     assert error.what == "shared term 'temperature' has the standard uncertainty 0.6 K"
+
+
+def test_a_budget_lists_each_term_once() -> None:
+    posor = Posor(calibration())
+    pose = middle_pose(posor)
+    budget = error_budget(posor, scan_at(posor, pose), pose)
+    terms = {part.name for part in budget.contributions if part.name.startswith("shared: ")}
+    assert terms == {"shared: temperature", "shared: scale"}
+    assert not budget.correlated
+    np.testing.assert_allclose(budget.root_sum_square(), budget.sigmas, rtol=1e-9)

@@ -14,6 +14,13 @@ TEMPERATURE = """\
       coefficient: {value: 23.0e-6, unit: 1/K}
       deviation: {value: 5.0, unit: K}
 """
+SHARED = """\
+shared:
+  heat:
+    uncertainty: {value: 0.5, unit: K}
+    relative: {forearm.position: {value: 23.0e-6, unit: 1/K}}
+    change: {forearm.sag: {value: 0.1, unit: 1/K}}
+"""
 
 
 @pytest.fixture
@@ -60,7 +67,7 @@ def test_a_file_of_the_first_version_is_read_but_has_no_temperature(path: Path) 
 
 @pytest.mark.parametrize(**cases(__file__, "beams_mistakes.yaml"))
 def test_a_wrong_file_is_refused_with_its_line(path: Path, old: str, new: str, sentence: str) -> None:
-    path.write_text(edited(GOOD + TEMPERATURE, old, new), encoding="utf-8")
+    path.write_text(edited(GOOD + TEMPERATURE + SHARED, old, new), encoding="utf-8")
     error = refusal(CalibrationError, load_beams, path)
     assert error.where.startswith(str(path))
     assert sentence in str(error)

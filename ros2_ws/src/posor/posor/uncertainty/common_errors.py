@@ -22,11 +22,11 @@ LENGTH_SCALE, TEMPERATURE = "length_scale", "calibration_temperature"
 
 @dataclass(frozen=True)
 class CommonErrors:
-    """Standard uncertainties of both errors; zero: exact, not stated."""
+    """Standard uncertainties of both errors; zero: not stated."""
 
-    length_scale: float  # relative
-    temperature: float  # [K]
-    expansion: float  # linear expansion of the parts [1/K]
+    length_scale: float = 0.0  # relative
+    temperature: float = 0.0  # [K]
+    expansion: float = 23e-6  # linear expansion of the parts [1/K]; default: aluminium
 
     def calibration_with(self, calibration: Calibration) -> Calibration:
         """Return a calibration that states both errors for all its lengths and reference temperatures."""
