@@ -128,8 +128,7 @@ def _coverage_findings(coverage: Coverage) -> Iterator[Finding]:
         surprise=_coverage_remark(coverage),
     )
     if independent is not None:
-        shares = {"inside": 100.0 * independent.value, "sigma": 100.0 * independent.sigma}
-        yield judge(texts["independent"], **shares)
+        yield judge(texts["independent"], inside=100.0 * independent.value, sigma=100.0 * independent.sigma)
     allowed = max(SAG_TOLERANCE, MIN_SIGMAS * ratio.sigma)
     yield judge(
         texts["sag"],

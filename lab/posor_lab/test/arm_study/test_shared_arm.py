@@ -1,4 +1,4 @@
-"""Coverage of arms whose joints and beams share the errors of one laboratory: coherent sum beside independent errors."""
+"""Coverage of arms whose joints and beams share the errors of one laboratory, added coherently or not."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def test_the_coherent_sum_covers_common_errors_and_the_independent_one_does_not(
     sample: ArmSample = ArmSampler(load_checked_arm(str(shared_arm)), 1).draw(range(SEED, SEED + ARMS))
     assert sample.lost == 0
     assert sample.independent is not None
-    least, most = binom.ppf([1e-4, 1.0 - 1e-4], ARMS, 0.95)
+    least, most = (float(binom.ppf(p, ARMS, 0.95)) for p in (1e-4, 1.0 - 1e-4))
     assert least <= inside(sample.normalised) <= most
     assert chi2.ppf(1e-4, 6 * ARMS) <= sample.normalised.sum() <= chi2.ppf(1.0 - 1e-4, 6 * ARMS)
     assert inside(sample.independent) < least

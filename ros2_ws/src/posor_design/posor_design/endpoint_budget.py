@@ -91,7 +91,8 @@ def endpoint_budget(
 
 def _squares(endpoint: Endpoint) -> FloatArray:
     """Return the covariance of all shared terms, (6, 6)."""
-    return np.sum([np.outer(effect, effect) for effect in endpoint.shared_effects.values()], axis=0, initial=0.0)
+    squares = [np.outer(effect, effect) for effect in endpoint.shared_effects.values()]
+    return np.asarray(np.sum(squares, axis=0, initial=0.0))
 
 
 def _estimate(
@@ -155,7 +156,8 @@ def _beams(
     chain: Chain, exact: Mapping[str, pin.SE3]
 ) -> list[tuple[pin.SE3, FloatArray, Mapping[str, FloatArray], pin.SE3]]:
     """Return for each link its sagging beam, the beam's covariance, its shared terms, and the transform after it."""
-    beams = []
+    beams: list[tuple[pin.SE3, FloatArray, Mapping[str, FloatArray], pin.SE3]] = []
+    effects: Mapping[str, FloatArray]
     pose = pin.SE3.Identity()
     for link, joint in zip(chain.links, [*exact.values(), pin.SE3.Identity()], strict=True):
         pose *= link.before

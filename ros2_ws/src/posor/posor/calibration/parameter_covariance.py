@@ -96,7 +96,9 @@ def shared_effects(calibration: Calibration, session: str = "") -> FloatArray:
 def _shared_effects(calibration: Calibration, entries: Sequence[ParameterEntry | None]) -> FloatArray:
     effects = np.zeros((len(entries), len(calibration.shared)))
     for own, entry in zip(effects, entries, strict=True):
-        for k, term in enumerate(calibration.shared.values() if entry is not None else ()):
+        if entry is None:
+            continue
+        for k, term in enumerate(calibration.shared.values()):
             values = entry.quantity.array
             own[k] = effect_on(term, entry.key, values)[entry.index]
             if entry.index:

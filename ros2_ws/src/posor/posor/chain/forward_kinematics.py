@@ -100,7 +100,8 @@ class Endpoints(NamedTuple):
 
     def with_own_poses(self) -> Endpoints:
         """Return the same with NaN in new arrays of poses and covariances."""
-        own = Endpoints.allocate(*self.angles.shape, self.shared_effects.shape[1])
+        (scans, joints), terms = self.angles.shape, self.shared_effects.shape[1]
+        own = Endpoints.allocate(scans, joints, terms)
         return own._replace(angles=self.angles, faults=self.faults)
 
 

@@ -44,7 +44,7 @@ class CommonErrors:
         return BeamsFile.model_validate({**content, "version": BEAMS_VERSION, "shared": shared})
 
     def _terms(self, lengths: Iterable[str], references: Iterable[str]) -> dict[str, Any]:
-        terms = {
+        terms: dict[str, Any] = {
             LENGTH_SCALE: {
                 "uncertainty": {"value": self.length_scale, "unit": "1"},
                 "relative": {key: {"value": 1.0, "unit": "1"} for key in lengths},

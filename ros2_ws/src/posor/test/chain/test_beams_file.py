@@ -18,8 +18,8 @@ SHARED = """\
 shared:
   heat:
     uncertainty: {value: 0.5, unit: K}
-    relative: {forearm.position: {value: 23.0e-6, unit: 1/K}}
-    change: {forearm.sag: {value: 0.1, unit: 1/K}}
+    relative: {forearm.position: {value: 23.0e-6, unit: 1/K}, forearm.sag: {value: 0.1, unit: 1/K}}
+    change: {forearm.orientation: {value: [1.0e-6, 0, 0], unit: rad/K}}
 """
 
 

@@ -40,7 +40,7 @@ def chain_with(*, terms: bool, gravity: float = 1.0, sag: bool = True) -> Chain:
             "scale": {"uncertainty": {"value": SCALE, "unit": "1"}, "relative": {f"{n}.position": one for n in names}}
         }
     if terms and sag:
-        weight = {"uncertainty": {"value": HEAVIER, "unit": "1"}, "change": {f"{n}.sag": one for n in bent}}
+        weight = {"uncertainty": {"value": HEAVIER, "unit": "1"}, "relative": {f"{n}.sag": one for n in bent}}
         content["shared"]["weight"] = weight
     return Chain(ARM.urdf.read_text(encoding="utf-8"), "endpoint", BeamsFile.model_validate(content))
 
@@ -93,13 +93,12 @@ def test_the_effects_are_those_of_one_error_in_all_joints_and_beams(measured: di
                 }
                 for step in (0.5, -0.5)
             )
-            ends = (endpoint_of_links(chain, joints, step * scale) for joints, step in ((above, 0.5), (below, -0.5)))
-            np.testing.assert_allclose(found[term], difference(*ends, 1.0), rtol=2e-3 if sag else 1e-6, atol=1e-9)
+            ends = endpoint_of_links(chain, above, 0.5 * scale), endpoint_of_links(chain, below, -0.5 * scale)
+            expected = difference(*ends, 1.0)
+            np.testing.assert_allclose(found[term], expected, rtol=2e-3 if sag else 1e-6, atol=1e-9)
         if sag:
-            ends = (
-                chain_with(terms=False, gravity=1.0 + step).estimate(measured).T_base_endpoint for step in (1e-3, -1e-3)
-            )
-            expected = HEAVIER * difference(*ends, 2e-3)
+            heavy, light = (chain_with(terms=False, gravity=g).estimate(measured) for g in (1.001, 0.999))
+            expected = HEAVIER * difference(heavy.T_base_endpoint, light.T_base_endpoint, 2e-3)
             np.testing.assert_allclose(found["weight"], expected, atol=1e-3 * np.abs(expected).max())
 
 
