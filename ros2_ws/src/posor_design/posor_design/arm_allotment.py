@@ -206,7 +206,7 @@ def _require_feasible(arm: ArmFile, weights: EndpointWeights, required: FloatArr
     asked = _MICRO * required[axis]
     raise DesignError(
         f"{asked:.3g} {unit} is beyond reach {AXES[axis]}: {_MICRO * best[axis]:.3g} {unit} if all "
-        f"parts were {LARGEST_IMPROVEMENT:g} times as good, of which the sag of the beams is {_MICRO * sag:.3g} {unit}",
+        f"parts were {LARGEST_IMPROVEMENT:g} times as good, sag and shared terms {_MICRO * sag:.3g} {unit} of it",
         where=f"arm '{arm.name}'",
         expected=f"at least {nearest} (standard uncertainties)",
     )

@@ -13,6 +13,7 @@ from posor.chain.beams_file import load_beams
 from posor.chain.kinematic_chain import Chain
 from posor.errors import DesignError
 from posor.uncertainty.budget_poses import model_covariances
+from posor.uncertainty.common_errors import CommonErrors
 from posor_design.arm_allotment import Allotment, EndpointWeights, allot, beams_with
 from posor_design.arm_output import joint_requirements, urdf_with_gaps
 from posor_design.design_command import main
@@ -34,7 +35,7 @@ def allotment() -> Allotment:
 
 
 def chain_and_covariances(own: Allotment) -> tuple[Chain, dict[str, np.ndarray]]:
-    """Return the chain with the allotted beams, and the allotted covariances of the joints."""
+    """Return the chain with the allotted beams and the shared terms, and the allotted covariances of the joints."""
     sigmas = {(group.part, group.what): sigma for group, sigma in zip(own.groups, own.allotted, strict=True)}
 
     def variances(part: str) -> np.ndarray:
@@ -43,7 +44,7 @@ def chain_and_covariances(own: Allotment) -> tuple[Chain, dict[str, np.ndarray]]
     assert arm().beams is not None
     beams = load_beams(arm().beams)  # type: ignore[arg-type]
     allotted = beams_with(beams, {beam.joint: variances(beam.joint) for beam in beams.beams})
-    chain = Chain(arm().chain().urdf, arm().endpoint_frame, allotted)
+    chain = Chain(arm().chain().urdf, arm().endpoint_frame, own.errors.beams_with(allotted))
     return chain, {joint.name: np.diag(variances(joint.name)) for joint in chain.joints}
 
 
@@ -56,6 +57,18 @@ def test_the_endpoint_meets_the_requirement_through_the_exact_chain() -> None:
         assert np.all(found <= 1.001 * REQUIRED)
     drawn = monte_carlo(chain, allotment().postures[0], covariances, 1000, 7)
     np.testing.assert_allclose(drawn.displacement, allotment().endpoint[0, :3], rtol=0.1)
+
+
+def test_errors_of_the_calibrating_laboratory_leave_less_for_the_parts() -> None:
+    """20 um by temperature and scale of all beams, of 30 um; the terms of the joints, few per cent, are left out here."""
+    required, errors = np.array([30e-6] * 3 + [50e-6] * 3), CommonErrors(1e-6, 0.45)
+    free, own = (allot(arm(), required, allotment().postures, each) for each in (CommonErrors(), errors))
+    assert np.max(own.allotted / free.allotted) < 1.0
+    chain, covariances = chain_and_covariances(own)
+    for posture, stated in zip(own.postures, own.endpoint, strict=True):
+        spread = endpoint_budget(chain, posture, covariances).spread
+        np.testing.assert_allclose([*spread.displacement, *spread.orientation], stated, rtol=4e-2)
+        assert np.all(stated <= 1.001 * required)
 
 
 def test_some_axis_uses_the_whole_requirement_and_shares_add_up() -> None:
@@ -132,6 +145,10 @@ def test_the_command_writes_a_requirement_for_each_joint(tmp_path: Path, capsys:
     assert "shoulder" in capsys.readouterr().out
     for joint in arm().calibrations:
         assert load_requirement(tmp_path / "out" / joint / "requirement.yaml").name == joint
-    assert load_beams(tmp_path / "out" / "beams.yaml").beams
+    assert not load_beams(tmp_path / "out" / "beams.yaml").shared
+    terms = ["--length-scale", "1e-7", "--temperature", "10 mK", "--output", str(tmp_path / "terms")]
+    assert main([*arguments, *terms]) == 0
+    shared = load_beams(tmp_path / "terms" / "beams.yaml").shared
+    assert [term.uncertainty.number for term in shared.values()] == [1e-7, 0.01]
     assert main([*arguments, "--output", str(tmp_path / "out")]) == 1
     assert "allotment.json exists already" in capsys.readouterr().err
