@@ -2,6 +2,7 @@
 
 The random part is white noise of each scan. The systematic part is a constant: a consider state, which the filter never
 estimates but whose uncertainty stays in the result. Beside it: the same filter with the sum taken as white noise.
+``filter_positions`` takes the arrays of ``EndpointEstimates``, or those of received ``EndpointState`` messages.
 
 Equations: S. F. Schmidt, Application of State-Space Methods to Navigation Problems, Advances in Control Systems 3
 (1966); D. Simon, Optimal State Estimation (2006), section 10.3.2.

@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
 import pytest
 from posor.calibration.designs import design, sized_design
+from posor.chain.beams_file import BeamsFile
 from posor.chain.kinematic_chain import Chain
 from posor.errors import ChainError
 from posor.uncertainty.budget_poses import model_covariances
 from posor_design.endpoint_budget import BEAMS, SHARED, Spread, configurations, disturbed, endpoint_budget, monte_carlo
 from posor_lab.harness.beams import beams_file, quantity, tube, uncertainty
-
-if TYPE_CHECKING:
-    from posor.chain.beams_file import BeamsFile
 
 INCH = 0.0254
 DRAWS = 4_000

@@ -2,7 +2,7 @@
 
 The covariance of a point is of x, y, z [m], about X, Y, Z [rad], axes of the base, the small turn applied on the base's
 side at the point. It is propagated from joint to joint as ``Blocks``: position, position and turn, turn. The random
-part (white from scan to scan) and the systematic part (common to all scans, with that of the beams) go separate ways.
+part (white from scan to scan) and the systematic part (common to all scans, with that of the beams) stay separate.
 The effects of a shared term are taken out of the joints' covariances, and added over joints and beams before the sum is
 squared: with A_j from a shift of joint j to one of the endpoint, e_jk the effect of term k on the joint and b_k that on
 the beams, the systematic covariance is
