@@ -60,7 +60,7 @@ def test_the_endpoint_meets_the_requirement_through_the_exact_chain() -> None:
 
 
 def test_errors_of_the_calibrating_laboratory_leave_less_for_the_parts() -> None:
-    """20 um of 30 um by temperature and scale of all beams; the terms of the joints, few per cent, are left out here."""
+    """20 um of 30 um by temperature and scale of all beams; the terms of the joints, a few per cent, are left out."""
     required, errors = np.array([30e-6] * 3 + [50e-6] * 3), CommonErrors(1e-6, 0.45)
     free, own = (allot(arm(), required, allotment().postures, each) for each in (CommonErrors(), errors))
     assert np.max(own.allotted / free.allotted) < 1.0
