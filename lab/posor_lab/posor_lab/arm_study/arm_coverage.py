@@ -172,7 +172,7 @@ class ArmSampler:
             estimator.use_terms(self._terms)
             effects = np.stack([each.shared_effects for each in found.values()], axis=1)[known]
             most = max(map(len, self._terms))
-            endpoints = estimator.estimate_all(*measured[:3], None, None, effects[:, :, :most])
+            endpoints = estimator.estimate_all(*measured, shared_effects=effects[:, :, :most])
             errors[n, known] = pose_errors(_to_pose_array(endpoints.poses), true)
             without_sag[n, known] = pose_errors(_to_pose_array(straight.poses), true)
             normalised[n, known] = normalised_squares(errors[n, known], endpoints.covariances())
