@@ -27,7 +27,7 @@ from posor.calibration.quantity import Quantity, measured
 from posor.errors import PosorError
 from pydantic import Field
 
-from posor_drivers.instruments.exposure import ExposureEntry, Exposures, find_exposures
+from posor_drivers.instruments.channel_exposures import ExposureEntry, Exposures, find_exposures
 from posor_drivers.quantity_limits import NOT_NEGATIVE, POSITIVE
 
 if TYPE_CHECKING:

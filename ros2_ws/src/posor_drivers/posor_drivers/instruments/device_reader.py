@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from posor.numerics.stamps import NS
 
+from posor_drivers.instruments.channel_exposures import Exposures
 from posor_drivers.instruments.clock_mapping import ClockMapping
 from posor_drivers.instruments.device import DeviceError
-from posor_drivers.instruments.exposure import Exposures
 from posor_drivers.instruments.interpolation import FrameWeights, frame_weights
 
 if TYPE_CHECKING:

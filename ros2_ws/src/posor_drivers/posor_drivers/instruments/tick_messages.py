@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     from posor.messages.message_definitions import MessageTypes
     from posor.numerics.array_types import FloatArray
 
+    from posor_drivers.instruments.channel_exposures import Exposures
     from posor_drivers.instruments.device_reader import StampError
-    from posor_drivers.instruments.exposure import Exposures
     from posor_drivers.instruments.reference_entry import ReferenceEntry
 
 FIELDS = tuple(name for name in READINGS if name != "home_mark")

@@ -106,26 +106,30 @@ class ArmSimulation:
     def scans(self, joint: str, ticks: IntArray, truth: ArmTruth | None = None) -> SimulatedScans:
         """Return the scans of a joint at ticks (n,); ``truth`` at the same ticks is needed where the stage moves."""
         truth = self.truth(ticks) if truth is None else truth
-        sound = SoundScans(self._electronics[joint], self._cycle.T_parent_child[joint], self.scenario.ticks_per_second)
+        sound = JointScans(self._electronics[joint], self._cycle.T_parent_child[joint], self.scenario.ticks_per_second)
         published = sound.scans_at(ticks, truth.T_parent_child[joint])
         faults = self._faults.get(joint)
         return published if faults is None else faults.change(published, ticks, sound)
 
 
-class SoundScans:
-    """Scans of a joint without the faults of the scenario."""
+class JointScans:
+    """Scans of a joint without the faults of the scenario: ``SoundScans``."""
 
     def __init__(self, electronics: JointElectronics, cycle: PoseArray, rate: int) -> None:
         """Read poses of the target plate in a cycle, at ticks of a rate [Hz]."""
-        self.electronics, self._cycle, self._rate = electronics, cycle, rate
+        self._electronics, self._cycle, self._rate = electronics, cycle, rate
 
     def scans_at(self, ticks: IntArray, poses: PoseArray | None = None) -> SimulatedScans:
         """Return the scans at ticks, (n,); ``poses``: of the target plate there, if the stage moves it."""
-        return self.electronics.scans(ticks, self._poses_at(ticks, poses))
+        return self._electronics.scans(ticks, self._poses_at(ticks, poses))
 
     def exposure_changes(self, ticks: IntArray, interval_s: float) -> dict[str, FloatArray]:
         """Return what multiplexing at an interval [s] changes in the readings at ticks, (n,), by field."""
-        return self.electronics.exposure_changes(ticks, self._poses_at(ticks), interval_s)
+        return self._electronics.exposure_changes(ticks, self._poses_at(ticks), interval_s)
+
+    def exposure_offsets(self, interval_s: float) -> FloatArray:
+        """Return the offset of each channel from the stamp, multiplexed at an interval [s], (c,)."""
+        return self._electronics.exposure_offsets(interval_s)
 
     def _poses_at(self, ticks: IntArray, poses: PoseArray | None = None) -> Callable[[float], PoseArray]:
         """Return a function that returns the poses at a time after ticks [s]."""

@@ -16,7 +16,13 @@ from posor.numerics.vector import thetas_of, wrapped_angles
 from posor.sensors.base import RowSensor
 
 from posor_drivers.simulator.imperfections import RandomStream, shared_errors
-from posor_drivers.simulator.simulated_scans import DIODE_FIELD, PROBE_FIELDS, SimulatedScans, find_channel
+from posor_drivers.simulator.simulated_scans import (
+    DIODE_FIELD,
+    PROBE_FIELDS,
+    SimulatedScans,
+    find_channel,
+    stated_exposures,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -262,17 +268,6 @@ class JointElectronics:
     def _latencies_ns(self, chances: FloatArray) -> IntArray:
         mean, jitter = self._latency
         return np.round((mean + jitter * (2.0 * chances - 1.0)) * NS).astype(np.int64)
-
-
-def stated_exposures(offsets_s: FloatArray, count: int, statement: str) -> dict[str, FloatArray]:
-    """Return the fields of scans, (count,), that state exposures: "stated", "unknown", or "unstated": none."""
-    if statement == "unstated":
-        return {}
-    offsets = offsets_s if statement == "stated" else np.full(len(offsets_s), np.nan)
-    return {
-        "exposure_offsets": np.tile(offsets, (count, 1)),
-        "exposure_spans": np.full(count, offsets_s[-1] - offsets_s[0]),
-    }
 
 
 def convert_to_digital(

@@ -17,10 +17,9 @@ from posor.numerics.stamps import NS
 from posor.sensors.diodes import DiodesCalibration
 from pydantic import AfterValidator, model_validator
 
-from posor_drivers.simulator.electronics import stated_exposures
 from posor_drivers.simulator.electronics_settings import TimedEntry
 from posor_drivers.simulator.imperfections import RandomStream
-from posor_drivers.simulator.simulated_scans import DIODE_FIELD, find_channel
+from posor_drivers.simulator.simulated_scans import DIODE_FIELD, find_channel, stated_exposures
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -28,8 +27,7 @@ if TYPE_CHECKING:
     from posor.calibration.calibration_file import Calibration
     from posor.numerics.array_types import IntArray
 
-    from posor_drivers.simulator.arm_simulation import SoundScans
-    from posor_drivers.simulator.simulated_scans import SimulatedScans
+    from posor_drivers.simulator.simulated_scans import SimulatedScans, SoundScans
 
 READING_FIELDS = ("gap_voltages", "ring_voltages", DIODE_FIELD, "lit_sources")
 CONTENT = (*READING_FIELDS, "supply_voltages", "temperatures", "at_home", "statuses")
@@ -151,7 +149,7 @@ def _slip(scans: FaultyScans) -> dict[str, Any]:
 
 def _multiplexed(scans: FaultyScans, statement: str) -> dict[str, Any]:
     changes = scans.sound.exposure_changes(scans.ticks, scans.fault.size)
-    offsets_s = scans.sound.electronics.exposure_offsets(scans.fault.size)
+    offsets_s = scans.sound.exposure_offsets(scans.fault.size)
     return {name: scans.now(name) + change for name, change in changes.items()} | stated_exposures(
         offsets_s, len(scans.ticks), statement
     )
@@ -269,7 +267,7 @@ class JointFaults:
         """Return the scans at ticks (n,) with the faults; ``sound`` are the scans without them."""
         in_cycle = np.mod(ticks, self._cycle_ticks)
         if any(placed.kind.states_exposures for placed in self._placed) and not published.scans.exposure_offsets.size:
-            simultaneous = np.tile(sound.electronics.exposure_offsets(0.0), (len(ticks), 1))
+            simultaneous = np.tile(sound.exposure_offsets(0.0), (len(ticks), 1))
             published = replace(published, scans=published.scans.with_fields({"exposure_offsets": simultaneous}))
         for placed in self._placed:
             begin, end = placed.ticks

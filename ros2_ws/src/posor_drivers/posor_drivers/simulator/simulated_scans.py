@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
+import numpy as np
 from posor.errors import CalibrationError
 from posor.sensors.bumpy_ring import BumpyRingCalibration
 from posor.sensors.diodes import DiodesCalibration
@@ -13,7 +14,7 @@ from posor.sensors.gap_probes import GapProbesCalibration
 if TYPE_CHECKING:
     from posor.calibration.calibration_file import Calibration
     from posor.model.scan import Scans
-    from posor.numerics.array_types import BoolArray, IntArray
+    from posor.numerics.array_types import BoolArray, FloatArray, IntArray
 
     from posor_drivers.simulator.electronics_settings import TimedEntry
 
@@ -29,6 +30,30 @@ class SimulatedScans:
     statuses: IntArray  # flags of ``posor_msgs/RawScan.status``, (n,)
     sent: BoolArray  # whether the scan is published at all, (n,)
     latencies_ns: IntArray  # from the stamp to the publication [ns], (n,)
+
+
+class SoundScans(Protocol):
+    """Scans of a joint without the faults of the scenario, at any ticks (n,)."""
+
+    def scans_at(self, ticks: IntArray) -> SimulatedScans:
+        """Return the scans."""
+
+    def exposure_changes(self, ticks: IntArray, interval_s: float) -> dict[str, FloatArray]:
+        """Return what multiplexing at an interval [s] changes in the readings, by field."""
+
+    def exposure_offsets(self, interval_s: float) -> FloatArray:
+        """Return the offset of each channel from the stamp, multiplexed at an interval [s], (c,)."""
+
+
+def stated_exposures(offsets_s: FloatArray, count: int, statement: str) -> dict[str, FloatArray]:
+    """Return the fields of scans, (count,), that state exposures: "stated", "unknown", or "unstated": none."""
+    if statement == "unstated":
+        return {}
+    offsets = offsets_s if statement == "stated" else np.full(len(offsets_s), np.nan)
+    return {
+        "exposure_offsets": np.tile(offsets, (count, 1)),
+        "exposure_spans": np.full(count, offsets_s[-1] - offsets_s[0]),
+    }
 
 
 def find_channel(

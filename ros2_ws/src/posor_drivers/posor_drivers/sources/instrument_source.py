@@ -22,8 +22,8 @@ from posor.ros_names import RAW_SCAN, RAW_TOPIC
 from pydantic import Field
 
 from posor_drivers.host_clock import HostClock
+from posor_drivers.instruments.channel_exposures import Exposures
 from posor_drivers.instruments.device_reader import StampError, shared_reader
-from posor_drivers.instruments.exposure import Exposures
 from posor_drivers.instruments.instruments_file import WHOLE_NUMBERS, InstrumentsFile, JointEntry, load_instruments
 from posor_drivers.instruments.tick_messages import LitSourceError, ReferenceReading, ScanWriter
 from posor_drivers.sources.source import LiveSource, SourceMessage, SourceStatus, Topic
