@@ -60,14 +60,14 @@ def test_the_endpoint_meets_the_requirement_through_the_exact_chain() -> None:
 
 
 def test_errors_of_the_calibrating_laboratory_leave_less_for_the_parts() -> None:
-    """20 um of 30 um by temperature and scale of all beams; the terms of the joints, a few per cent, are left out."""
-    required, errors = np.array([30e-6] * 3 + [50e-6] * 3), CommonErrors(1e-6, 0.45)
+    """Of 21 um along X, 20 um are those of temperature and scale of all beams; the joints' terms are below 3 %."""
+    required, errors = np.array([21e-6, 90e-6, 90e-6, 90e-6, 90e-6, 90e-6]), CommonErrors(1e-6, 0.45)
     free, own = (allot(arm(), required, allotment().postures, each) for each in (CommonErrors(), errors))
-    assert np.max(own.allotted / free.allotted) < 1.0
+    assert np.sum(own.present / own.allotted) > 1.1 * np.sum(free.present / free.allotted)
     chain, covariances = chain_and_covariances(own)
     for posture, stated in zip(own.postures, own.endpoint, strict=True):
         spread = endpoint_budget(chain, posture, covariances).spread
-        np.testing.assert_allclose([*spread.displacement, *spread.orientation], stated, rtol=4e-2)
+        np.testing.assert_allclose([*spread.displacement, *spread.orientation], stated, rtol=3e-2)
         assert np.all(stated <= 1.001 * required)
 
 

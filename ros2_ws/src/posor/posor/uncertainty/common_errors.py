@@ -1,7 +1,7 @@
 """Errors that one calibration laboratory gives all parts of an arm: the scale of its length reference, its temperature.
 
 A relative error of the reference makes every length wrong by the same part of it. A wrong temperature of the parts
-while they are measured does so by their expansion, and shifts the temperature to which the readings of probes refer.
+while they are measured does so by their expansion.
 """
 
 from __future__ import annotations
@@ -29,30 +29,25 @@ class CommonErrors:
     expansion: float = 23e-6  # linear expansion of the parts [1/K]; default: aluminium
 
     def calibration_with(self, calibration: Calibration) -> Calibration:
-        """Return a calibration that states both errors for all its lengths and reference temperatures."""
-        entries = [entry for entry in parameter_entries(calibration) if entry is not None]
-        lengths = {entry.key for entry in entries if entry.quantity.unit == "m"}
-        references = {entry.key for entry in entries if entry.key.endswith("temperature.reference")}
+        """Return a calibration that states both errors for all its lengths."""
+        lengths = {entry.key for entry in parameter_entries(calibration) if entry and entry.quantity.unit == "m"}
         content = calibration.model_dump(mode="json")
-        shared = {**content["shared"], **self._terms(sorted(lengths), sorted(references))}
+        shared = {**content["shared"], **self._terms(sorted(lengths))}
         return calibration_from({**content, "version": VERSION, "shared": shared})
 
     def beams_with(self, beams: BeamsFile) -> BeamsFile:
         """Return a beams file that states both errors for the lengths of all beams."""
         content = beams.model_dump(mode="json")
-        shared = {**content["shared"], **self._terms([f"{beam.joint}.position" for beam in beams.beams], ())}
+        shared = {**content["shared"], **self._terms([f"{beam.joint}.position" for beam in beams.beams])}
         return BeamsFile.model_validate({**content, "version": BEAMS_VERSION, "shared": shared})
 
-    def _terms(self, lengths: Iterable[str], references: Iterable[str]) -> dict[str, Any]:
-        terms: dict[str, Any] = {
-            LENGTH_SCALE: {
-                "uncertainty": {"value": self.length_scale, "unit": "1"},
-                "relative": {key: {"value": 1.0, "unit": "1"} for key in lengths},
-            },
-            TEMPERATURE: {
-                "uncertainty": {"value": self.temperature, "unit": "K"},
-                "relative": {key: {"value": self.expansion, "unit": "1/K"} for key in lengths},
-                "change": {key: {"value": 1.0, "unit": "1"} for key in references},
-            },
+    def _terms(self, lengths: Iterable[str]) -> dict[str, Any]:
+        terms = {LENGTH_SCALE: (self.length_scale, "1", 1.0), TEMPERATURE: (self.temperature, "K", self.expansion)}
+        return {
+            name: {
+                "uncertainty": {"value": sigma, "unit": unit},
+                "relative": {key: {"value": factor, "unit": "1" if unit == "1" else f"1/{unit}"} for key in lengths},
+            }
+            for name, (sigma, unit, factor) in terms.items()
+            if sigma > 0.0
         }
-        return {name: term for name, term in terms.items() if term["uncertainty"]["value"] > 0.0}
