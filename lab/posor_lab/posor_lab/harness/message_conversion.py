@@ -64,6 +64,7 @@ def transform_message(raw: RawScan, estimate: Estimate, parent: str, child: str)
     message.pose = pose_message(estimate.T_R_T)
     message.covariance_random = estimate.covariance_random.ravel()
     message.covariance_systematic = estimate.covariance_systematic.ravel()
+    message.stamp_shift = estimate.stamp_shift
     message.native = estimate.native
     message.residual = estimate.residual
     message.redundancy = estimate.redundancy

@@ -55,6 +55,7 @@ def estimate(pose: pin.SE3) -> Estimate:
         covariance_systematic=SYSTEMATIC,
         residual=3.25,
         redundancy=1,
+        stamp_shift=np.arange(6.0),
     )
 
 
@@ -98,6 +99,7 @@ def test_a_transform_has_all_fields_of_its_estimate(raw: Any, estimate: Estimate
     assert message.state == JointTransform.STATE_DEGRADED
     assert message.faults == JointTransform.FAULT_RESIDUAL | JointTransform.FAULT_COUNT
     assert (message.residual, message.redundancy) == (3.25, 1)
+    np.testing.assert_array_equal(message.stamp_shift, estimate.stamp_shift)
     np.testing.assert_array_equal(message.native, estimate.native)
     np.testing.assert_array_equal(message.native[:3], pose.translation)
     assert message.native[5] == 2.5 + 4.0 * math.pi
@@ -118,9 +120,8 @@ def test_a_lost_joint_has_only_nan(raw: Any) -> None:
     assert message.faults == JointTransform.FAULT_DARK_DIODE
     p, q = message.pose.position, message.pose.orientation
     pose = [p.x, p.y, p.z, q.x, q.y, q.z, q.w]
-    assert np.isnan(
-        [*pose, *message.covariance_random, *message.covariance_systematic, *message.native, message.residual]
-    ).all()
+    covariances = [*message.covariance_random, *message.covariance_systematic]
+    assert np.isnan([*pose, *covariances, *message.stamp_shift, *message.native, message.residual]).all()
     assert message.redundancy == 0
 
 

@@ -18,9 +18,12 @@ if TYPE_CHECKING:
 
 
 def subscribe_to_encoder(
-    node: PosorNode[PosorParameters], inputs: InputMonitor, confirm: Callable[[float], None]
+    node: PosorNode[PosorParameters], inputs: InputMonitor, confirm: Callable[[float, int], None]
 ) -> None:
-    """Pass each position of the encoder [rad] to ``confirm``; ``inputs`` reports a message that cannot be used."""
+    """Pass each position of the encoder [rad] and its stamp [ns] to ``confirm``.
+
+    ``inputs`` reports a message that cannot be used.
+    """
 
     def on_message(message: JointState) -> None:
         if not node.may_publish:
@@ -28,9 +31,10 @@ def subscribe_to_encoder(
         encoder, stamp = node.parameters.encoder, message.header.stamp
         try:
             theta = encoder_position(message, encoder.joint)
-            if fault := inputs.stamp_limits.fault(time_ns(stamp.sec, stamp.nanosec)):
+            stamp_ns = time_ns(stamp.sec, stamp.nanosec)
+            if fault := inputs.stamp_limits.fault(stamp_ns):
                 raise TopicError(fault)
-            confirm(theta)
+            confirm(theta, stamp_ns)
         except PosorError as error:
             inputs.note("encoder", f"{encoder.topic}: {error}")
 

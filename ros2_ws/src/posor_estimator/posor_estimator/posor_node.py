@@ -12,6 +12,7 @@ With an encoder, ``encoder`` (sensor_msgs/JointState) confirms theta.
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from functools import partial
 from pathlib import Path
@@ -236,9 +237,9 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
             was_latched = self._posor.acknowledge()
         return "the fault is released; the next scan starts anew" if was_latched else "there is no latched fault"
 
-    def _confirm_theta(self, theta: float) -> None:
+    def _confirm_theta(self, theta: float, stamp_ns: int) -> None:
         with self._lock:
-            self._posor.confirm_theta(theta, self.parameters.encoder.sigma)
+            self._posor.confirm_theta(theta, self.parameters.encoder.sigma, stamp_ns)
 
     def _on_raw_scan(self, data: bytes) -> None:
         with self._lock:
@@ -334,11 +335,20 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
     def _counts(self) -> dict[str, Value]:
         return {"scans": self._scans, "scans_lost": self._scans_lost}
 
+    def _clock_values(self) -> dict[str, Value]:
+        """Return period and scatter of the stamps, and the time offset of the scans from the encoder [s]."""
+        clocks, (offset, uncertainty) = self._posor.tracker["clocks"], self._posor.time_offset
+        period, scatter = float(clocks["period"]), math.sqrt(clocks["variance"])
+        values: dict[str, Value] = {"scan_period_s": period, "stamp_scatter_s": scatter}
+        if self.parameters.encoder.sigma:
+            values |= {"encoder_time_offset_s": offset, "encoder_time_offset_uncertainty_s": uncertainty}
+        return values
+
     def _refresh_status(self) -> None:
         with self._lock:
             if self._last_stream is None:
                 return
-            counts, last = self._counts(), self._last_stream.last_scan()
+            counts, last = self._counts() | self._clock_values(), self._last_stream.last_scan()
             if self._reported is not None and self._reported[2]:
                 self._reported = None  # the rate of alarms may have become normal
         self._inputs.update(self._order.counts)

@@ -232,6 +232,18 @@ def test_numbers_that_cannot_be_are_refused_and_named(
     assert not has_pose(state)
 
 
+@pytest.mark.parametrize("shift", [-1e-9, math.nan])
+def test_a_stamp_shift_that_cannot_be_is_refused_and_named(rig: Rig, shift: float) -> None:
+    message = transform_of(1)
+    message.stamp_shift[4] = shift
+    state = rig.state_of(message)
+    assert (state.state, state.reason) == (
+        EndpointState.STATE_LOST,
+        "joint1 has a stamp shift that is negative or not a number",
+    )
+    assert not has_pose(state)
+
+
 LEVER = np.array([1.0, -2.0, 0.0, 0.0, 3.0, 1.0])
 
 

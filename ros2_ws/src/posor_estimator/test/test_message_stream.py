@@ -257,6 +257,7 @@ def test_unusable_scans_are_lost_and_every_number_is_nan(spoil: str, known: bool
         [
             *lost.covariance_random,
             *lost.covariance_systematic,
+            *lost.stamp_shift,
             *lost.native,
             lost.residual,
             lost.pose.position.x,

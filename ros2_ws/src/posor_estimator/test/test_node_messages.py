@@ -81,6 +81,7 @@ def estimates() -> Iterator[Estimate]:
                 theta=native_from_rotation(pose.rotation)[2] + 6.0 * math.pi,
                 covariance_random=chance.normal(size=(6, 6)),
                 covariance_systematic=chance.normal(size=(6, 6)),
+                stamp_shift=chance.uniform(size=6),
                 residual=chance.normal(),
                 redundancy=int(chance.integers(200)),
             )
@@ -102,11 +103,13 @@ def test_a_transform_is_recognised_and_read_for_the_chain() -> None:
     for n, message in enumerate(messages):
         pose = measured.poses[n, 0]
         random, systematic = measured.covariances_random[n, 0], measured.covariances_systematic[n, 0]
-        measured.thetas[n, 0] = read_row(kind.row_layout.record, 0, rows[n].view(np.float64), pose, random, systematic)
+        parts = pose, random, systematic, measured.stamp_shifts[n, 0]
+        measured.thetas[n, 0] = read_row(kind.row_layout.record, 0, rows[n].view(np.float64), *parts)
         p, q = message.pose.position, message.pose.orientation
         assert measured.poses[n, 0].tobytes() == np.array([p.x, p.y, p.z, q.x, q.y, q.z, q.w]).tobytes()
         assert random.tobytes() == np.asarray(message.covariance_random).tobytes()
         assert systematic.tobytes() == np.asarray(message.covariance_systematic).tobytes()
+        assert measured.stamp_shifts[n, 0].tobytes() == np.asarray(message.stamp_shift).tobytes()
         theta = math.inf if message.state == State.LOST else message.native[5]
         assert repr(float(measured.thetas[n, 0])) == repr(float(theta))
         assert rows[n, kind.row_layout.state] == message.state

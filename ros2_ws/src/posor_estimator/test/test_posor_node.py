@@ -202,7 +202,8 @@ def test_an_invalid_scan_is_lost_and_the_next_sound_scan_is_estimated(
         assert lost.header.stamp == scan.header.stamp
         position, orientation = lost.pose.position, lost.pose.orientation
         pose = [position.x, position.y, position.z, orientation.x, orientation.y, orientation.z, orientation.w]
-        assert np.isnan([*pose, *lost.native, *lost.covariance_random, *lost.covariance_systematic]).all(), path
+        parts = [*lost.covariance_random, *lost.covariance_systematic, *lost.stamp_shift]
+        assert np.isnan([*pose, *lost.native, *parts]).all(), path
         status = wait_for_value(graph, "/posor_node: estimate", "reason", f"scan {10 * case}")
         assert status.level == b"\x02"
         assert status.message.startswith("lost: ")

@@ -76,7 +76,7 @@ def test_chain_node_bounds_the_endpoint_by_the_worst_undetected_shift_and_the_wa
         states = graph.collect(EndpointState, "endpoint/state")
         transforms = graph.publisher(JointTransform, "joint1/transform")
         reliabilities = graph.publisher(JointReliability, "joint1/reliability")
-        seconds = 0
+        seconds, stamp_shift = 0, np.zeros(6)
 
         def level_after(message: Any, accepts: Any) -> FloatArray:
             """Return the first protection level that ``accepts`` after a message."""
@@ -84,7 +84,9 @@ def test_chain_node_bounds_the_endpoint_by_the_worst_undetected_shift_and_the_wa
             def send() -> None:
                 nonlocal seconds
                 seconds += 1
-                transforms.publish(transform_of(seconds))
+                transform = transform_of(seconds)
+                transform.stamp_shift = stamp_shift
+                transforms.publish(transform)
 
             reliabilities.publish(message)
             graph.wait_until(lambda: bool(states) and accepts(np.array(states[-1].protection_level)), "a level", send)
@@ -102,6 +104,13 @@ def test_chain_node_bounds_the_endpoint_by_the_worst_undetected_shift_and_the_wa
         assert expansion_bound(expansions).max() == pytest.approx(5.0 * 23e-6 * 0.84836)
         expected = endpoint_protection_level([shifts], [effects], covariance, expansions)
         np.testing.assert_allclose(found, expected, rtol=1e-9)
+        stamp_shift = np.array([1e-6, 2e-6, 3e-6, 4e-6, 5e-6, math.inf])
+        moved = level_after(reliability_message(shifts), lambda level: np.isinf(level).any())
+        affected = np.abs(effects[:, 5]) > 0.0
+        np.testing.assert_array_equal(np.isinf(moved), affected)
+        by_stamp = np.abs(effects[~affected, :5]) @ stamp_shift[:5]
+        np.testing.assert_allclose(moved[~affected], expected[~affected] + by_stamp, rtol=1e-9)
+        stamp_shift = np.zeros(6)
         other = graph.publisher(JointReliability, "joint1/reliability")
         level_after(reliability_message(shifts), lambda level: np.isnan(level).all())
         graph.node.destroy_publisher(other)

@@ -182,6 +182,7 @@ class EndpointPipeline:
             complete[0]["stamp_ns"],
             of_joints("theta"),
             of_joints("shared_effects")[:, :, : self._terms],
+            of_joints("stamp_shift"),
         )
         usable[:, all_usable] &= endpoints.faults.T == 0
         self._count(states, usable)
@@ -222,6 +223,7 @@ class EndpointPipeline:
             endpoints.covariances_random,
             endpoints.covariances_systematic,
             endpoints.angles,
+            endpoints.stamp_shifts,
         )
         return found if sound.all() else found.select(sound)
 
@@ -233,4 +235,5 @@ def _joint_rows(estimates: Estimates, order: IntArray) -> NDArray[np.void]:
     rows["covariance_random"] = estimates.covariances_random
     rows["covariance_systematic"] = estimates.covariances_systematic
     rows["shared_effects"] = estimates.shared_effects
+    rows["stamp_shift"] = estimates.stamp_shifts
     return rows

@@ -31,6 +31,7 @@ JOINT_ROWS = np.dtype(  # a joint's transform as the chain needs it
         ("covariance_random", "f8", (6, 6)),
         ("covariance_systematic", "f8", (6, 6)),
         ("shared_effects", "f8", (MAX_TERMS, 6)),
+        ("stamp_shift", "f8", (6,)),
     ]
 )
 MOST_OPEN = 65_536  # transforms of a joint that may wait for others; then the oldest are given up, to bound memory

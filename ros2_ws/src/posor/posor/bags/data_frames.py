@@ -28,6 +28,7 @@ COVARIANCES = {
     for part in ("random", "systematic")
 }
 """Columns of each covariance of x, y, z [m] and small turns about X, Y, Z [rad], row by row, by its attribute."""
+STAMP_SHIFT = tuple(f"stamp_shift_{axis}" for axis in AXES)
 JOINT_COLUMNS = {
     "scan": ("numbers", np.uint64),
     "residual": ("residuals", np.float64),
@@ -45,7 +46,7 @@ def joint_columns(estimates: Estimates) -> dict[str, Any]:
     columns |= {name: getattr(estimates, of).astype(kind) for name, (of, kind) in JOINT_COLUMNS.items()}
     columns |= _split(POSE, estimates.poses)
     columns |= _split(NATIVE, estimates.natives)
-    return columns | _covariance_columns(estimates)
+    return columns | _covariance_columns(estimates) | _split(STAMP_SHIFT, estimates.stamp_shifts)
 
 
 def endpoint_columns(estimates: EndpointEstimates, joints: Sequence[str] = ()) -> dict[str, Any]:
@@ -55,7 +56,7 @@ def endpoint_columns(estimates: EndpointEstimates, joints: Sequence[str] = ()) -
     columns |= _split(POSE, estimates.poses)
     columns |= _covariance_columns(estimates)
     columns |= _split([f"angle_{joint}" for joint in joints], estimates.angles)
-    return columns
+    return columns | _split(STAMP_SHIFT, estimates.stamp_shifts)
 
 
 def scan_columns(scans: Scans) -> dict[str, Any]:

@@ -42,6 +42,8 @@ class EndpointEstimator:
         covariances_random: Of the same, (j, 6, 6), as ``MeasuredJoint.covariance_random``.
         covariances_systematic: Of the same, (j, 6, 6), as ``MeasuredJoint.covariance_systematic``.
         thetas: Counted large rotations of the joints [rad], (j,), for ``angles``; NaN: not counted.
+        stamp_shifts: Largest errors of the joints' poses by errors of their stamps, (j, 6), as
+            ``posor_msgs/JointTransform.stamp_shift``; at first zero.
         beam_transforms: Plates at the beams' ends in the plates at their starts, with the sag of the last scan, (b, 7),
             as ``poses``.
         accelerations: Of the beams [m/s^2], (b, 3), axes of the base: written if there is an acceleration window, read
@@ -53,9 +55,11 @@ class EndpointEstimator:
         angles: Joint angles about the nominal axes [rad], (j,).
         faults: Of the joints, (j,): zero, or a key of ``joint_measurements.FAULT_TEXTS``.
         shared_terms: Names of the shared terms of beams and joints, see ``use_terms``.
+        stamp_shift: Largest error of the endpoint by errors of the stamps, along and about each axis, (6,) [m], [rad].
         relative_pose: Endpoint in the axes at home, (7,), written by ``estimate_relative_to``.
         relative_covariance_random: Of the same, (6, 6).
         relative_covariance_systematic: Of the same, (6, 6).
+        relative_stamp_shift: Of the same, (6,).
 
     """
 
@@ -83,6 +87,7 @@ class EndpointEstimator:
         self.rows = self._rows.octets
         self._stamp_ns, *measured = self._measurements[:5]
         self.poses, self.covariances_random, self.covariances_systematic, self.thetas = (array[0] for array in measured)
+        self.stamp_shifts = self._measurements.stamp_shifts[0]
         self.accelerations = self._history.accelerations.reshape(-1, 3)
         self.beam_transforms = self._history.transforms
         for row, beam in zip(self.beam_transforms, arm.beams, strict=True):  # without sag; stays of beams off the way
@@ -90,6 +95,8 @@ class EndpointEstimator:
         self.pose, self.covariance_random, self.covariance_systematic, self.angles, self.faults = (
             array[0] for array in self._endpoints[:5]
         )
+        self.stamp_shift = self._endpoints.stamp_shifts[0]
+        self.relative_stamp_shift = self._relative.stamp_shifts[0]
         self.relative_pose, self.relative_covariance_random, self.relative_covariance_systematic = (
             array[0] for array in self._relative[:3]
         )
@@ -166,14 +173,16 @@ class EndpointEstimator:
         stamps_ns: IntArray | None = None,
         thetas: FloatArray | None = None,
         shared_effects: FloatArray | None = None,
+        stamp_shifts: FloatArray | None = None,
     ) -> Endpoints:
         """Return the endpoints of n scans, bit for bit as ``estimate`` gives them one after the other.
 
         Of the attributes only ``accelerations`` are used. ``poses``: (n, j, 7), ``covariances_random`` and
         ``covariances_systematic``: (n, j, 6, 6), as the attributes; ``stamps_ns``: times of the scans, (n,); required
         with an acceleration window; ``thetas``: (n, j), as the attribute; None: turns are not counted;
-        ``shared_effects``: (n, j, T, 6) for the terms of ``use_terms``, T the largest number of a joint. Raises
-        ChainError: an array has the wrong shape, or there is an acceleration window but no stamps.
+        ``shared_effects``: (n, j, T, 6) for the terms of ``use_terms``, T the largest number of a joint;
+        ``stamp_shifts``: (n, j, 6), as the attribute; None: zero. Raises ChainError: an array has the wrong shape, or
+        there is an acceleration window but no stamps.
         """
         count, joints = len(poses), len(self.joints)
         if stamps_ns is None:
@@ -183,6 +192,7 @@ class EndpointEstimator:
         thetas = np.full((count, joints), np.nan) if thetas is None else thetas
         terms = self._arm.joint_terms.shape[1]
         shared = np.zeros((count, joints, terms, 6)) if shared_effects is None else shared_effects
+        stamp_shifts = np.zeros((count, joints, 6)) if stamp_shifts is None else stamp_shifts
         shapes = {
             "stamps_ns": (stamps_ns, (count,)),
             "poses": (poses, (count, joints, 7)),
@@ -190,12 +200,13 @@ class EndpointEstimator:
             "covariances_systematic": (covariances_systematic, (count, joints, 6, 6)),
             "thetas": (thetas, (count, joints)),
             "shared_effects": (shared, (count, joints, terms, 6)),
+            "stamp_shifts": (stamp_shifts, (count, joints, 6)),
         }
         for name, (array, shape) in shapes.items():
             if array.shape != shape:
                 raise ChainError(f"{name} of shape {array.shape}", where="the chain", expected=f"{shape}")
         # The kernel is compiled for exactly these array types; read-only arrays are copied.
-        numbers = poses, covariances_random, covariances_systematic, thetas, shared
+        numbers = poses, covariances_random, covariances_systematic, thetas, shared, stamp_shifts
         measurements = JointMeasurements(
             np.require(stamps_ns, np.int64, ["C", "A", "W"]),
             *(np.require(array, np.float64, ["C", "A", "W"]) for array in numbers),

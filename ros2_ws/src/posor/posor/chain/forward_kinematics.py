@@ -20,7 +20,13 @@ from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 import numpy as np
 
 from posor.chain.beam_acceleration import append_centres, estimate_accelerations, forget_after_gap, has_free_row
-from posor.chain.joint_measurements import ENDPOINT_NOT_FINITE, measurement_fault, read_row, shared_fault
+from posor.chain.joint_measurements import (
+    ENDPOINT_NOT_FINITE,
+    measurement_fault,
+    read_row,
+    shared_fault,
+    stamp_shift_fault,
+)
 from posor.model.fault import USABLE_STATES
 from posor.numerics.compiled import in_place, inlined
 from posor.numerics.vector import (
@@ -69,6 +75,8 @@ class Endpoints(NamedTuple):
     angles: FloatArray  # joint angles about the nominal axes [rad], (n, j)
     faults: IntArray  # (n, j): zero, or a key of ``joint_measurements.FAULT_TEXTS``
     shared_effects: FloatArray  # change by one standard uncertainty of each shared term, (n, K, 6)
+    # Largest error along and about each axis of the base by errors of the stamps, (n, 6) [m], [rad]
+    stamp_shifts: FloatArray
 
     @classmethod
     def allocate(cls, scans: int, joints: int, terms: int = 0) -> Endpoints:
@@ -80,6 +88,7 @@ class Endpoints(NamedTuple):
             np.full((scans, joints), np.nan),
             np.zeros((scans, joints), dtype=np.int64),
             np.full((scans, terms, 6), np.nan),
+            np.full((scans, 6), np.nan),
         )
 
     @property
@@ -315,6 +324,51 @@ def compute_endpoint(
     write_covariance(random, endpoints.covariances_random[scan])
     write_covariance(systematic, endpoints.covariances_systematic[scan])
     write_pose(rotation, translation, endpoints.poses[scan])
+    bound_stamp_shift(arm, history, measurements, endpoints, scan)
+
+
+@in_place
+def bound_stamp_shift(
+    arm: ArmGeometry, history: BeamHistory, measurements: JointMeasurements, endpoints: Endpoints, scan: int
+) -> None:
+    """Write the largest error of an endpoint by errors of the joints' stamps: the sum of the amounts that each may add.
+
+    ``endpoints``: ``poses`` are read, ``stamp_shifts`` are written; ``history``: ``transforms`` are read.
+    """
+    shifts, bound, poses = measurements.stamp_shifts[scan], endpoints.stamp_shifts[scan], measurements.poses[scan]
+    stated = False
+    for k in range(6):
+        bound[k] = 0.0
+        for j in range(shifts.shape[0]):
+            stated |= shifts[j, k] > 0.0
+    if not stated:
+        return
+    end = within(endpoints.poses, scan)
+    rotation, translation = IDENTITY, (0.0, 0.0, 0.0)
+    for n in range(arm.elements.shape[0]):
+        element = arm.elements[n]
+        translation = plus(translation, applied(rotation, at(element["translation"], 0)))
+        rotation = product(rotation, matrix(element["rotation"], 0))
+        j, b = element["joint"], element["beam"]
+        if j >= 0:
+            translation = plus(translation, applied(rotation, within(poses, j)))
+            axes, lever = transposed(rotation), minus(end, translation)
+            for k in range(3):
+                _add_amounts(bound, 0, axes[k], shifts[j, k])
+                _add_amounts(bound, 0, cross(axes[k], lever), shifts[j, 3 + k])
+                _add_amounts(bound, 3, axes[k], shifts[j, 3 + k])
+            rotation = product(rotation, rotation_of_pose(poses[j]))
+        elif b >= 0:
+            translation = plus(translation, applied(rotation, within(history.transforms, b)))
+            rotation = product(rotation, rotation_of_pose(history.transforms[b]))
+
+
+@inlined
+def _add_amounts(bound: FloatArray, first: int, effect: Vector, shift: float) -> None:
+    """Add the amounts of a shift times its effect; an infinite shift without effect adds nothing."""
+    for i in range(3):
+        if effect[i] != 0.0:
+            bound[first + i] += abs(effect[i]) * shift
 
 
 @inlined
@@ -351,9 +405,9 @@ def estimate_endpoints(
         usable = True
         for j in range(faults.shape[0]):
             theta, origin = measurements.thetas[n, j], arm.joint_positions[j]
-            faults[j] = measurement_fault(poses[j], random[j], systematic[j], theta, origin, scratch) or shared_fault(
-                measurements.shared_effects[n, j], systematic[j]
-            )
+            faults[j] = measurement_fault(poses[j], random[j], systematic[j], theta, origin, scratch)
+            faults[j] = faults[j] or shared_fault(measurements.shared_effects[n, j], systematic[j])
+            faults[j] = faults[j] or stamp_shift_fault(measurements.stamp_shifts[n, j])
             usable = usable and faults[j] == 0
         if not usable:
             write_nan(endpoints, n)
@@ -394,7 +448,13 @@ def estimate_endpoint_of_rows(
     for j in range(rows.numbers.shape[0]):
         random, systematic = measurements.covariances_random[0, j], measurements.covariances_systematic[0, j]
         measurements.thetas[0, j] = read_row(
-            rows.layouts, j, rows.numbers[j], measurements.poses[0, j], random, systematic
+            rows.layouts,
+            j,
+            rows.numbers[j],
+            measurements.poses[0, j],
+            random,
+            systematic,
+            measurements.stamp_shifts[0, j],
         )
         shared, first = measurements.shared_effects[0, j], rows.layouts[j]["shared"]
         for t in range(shared.shape[0]):
@@ -422,6 +482,7 @@ def write_nan(endpoints: Endpoints, n: int) -> None:
     for i in range(7):
         endpoints.poses[n, i] = math.nan
     for i in range(6):
+        endpoints.stamp_shifts[n, i] = math.nan
         for k in range(6):
             endpoints.covariances_random[n, i, k] = endpoints.covariances_systematic[n, i, k] = math.nan
         for t in range(endpoints.shared_effects.shape[1]):
@@ -432,7 +493,10 @@ def write_nan(endpoints: Endpoints, n: int) -> None:
 
 @in_place
 def write_relative(home: FloatArray, endpoints: Endpoints, relative: Endpoints) -> None:
-    """Write poses and covariances in the axes of the pose ``home``, (7,), which is taken as exact."""
+    """Write poses, covariances and stamp shifts in the axes of the pose ``home``, (7,), which is taken as exact.
+
+    A stamp shift, an amount along each axis of the base, is bounded along each axis at home by the sum of its parts.
+    """
     back = transposed(rotation_of_pose(home))
     for n in range(endpoints.poses.shape[0]):
         translation = applied(back, minus(within(endpoints.poses, n), at(home, 0)))
@@ -444,3 +508,9 @@ def write_relative(home: FloatArray, endpoints: Endpoints, relative: Endpoints) 
         for k in range(endpoints.shared_effects.shape[1]):
             put(relative.shared_effects[n], k, 0, applied(back, within(endpoints.shared_effects[n], k, 0)))
             put(relative.shared_effects[n], k, 3, applied(back, within(endpoints.shared_effects[n], k, 3)))
+        shifts, own = relative.stamp_shifts[n], endpoints.stamp_shifts[n]
+        for first in (0, 3):
+            for k in range(3):
+                shifts[first + k] = 0.0
+            for k in range(3):
+                _add_amounts(shifts, first, (back[0][k], back[1][k], back[2][k]), own[first + k])

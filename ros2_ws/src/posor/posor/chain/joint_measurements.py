@@ -27,7 +27,7 @@ MAX_OFFSET = 0.02
 MAX_VARIANCE = 100.0  # largest variance [m^2], [rad^2]; a greater one is useless and may overflow along the arm
 POSE_NOT_FINITE, QUATERNION_NOT_UNIT, COVARIANCE_NOT_FINITE, NATIVE_DISAGREES, POSE_TOO_FAR = 1, 2, 3, 4, 5
 VARIANCE_TOO_LARGE, COVARIANCE_NOT_SYMMETRIC, COVARIANCE_NOT_POSITIVE, ENDPOINT_NOT_FINITE = 6, 7, 8, 9
-SHARED_TOO_LARGE = 10
+SHARED_TOO_LARGE, STAMP_SHIFT_INVALID = 10, 11
 FAULT_TEXTS = {  # why a joint's measurement cannot be used, by its fault in ``Endpoints.faults``
     POSE_NOT_FINITE: "has a pose that is not finite",
     QUATERNION_NOT_UNIT: "has an orientation that is not a unit quaternion",
@@ -39,6 +39,7 @@ FAULT_TEXTS = {  # why a joint's measurement cannot be used, by its fault in ``E
     COVARIANCE_NOT_POSITIVE: "has a covariance that is not positive semi-definite",
     ENDPOINT_NOT_FINITE: "gives an endpoint that is not finite",
     SHARED_TOO_LARGE: "has effects of shared terms that exceed its systematic covariance",
+    STAMP_SHIFT_INVALID: "has a stamp shift that is negative or not a number",
 }
 UNIT_QUATERNION_TOLERANCE = 1e-6  # largest difference of a quaternion's length from one
 NATIVE_TOLERANCE = 1e-8  # largest difference of native angles from the pose [rad]; x, y and gap are equal
@@ -47,7 +48,18 @@ PIVOT_TOLERANCE = 1e-9  # part of a variance that counts as rounding in the test
 LARGEST_FLOAT = sys.float_info.max
 
 ROW_LAYOUT = np.dtype(
-    [(name, np.int64) for name in ("pose", "native", "covariance_random", "covariance_systematic", "shared", "state")]
+    [
+        (name, np.int64)
+        for name in (
+            "pose",
+            "native",
+            "covariance_random",
+            "covariance_systematic",
+            "shared",
+            "stamp_shift",
+            "state",
+        )
+    ]
 )
 """Where a row of message bytes holds its fields: indices of 8-byte numbers, and of the byte ``state``."""
 
@@ -76,6 +88,7 @@ class JointMeasurements(NamedTuple):
     covariances_systematic: FloatArray  # as ``MeasuredJoint.covariance_systematic``, (n, j, 6, 6)
     thetas: FloatArray  # counted large rotations [rad], (n, j); NaN: not counted; infinite: see NATIVE_DISAGREES
     shared_effects: FloatArray  # as ``MeasuredJoint.shared_effects``, (n, j, T, 6), see ``ArmGeometry.joint_terms``
+    stamp_shifts: FloatArray  # as ``posor_msgs/JointTransform.stamp_shift``, (n, j, 6) [m], [rad]
 
     @classmethod
     def allocate(cls, scans: int, joints: int, terms: int = 0) -> JointMeasurements:
@@ -84,7 +97,8 @@ class JointMeasurements(NamedTuple):
         poses[..., 6] = 1.0
         random, systematic = np.zeros((2, scans, joints, 6, 6))
         thetas, shared = np.full((scans, joints), np.nan), np.zeros((scans, joints, terms, 6))
-        return cls(np.zeros(scans, dtype=np.int64), poses, random, systematic, thetas, shared)
+        shifts = np.zeros((scans, joints, 6))
+        return cls(np.zeros(scans, dtype=np.int64), poses, random, systematic, thetas, shared, shifts)
 
 
 @dataclass(frozen=True)
@@ -96,6 +110,7 @@ class JointRowLayout:
     covariance_random: int  # 36 numbers, row by row, likewise
     covariance_systematic: int  # the same
     shared: int  # six numbers for each shared term, likewise
+    stamp_shift: int  # six numbers, likewise
     state: int  # ``State``, one byte
     size: int  # length of the row
 
@@ -105,7 +120,8 @@ class JointRowLayout:
 
         Raises ValueError: the offset of a number is not a multiple of 8.
         """
-        numbers = self.pose, self.native, self.covariance_random, self.covariance_systematic, self.shared
+        covariances = self.covariance_random, self.covariance_systematic
+        numbers = self.pose, self.native, *covariances, self.shared, self.stamp_shift
         if any(offset % 8 for offset in numbers):
             message = f"{self}: expected offsets of numbers that are multiples of 8"
             raise ValueError(message)
@@ -208,6 +224,15 @@ def shared_fault(shared: FloatArray, systematic: FloatArray) -> int:
 
 
 @inlined
+def stamp_shift_fault(shift: FloatArray) -> int:
+    """Return what is wrong with a stamp shift (6,): a key of ``FAULT_TEXTS``, or zero."""
+    valid = True
+    for i in range(6):
+        valid &= shift[i] >= 0.0
+    return 0 if valid else STAMP_SHIFT_INVALID
+
+
+@inlined
 def native_agrees(native: FloatArray, pose: FloatArray) -> bool:
     """Return whether native coordinates (6,) are finite and those of a pose (7,) (``model.native_coordinates``)."""
     rotation = rotation_of_pose(pose)
@@ -224,9 +249,15 @@ def native_agrees(native: FloatArray, pose: FloatArray) -> bool:
 
 @inlined
 def read_row(
-    layouts: RecordArray, joint: int, numbers: FloatArray, pose: FloatArray, random: FloatArray, systematic: FloatArray
+    layouts: RecordArray,
+    joint: int,
+    numbers: FloatArray,
+    pose: FloatArray,
+    random: FloatArray,
+    systematic: FloatArray,
+    shift: FloatArray,
 ) -> float:
-    """Copy a row of numbers (w,) into ``pose`` (7,) and into both covariances, (6, 6).
+    """Copy a row of numbers (w,) into ``pose`` (7,), into both covariances, (6, 6), and into the stamp shift, (6,).
 
     Return theta; infinite where the native coordinates do not agree with the pose.
     """
@@ -241,5 +272,6 @@ def read_row(
         for k in range(6):
             random[i, k] = random_entries[6 * i + k]
             systematic[i, k] = systematic_entries[6 * i + k]
+        shift[i] = numbers[layout["stamp_shift"] + i]
     native = numbers[first_of_native : first_of_native + 6]
     return float(native[5]) if native_agrees(native, pose) else math.inf

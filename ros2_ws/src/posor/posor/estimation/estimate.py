@@ -39,6 +39,7 @@ ESTIMATE = np.dtype(  # the estimate of one scan as the kernels write it; fields
         ("random", "f8", (6, 6)),
         ("systematic", "f8", (6, 6)),
         ("shared", "f8", (MAX_TERMS, 6)),  # effects of shared terms; only those of the calibration's terms are written
+        ("stamp_shift", "f8", (6,)),
     ],
     align=True,
 )
@@ -61,6 +62,7 @@ _ATTRIBUTES = {  # attributes of ``Estimates`` that are fields of the records
     "covariances_random": "random",
     "covariances_systematic": "systematic",
     "shared_effects": "shared",
+    "stamp_shifts": "stamp_shift",
 }
 
 
@@ -81,6 +83,8 @@ class Estimate(NamedTuple):
             scans of one calibration. JCGM 100, 5.2.
         residual: Chi-square of the redundant readings, weighted by their random and systematic variances.
         redundancy: Degrees of freedom of the residual.
+        stamp_shift: Largest error of the pose by an error of the stamp within ``Scan.stamp_limit``, along and about
+            each axis, (6,), the same order; infinite: not bounded; zero: no limit is stated.
 
     """
 
@@ -94,12 +98,13 @@ class Estimate(NamedTuple):
     covariance_systematic: FloatArray
     residual: float
     redundancy: int
+    stamp_shift: FloatArray
 
     @staticmethod
     def lost(number: int, faults: Fault, reason: str) -> Estimate:
         """Return the estimate of a scan that gives no pose."""
         unknown, nan = np.full((6, 6), np.nan), float("nan")
-        return Estimate(number, State.LOST, faults, reason, None, nan, unknown, unknown, nan, 0)
+        return Estimate(number, State.LOST, faults, reason, None, nan, unknown, unknown, nan, 0, unknown[0])
 
     @property
     def native(self) -> FloatArray:
@@ -137,6 +142,7 @@ def estimate_of(records: NDArray[np.void], index: int, reason: str) -> Estimate:
         fields["systematic"].copy(),
         fields["residual"],
         fields["redundancy"],
+        fields["stamp_shift"].copy(),
     )
 
 
@@ -163,6 +169,7 @@ class Estimates:
         covariances_systematic: From the uncertainties of the calibration, shape (n, 6, 6).
         shared_effects: Change of the pose by one standard uncertainty of each shared term of the calibration file, in
             its order, as ``covariances_systematic``, which contains them, shape (n, 8, 6); zero behind the last term.
+        stamp_shifts: Largest errors by errors of the stamps, see ``Estimate.stamp_shift``, shape (n, 6).
 
     """
 
@@ -178,6 +185,7 @@ class Estimates:
     covariances_random: FloatArray
     covariances_systematic: FloatArray
     shared_effects: FloatArray
+    stamp_shifts: FloatArray
 
     def __init__(
         self,

@@ -21,6 +21,7 @@ from posor.estimation.exposure import TIME, add_stamp_variance, move_to_stamp, w
 from posor.estimation.frozen import NOT_FROZEN, count_repetitions
 from posor.estimation.linearise import add_unmeasured, environment_is_valid, linearise_scan, unmeasured
 from posor.estimation.scan_checks import (
+    REFERENCE_SIGMAS,
     REGAINABLE_FAULTS,
     begin_checks,
     check_count,
@@ -34,6 +35,8 @@ from posor.estimation.scan_checks import (
     use_confirmation,
 )
 from posor.estimation.solver import CONVERGED, ILL_CONDITIONED, SINGULAR, solve_pose
+from posor.estimation.stamp_limit import write_stamp_shift
+from posor.estimation.time_offset import move_reference
 from posor.estimation.tracking import (
     add_prior,
     copy_pose,
@@ -228,6 +231,7 @@ def solve_and_check(
     latched = tracker.latch
     estimate.residual = math.nan
     begin_checks(workspace)
+    move_reference(workspace, scan, REFERENCE_SIGMAS)
     outcome, checks.faults = _solve(model, extrapolate)
     bridged = checks.faults & ILL_CONDITIONED_FAULT != 0
     if (
@@ -260,10 +264,11 @@ def solve_and_check(
     check_motion(workspace, theta, estimate)
     check_count(workspace, theta)
     check_home_mark(workspace, theta, scan.at_home)
-    check_reference(workspace, theta, estimate)
+    check_reference(workspace, theta, estimate, scan.stamp_limit)
     use_confirmation(workspace)
     checks.faults |= _flagged(scan)
     _end_start(settings, tracker)
+    _bound_stamp_shift(workspace, scan.stamp_limit, theta, estimate)
     theta = _keep_pose(workspace, theta)
     if checks.contradictory or tracker.latch:
         write_lost(estimate, _with_latch(checks.faults, latched))
@@ -300,6 +305,20 @@ def _write_unsolved(workspace: Any, outcome: int, flagged: int, estimate: Any) -
     tracker.reference_sigma = 0.0
     _end_start(settings, tracker)
     write_lost(estimate, _with_latch(faults, latched) | flagged)
+
+
+@inlined
+def _bound_stamp_shift(workspace: Any, limit: float, theta: float, estimate: Any) -> None:
+    """Write the largest error of an accepted pose by its stamp; zero where no limit [s] is stated."""
+    tracker, checks = workspace.tracker, workspace.checks
+    if not limit > 0.0:
+        tracker.motion.followed = 0.0
+        for i in range(6):
+            estimate.stamp_shift[i] = 0.0
+    elif checks.accepted and not checks.contradictory:
+        moved_from_previous = tracker.initialised and not checks.recounted
+        elapsed = checks.elapsed if moved_from_previous else math.nan
+        write_stamp_shift(workspace, limit, theta, elapsed, estimate)
 
 
 @inlined
@@ -350,7 +369,7 @@ def write_lost(estimate: Any, faults: int) -> None:
     for i in range(7):
         estimate.pose[i] = math.nan
     for i in range(6):
-        estimate.native[i] = math.nan
+        estimate.native[i] = estimate.stamp_shift[i] = math.nan
         for j in range(6):
             estimate.random[i, j] = math.nan
             estimate.systematic[i, j] = math.nan

@@ -19,7 +19,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any
 
-from posor.estimation.tracking import LONGEST_GAP
+from posor.estimation.tracking import rate_is_known, uniform_sigma
 from posor.model.fault import Fault
 from posor.model.reading_rows import predict_readings
 from posor.model.scan import CONTACTS
@@ -102,21 +102,15 @@ def write_twist(workspace: Any, elapsed: float) -> None:
     the largest motion where the calibration states it.
     """
     settings, tracker, rotation = workspace.settings, workspace.tracker, workspace.pose.rotation
-    known = tracker.initialised and not tracker.start_given and tracker.interval > 0.0
-    known = known and elapsed <= LONGEST_GAP * tracker.interval
+    known = rate_is_known(tracker, elapsed)
     turn, turn_sigma = tracker.theta_rate, tracker.rate_sigmas[3]
     if not known:
-        turn, turn_sigma = 0.0, _uniform_sigma(settings.max_theta_rate)
+        turn, turn_sigma = 0.0, uniform_sigma(settings.max_theta_rate)
     for i in range(3):
         workspace.twist[i], workspace.twist_sigmas[i] = tracker.velocity[i], tracker.rate_sigmas[i]
         if not known:
-            workspace.twist[i], workspace.twist_sigmas[i] = 0.0, _uniform_sigma(settings.max_velocity)
+            workspace.twist[i], workspace.twist_sigmas[i] = 0.0, uniform_sigma(settings.max_velocity)
         workspace.twist[3 + i], workspace.twist_sigmas[3 + i] = turn * rotation[i, 2], turn_sigma * abs(rotation[i, 2])
-
-
-@inlined
-def _uniform_sigma(largest: float) -> float:
-    return largest / math.sqrt(3.0) if largest < math.inf else 0.0
 
 
 @in_place

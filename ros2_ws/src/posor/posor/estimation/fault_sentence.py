@@ -23,11 +23,11 @@ RELEASE = (  # what releases a latch
 )
 
 
-def fault_sentence(stack: Stack, settings: Any, clocks: Any, scan: Scan, estimate: Any) -> str:
+def fault_sentence(stack: Stack, settings: Any, tracker: Any, scan: Scan, estimate: Any) -> str:
     """Return the sentence on the faults of a scan's estimate, empty where it has none.
 
-    ``stack``: sensors of the POSOR; ``settings``: record of dtype ``workspace.SETTINGS``; ``clocks``: record of dtype
-    ``workspace.CLOCKS``; ``estimate``: record of dtype ESTIMATE.
+    ``stack``: sensors of the POSOR; ``settings``: record of dtype ``workspace.SETTINGS``; ``tracker``: record of dtype
+    ``workspace.TRACKER``; ``estimate``: record of dtype ESTIMATE.
     """
     faults = int(estimate["faults"])
     if faults == 0:
@@ -64,10 +64,18 @@ def fault_sentence(stack: Stack, settings: Any, clocks: Any, scan: Scan, estimat
     found = [sentence for fault, sentence in sentences.items() if faults & fault]
     if faults & Fault.LATCHED:
         found = [f"latched after {Fault(faults & ~Fault.LATCHED).name}, {RELEASE}"]
+    clocks, offset = tracker["clocks"], tracker["offset"]
     scatter_s = math.sqrt(clocks["variance"])
     if faults & Fault.INNOVATION and scatter_s > SCATTERED * clocks["period"]:
         found.append(
             f"the stamps scatter by {1e3 * scatter_s:.3g} ms beside the scan numbers; expected the time of exposure"
+        )
+    if faults & Fault.ENCODER and offset["disagreeing"] != 0.0:
+        uncertainty = 1e3 * math.sqrt(offset["variance"])
+        found.append(
+            f"the time offset of the scans from the encoder is {1e3 * offset['seconds']:.3g} ms (positive: the "
+            f"readings are older than their stamps), standard uncertainty {uncertainty:.2g} ms; expected at most "
+            f"{1e3 * scan.stamp_limit:.3g} ms, the stated stamp_limit"
         )
     return f"scan {scan.number}: {'; '.join(found)}." if found else ""
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import math
 from functools import cached_property
+from operator import index as whole_number
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -223,28 +224,32 @@ class Posor:
             self.tracker[name] = value
         return True
 
-    def confirm_theta(self, theta: float, sigma: float) -> None:
+    def confirm_theta(self, theta: float, sigma: float, stamp_ns: int | None = None) -> None:
         """Compare the theta of the next scan with that of an encoder or another reference.
 
-        Agreement within 5 standard deviations counts theta where needed, and releases a latch that is about
-        theta only. Disagreement is ``Fault.ENCODER``, latched.
+        The reading is moved from its own stamp to that of the scan by the rate of the joint. Agreement within 5
+        standard deviations counts theta where needed, and releases a latch that is about theta only. Disagreement, also
+        by a time offset beyond 5 standard uncertainties and ``Scan.stamp_limit``, is ``Fault.ENCODER``, latched.
 
         Args:
-            theta: Large rotation at the next scan, modulo whole turns [rad].
-            sigma: Its standard uncertainty, motion until the next scan included [rad].
+            theta: Large rotation, modulo whole turns [rad].
+            sigma: Its standard uncertainty [rad].
+            stamp_ns: When it was read [ns], on the clock of the scans; None: at the next scan.
 
         Raises:
-            ParameterError: A number is not finite, ``sigma`` is not positive, or it is too large to tell the periods of
-                an ambiguous theta apart.
+            ParameterError: A number is not finite, ``sigma`` is not positive, it is too large to tell the periods of an
+                ambiguous theta apart, or ``stamp_ns`` is not a positive integer.
 
         """
         try:
             valid = math.isfinite(theta) and math.isfinite(sigma) and sigma > 0.0
+            time_ns = 0 if stamp_ns is None else whole_number(stamp_ns)
         except (TypeError, ValueError, OverflowError):
             valid = False
-        if not valid:
-            expected = "finite numbers, sigma > 0"
-            raise ParameterError(f"theta {theta!r}, sigma {sigma!r}", where="confirm_theta", expected=expected)
+        if not valid or (stamp_ns is not None and time_ns <= 0):
+            given = f"theta {theta!r}, sigma {sigma!r}, stamp_ns {stamp_ns!r}"
+            expected = "finite numbers, sigma > 0, stamp_ns a positive integer"
+            raise ParameterError(given, where="confirm_theta", expected=expected)
         period = float(self.settings["period"])
         if period > 0.0 and sigma > LARGEST_SIGMA * period:
             raise ParameterError(
@@ -253,6 +258,16 @@ class Posor:
                 expected=f"at most {LARGEST_SIGMA * period:.3g}; theta repeats after {period:.3g} rad",
             )
         self.tracker["reference_theta"], self.tracker["reference_sigma"] = theta, sigma
+        self.tracker["reference_stamp_ns"] = time_ns
+
+    @property
+    def time_offset(self) -> tuple[float, float]:
+        """Offset between the scans and the reference of theta, and its standard uncertainty [s]; NaN without one.
+
+        Positive where the content of the scans is older than their stamps; see ``estimation.time_offset``.
+        """
+        offset = self.tracker["offset"]
+        return (float(offset["seconds"]), math.sqrt(offset["variance"])) if offset["known"] else (math.nan, math.nan)
 
     @property
     def latched(self) -> Fault:
@@ -423,7 +438,7 @@ class Posor:
 
     def reason(self, scan: Scan, estimate: Any) -> str:
         """Return the sentence on the fault of a scan's estimate (record of dtype ESTIMATE), empty where it has none."""
-        return fault_sentence(self.stack, self.settings, self.tracker["clocks"], scan, estimate)
+        return fault_sentence(self.stack, self.settings, self.tracker, scan, estimate)
 
 
 class _OneScan:

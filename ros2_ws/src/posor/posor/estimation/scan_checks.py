@@ -19,6 +19,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any
 
+from posor.estimation.time_offset import follow_offset
 from posor.estimation.tracking import LONGEST_GAP, copy_pose, turn_about_z
 from posor.model.fault import Fault
 from posor.model.scan import STATED_HOME
@@ -67,8 +68,8 @@ def count_theta(workspace: Any, theta: float, at_home: int) -> bool:
         agrees_with_last = tracker.marks > 0 and checks.marks_off == tracker.marks_off
         checks.marks = tracker.marks + 1 if agrees_with_last else 1
         checks.recounted = 1 if checks.marks >= MARKS or at_home == STATED_HOME else 0
-    elif tracker.reference_sigma > 0.0 and not checks.counted:
-        checks.marks_off = float(round(wrapped(theta - tracker.reference_theta) / settings.period))
+    elif checks.reference_variance > 0.0 and not checks.counted:
+        checks.marks_off = float(round(wrapped(theta - checks.reference_theta) / settings.period))
         checks.recounted = 1
     if checks.recounted and checks.marks_off != 0.0 and settings.bump_angle == 0.0:
         checks.faults |= COUNT  # the numbers of the light sources contradict the count
@@ -176,13 +177,20 @@ def check_home_mark(workspace: Any, theta: float, at_home: int) -> None:
 
 
 @in_place
-def check_reference(workspace: Any, theta: float, estimate: Any) -> None:
-    """Compare theta with the reference of this scan, if there is one; disagreement latches the joint."""
-    tracker, checks = workspace.tracker, workspace.checks
-    if tracker.reference_sigma > 0.0 and not checks.contradictory:
-        difference = abs(wrapped(tracker.reference_theta - theta))
-        variance = square(tracker.reference_sigma) + estimate.random[5, 5] + estimate.systematic[5, 5]
-        checks.confirmed = 1 if difference <= REFERENCE_SIGMAS * math.sqrt(variance) else 0
+def check_reference(workspace: Any, theta: float, estimate: Any, limit: float) -> None:
+    """Compare theta with the reference of this scan, if there is one; disagreement latches the joint.
+
+    ``limit``: stated largest error of the stamps [s].
+    """
+    settings, tracker, checks = workspace.settings, workspace.tracker, workspace.checks
+    if checks.reference_variance > 0.0 and not checks.contradictory:
+        difference = wrapped(checks.reference_theta - theta)
+        noise, systematic = checks.reference_variance + estimate.random[5, 5], estimate.systematic[5, 5]
+        if checks.accepted and (settings.period == 0.0 or tracker.counted or checks.recounted):
+            bias = square(tracker.reference_sigma) + systematic
+            follow_offset(workspace, theta, difference, noise, bias, limit)
+        allowed = REFERENCE_SIGMAS * math.sqrt(noise + systematic) + checks.reference_tolerance
+        checks.confirmed = 1 if abs(difference) <= allowed and tracker.offset.disagreeing == 0.0 else 0
         if not checks.confirmed:
             checks.faults |= ENCODER
             latch(tracker, ENCODER, 1, checks.elapsed)

@@ -86,6 +86,19 @@ def add_prior(workspace: Any, first: int, elapsed: float) -> None:
 
 
 @inlined
+def rate_is_known(tracker: Any, elapsed: float) -> bool:
+    """Return whether the motion is known ``elapsed`` [s] after the previous pose."""
+    known = tracker.initialised and not tracker.start_given and tracker.interval > 0.0
+    return bool(known and elapsed <= LONGEST_GAP * tracker.interval)
+
+
+@inlined
+def uniform_sigma(largest: float) -> float:
+    """Return the standard uncertainty of a rate within a motion limit; zero where the motion is not limited."""
+    return largest / math.sqrt(3.0) if largest < math.inf else 0.0
+
+
+@inlined
 def _update_rate(tracker: Any, i: int, rate: float, former: float) -> float:
     """Return a rate; write its standard uncertainty: its largest change in the last scans, of a first rate itself."""
     kept = RATE_MEMORY * tracker.rate_sigmas[i] if tracker.rates > 1 else 0.0

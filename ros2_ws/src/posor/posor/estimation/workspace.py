@@ -59,6 +59,31 @@ CLOCKS = np.dtype(  # the line between scan numbers and stamps (``estimation.clo
     align=True,
 )
 
+MOTION = np.dtype(  # smoothed rates of the pose, ROS order (``estimation.stamp_limit``)
+    [
+        ("followed", "f8"),  # time over which the motion was followed without a break [s]
+        ("once", "f8", (6,)),  # smoothed once [m/s], [rad/s]
+        ("twice", "f8", (6,)),
+        ("thrice", "f8", (6,)),
+    ],
+    align=True,
+)
+
+TIME_OFFSET = np.dtype(  # between the scans and an encoder (``estimation.time_offset``)
+    [
+        ("known", "i8"),  # 1 where there was a difference
+        ("seconds", "f8"),  # the offset, positive where the scans are older than their stamps [s]
+        ("variance", "f8"),  # of the offset [s^2]
+        ("bias", "f8"),  # of the encoder minus theta [rad]
+        ("bias_variance", "f8"),  # [rad^2]
+        ("covariance", "f8"),  # of both [rad s]
+        ("theta", "f8"),  # at the last difference [rad]
+        ("direction", "f8"),  # of the last motion: -1, 1; zero: there was none
+        ("disagreeing", "f8"),  # offset that is a fault [s]; zero: none
+    ],
+    align=True,
+)
+
 TRACKER = np.dtype(  # what is known from the previous scans
     [
         ("initialised", "i8"),  # 1 where there is a previous pose
@@ -75,6 +100,7 @@ TRACKER = np.dtype(  # what is known from the previous scans
         ("rates", "i8"),  # how many rates were found without a break
         ("rate_sigmas", "f8", (4,)),  # standard uncertainties of velocity and rate, from their changes [m/s], [rad/s]
         ("interval", "f8"),  # time over which rate and velocity were found [s]; zero: unknown
+        ("motion", MOTION),  # of scans that state the largest error of their stamps
         ("pose", POSE),
         ("start", POSE),
         ("latch", "i8"),  # faults that keep the joint out
@@ -88,6 +114,8 @@ TRACKER = np.dtype(  # what is known from the previous scans
         ("contradictions", "i8"),  # scans in a row that fail the residual test, at most RESIDUAL_RUN
         ("reference_theta", "f8"),  # theta from an encoder for the next scan [rad]
         ("reference_sigma", "f8"),  # its standard uncertainty [rad]; zero: there is none
+        ("reference_stamp_ns", "i8"),  # its time [ns]; zero: that of the next scan
+        ("offset", TIME_OFFSET),
         ("last_raw", "f8", (READINGS, 2)),  # raw readings of the scan before, two of each diode axis [V], [A]
         ("repeats", "i8", (READINGS,)),  # how often each has repeated without a break
         ("signatures", "f8", (LONGEST_LOOP,)),  # of all raw readings of the last scans, by number modulo LONGEST_LOOP
@@ -106,6 +134,9 @@ CHECKS = np.dtype(  # what the checks of one scan have found (``estimation.scan_
         ("accepted", "i8"),  # 1: the pose is where the target can have moved
         ("counted", "i8"),  # 1: theta was counted before this scan
         ("recounted", "i8"),  # 1: this scan counts theta anew
+        ("reference_theta", "f8"),  # reference of theta at the stamp of this scan [rad]
+        ("reference_variance", "f8"),  # [rad^2]; zero: there is none
+        ("reference_tolerance", "f8"),  # by which it may be off, because the stamp may be wrong [rad]
         ("confirmed", "i8"),  # 1: home marks or a reference confirm theta
         ("marks", "i8"),  # as in the tracker, with this scan
         ("marks_off", "f8"),

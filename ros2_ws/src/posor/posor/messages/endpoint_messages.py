@@ -119,16 +119,19 @@ class EndpointStateWriter:
     """Writes ``EndpointState``; pose, covariances and protection level are NaN without a pose.
 
     Attributes:
-        protection_level: Written into every message with a pose, (6,) [m], [rad]; NaN: not known.
+        protection_level: Without the part of the stamps' errors, which is added in every message, (6,) [m], [rad]; NaN:
+            not known.
 
     """
 
     def __init__(self, estimator: EndpointEstimator, frame: str, child_frame: str, *, relative: bool) -> None:
         pose, random, systematic = estimator.result(relative=relative)
-        self.protection_level = np.full(6, np.nan)
+        self.protection_level, level = np.full(6, np.nan), np.full(6, np.nan)
+        shift = estimator.relative_stamp_shift if relative else estimator.stamp_shift
+        self._summands_and_level = self.protection_level, shift, level
         self._age = np.full(1, np.nan)
         endpoint = {POSE: pose, "covariance_random": random, "covariance_systematic": systematic}
-        endpoint["protection_level"] = self.protection_level
+        endpoint["protection_level"] = level
         nothing = {name: np.full(numbers.shape, np.nan) for name, numbers in endpoint.items()}
         frames = {"header.frame_id": frame, "child_frame_id": child_frame}
 
@@ -145,4 +148,5 @@ class EndpointStateWriter:
     def write(self, stamp: bytes, age_s: float, verdict: EndpointVerdict) -> bytes:
         """Return the message; ``stamp``: its eight bytes (``STAMP``); ``age_s``: until now [s], NaN: no scan yet."""
         self._age[0] = age_s
+        np.add(*self._summands_and_level)
         return self._writer_of(verdict).write(stamp)

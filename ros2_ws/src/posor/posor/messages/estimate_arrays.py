@@ -32,6 +32,8 @@ class EndpointEstimates:
             same frame, shape (n, 6, 6).
         covariances_systematic: The same, from calibrations and beams, common to all scans, shape (n, 6, 6).
         angles: Of each joint about its nominal axis [rad], shape (n, joints).
+        stamp_shifts: Largest errors of the endpoint by errors of the stamps within their limits, along and about the
+            axes of the same frame, shape (n, 6): a part of the protection level; zero: no limit is stated.
 
     """
 
@@ -41,6 +43,7 @@ class EndpointEstimates:
     covariances_random: FloatArray
     covariances_systematic: FloatArray
     angles: FloatArray
+    stamp_shifts: FloatArray
 
     def __post_init__(self) -> None:
         freeze_arrays(self)
@@ -74,7 +77,8 @@ class EndpointEstimates:
     def none() -> EndpointEstimates:
         """Return no estimates, of an arm without a chain."""
         integers, matrices = np.empty(0, dtype=np.int64), np.empty((0, 6, 6))
-        return EndpointEstimates(integers, integers, np.empty((0, 7)), matrices, matrices, np.empty((0, 0)))
+        vectors = np.empty((0, 6))
+        return EndpointEstimates(integers, integers, np.empty((0, 7)), matrices, matrices, np.empty((0, 0)), vectors)
 
 
 @dataclass(frozen=True, repr=False)
@@ -118,7 +122,10 @@ def estimate_joint(posor: Posor, recorded: RecordedScans) -> Estimates:
 def lost_records(recorded: RecordedScans, code: int) -> np.ndarray[tuple[int], np.dtype[np.void]]:
     """Return records of scans that are not estimated: LOST, every number of the pose NaN."""
     records = np.zeros(len(recorded), dtype=ESTIMATE)
-    for name in ("rotation", "translation", "pose", "native", "random", "systematic", "shared", "residual"):
+    for name in (
+        *("rotation", "translation", "pose", "native", "random", "systematic"),
+        *("shared", "stamp_shift", "residual"),
+    ):
         records[name] = np.nan
     records["number"], records["stamp_ns"] = recorded.scans.numbers, recorded.scans.stamps_ns
     records["state"], records["faults"] = int(State.LOST), int(Fault.BAD_READING)

@@ -41,6 +41,7 @@ FIELDS = {  # fields that an estimate fills, by their names in TRANSFORM_LAYOUT
     "covariance_random": "covariance_random",
     "covariance_systematic": "covariance_systematic",
     "shared_effects": "shared_effects",
+    "stamp_shift": "stamp_shift",
 }
 TRANSFORM_LAYOUT = np.dtype([*((name, "i8") for name in FIELDS), ("shared_count", "i8")])
 """Byte offsets of the fields in a row of bytes, and the number of shared terms."""
@@ -80,6 +81,7 @@ def pack_estimate(estimate: Any, layout: Any, template: FloatArray, rows: Messag
         floats[n, layout.pose // 8 + k] = estimate.pose[k]
     for k in range(6):
         floats[n, layout.native // 8 + k] = estimate.native[k]
+        floats[n, layout.stamp_shift // 8 + k] = estimate.stamp_shift[k]
     floats[n, layout.residual // 8] = math.nan if estimate.state == LOST else estimate.residual
     random, systematic = layout.covariance_random // 8, layout.covariance_systematic // 8
     for i in range(6):
@@ -125,6 +127,7 @@ def row_layout_of(layout: TableLayout) -> JointRowLayout:
         covariance_random=LEAD + layout.offset("covariance_random"),
         covariance_systematic=LEAD + layout.offset("covariance_systematic"),
         shared=(shared := -(-(LEAD + layout.size) // 8) * 8),  # not where a message has them: that depends on names
+        stamp_shift=LEAD + layout.offset("stamp_shift"),
         state=LEAD + layout.offset("state"),
         size=shared + 8 * 6 * MAX_TERMS,
     )

@@ -13,6 +13,7 @@ from posor.chain.joint_measurements import JointRowLayout
 from posor.chain.kinematic_chain import Chain, Endpoint
 from posor.model.fault import State
 from posor.model.native_coordinates import native_from_rotation
+from posor.uncertainty.protection_level import endpoint_effects
 
 from .six_axis_arm import FOLDER, JOINTS, PERIOD_NS, SCANS, WINDOW_S, assert_bits, six_axis_chain, swinging
 
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
 
     Parts = tuple[FloatArray, FloatArray]
 
-RESULTS = ("pose", "covariance_random", "covariance_systematic", "angles")
+RESULTS = ("pose", "covariance_random", "covariance_systematic", "angles", "stamp_shift")
 
 
 @pytest.fixture(scope="module")
@@ -54,6 +55,12 @@ def covariances(rng: np.random.Generator) -> Parts:
     roots = rng.normal(size=(2, SCANS, JOINTS, 6, 6)) * 1e-6
     random, systematic = roots @ np.swapaxes(roots, -1, -2)
     return random, systematic
+
+
+@pytest.fixture
+def stamp_shifts(rng: np.random.Generator) -> FloatArray:
+    """Some joints state no limit of their stamps."""
+    return np.abs(rng.normal(size=(SCANS, JOINTS, 6))) * 1e-6 * (rng.uniform(size=(SCANS, JOINTS, 1)) > 0.5)
 
 
 def exact(scans: int) -> Parts:
@@ -153,7 +160,7 @@ def test_many_scans_give_the_bits_of_single_scans(chain: Chain, covariances: Par
     poses, stamps = swinging(chain, SCANS)
     found = chain.estimate_all(poses, *covariances, stamps, acceleration_window=window_s)
     alone = one_by_one(chain, poses, covariances, stamps, window_s)
-    for together, single in zip(found[:4], alone, strict=True):
+    for together, single in zip((*found[:4], found.stamp_shifts), alone, strict=True):
         assert_bits(together, single)
     assert found.usable.all()
 
@@ -249,6 +256,29 @@ def test_pose_and_covariance_relative_to_home(chain: Chain, poses: FloatArray, c
     assert_bits(relative.angles, found.angles)
 
 
+def test_stamp_shifts_add_up_by_their_effects_on_the_endpoint(
+    straight: Chain, poses: FloatArray, stamp_shifts: FloatArray
+) -> None:
+    stamp_shifts[0] = 0.0
+    stamp_shifts[1, 3, 5] = math.inf
+    found = straight.estimator().estimate_all(poses, *exact(SCANS), stamp_shifts=stamp_shifts)
+    relative = found.relative_to(found.poses[0])
+    back = np.kron(np.eye(2), pin.XYZQUATToSE3(found.poses[0]).rotation.T)
+    for n in range(SCANS):
+        names = [joint.name for joint in straight.joints]
+        effects = endpoint_effects(
+            straight, {name: pin.XYZQUATToSE3(pose) for name, pose in zip(names, poses[n], strict=True)}
+        )
+        with np.errstate(invalid="ignore"):
+            amounts = [np.abs(effects[name]) * stamp_shifts[n, j] for j, name in enumerate(names)]
+        expected = np.nansum(amounts, axis=(0, 2))
+        np.testing.assert_allclose(found.stamp_shifts[n], expected, rtol=1e-12)
+        if n != 1:
+            np.testing.assert_allclose(relative.stamp_shifts[n], np.abs(back) @ expected, rtol=1e-9, atol=1e-18)
+    assert not found.stamp_shifts[0].any()
+    assert np.isinf(found.stamp_shifts[1]).any()
+
+
 def test_a_quaternion_slightly_off_unit_length_is_normalised(chain: Chain, poses: FloatArray) -> None:
     """As from a sender of single precision."""
     longer = poses.copy()
@@ -269,12 +299,12 @@ def test_read_only_arrays_are_accepted(chain: Chain, poses: FloatArray, covarian
     assert_bits(chain.estimate_all(poses, *covariances).poses, expected)
 
 
-def test_serialised_rows_give_the_bits_of_arrays(chain: Chain, covariances: Parts) -> None:
+def test_serialised_rows_give_the_bits_of_arrays(chain: Chain, covariances: Parts, stamp_shifts: FloatArray) -> None:
     """With a window above the initial capacity, and different offsets in each row."""
     scans = INITIAL_CAPACITY + 40
     poses, stamps = swinging(chain, scans)
     columns = [
-        JointRowLayout(8 * (j + 1), 8 * (j + 8), 8 * (j + 14), 8 * (j + 50), 0, state=3, size=728)
+        JointRowLayout(*(8 * (j + first) for first in (1, 8, 14, 50)), 0, 8 * (j + 86), state=3, size=776)
         for j in range(JOINTS)
     ]
     estimator, other = (chain.estimator(scans * PERIOD_NS * 1e-9, columns) for _ in range(2))
@@ -292,6 +322,7 @@ def test_serialised_rows_give_the_bits_of_arrays(chain: Chain, covariances: Part
             row = numbers[j]
             row[j + 1 : j + 8], row[j + 8 : j + 14] = poses[n, j], natives[n, j]
             row[j + 14 : j + 86] = np.ravel([part[j] for part in part_of(covariances, n % SCANS)])
+            row[j + 86 : j + 92] = stamp_shifts[n % SCANS, j]
             estimator.rows[j, 3] = states[j]
         if n == 22:
             numbers[0, 1] = math.nan
@@ -302,7 +333,7 @@ def test_serialised_rows_give_the_bits_of_arrays(chain: Chain, covariances: Part
             continue
         assert worst == max(states)
         set_scan(other, poses[n], part_of(covariances, n % SCANS))
-        other.thetas[:] = natives[n, :, 5]
+        other.thetas[:], other.stamp_shifts[:] = natives[n, :, 5], stamp_shifts[n % SCANS]
         assert other.estimate(int(stamps[n]))
         for name in (*RESULTS, "accelerations"):
             assert_bits(getattr(estimator, name), getattr(other, name))

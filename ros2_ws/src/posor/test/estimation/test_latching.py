@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
@@ -238,11 +238,17 @@ def test_an_encoder_counts_a_bumpy_ring_modulo_whole_turns() -> None:
     assert found.thetas == pytest.approx(thetas[50:], abs=1e-9)
 
 
-@pytest.mark.parametrize(("theta", "sigma"), [(math.nan, 0.01), (0.0, 0.0), (0.0, -1.0), (math.inf, 0.1), (0.0, 0.02)])
-def test_a_reference_that_says_nothing_is_refused(theta: float, sigma: float) -> None:
+@pytest.mark.parametrize(
+    "reference",
+    [
+        *((math.nan, 0.01), (0.0, 0.0), (0.0, -1.0), (math.inf, 0.1), (0.0, 0.02)),
+        *((0.0, 0.01, 0), (0.0, 0.01, -1), (0.0, 0.01, 1e18)),
+    ],
+)
+def test_a_reference_that_says_nothing_is_refused(reference: tuple[Any, ...]) -> None:
     posor = Posor(design("triad_bumpy_ring"))
     with pytest.raises(ParameterError, match="confirm_theta"):
-        posor.confirm_theta(theta, sigma)
+        posor.confirm_theta(*reference)
 
 
 def test_unlit_sources_latch_when_they_last() -> None:

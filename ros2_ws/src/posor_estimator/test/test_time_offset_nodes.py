@@ -1,0 +1,151 @@
+"""A joint whose scans are older than their stamps, by real nodes: driver, posor_nodes, chain_node, and an encoder.
+
+The simulated driver stamps 40 ms too late. The test is the encoder, which reads the true theta, and passes the scans on
+to a second posor_node with the stated largest error of their stamps.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+import yaml
+from geometry_msgs.msg import PoseStamped
+from posor.calibration.designs import sized_design
+from posor.model.native_coordinates import native_from_rotation
+from posor_lab.harness.graph import LOSSLESS, Graph, values_of, wait_for_value
+from posor_lab.harness.message_conversion import pose_from_message, stamp_ns
+from posor_lab.harness.program import Program, installed
+from posor_msgs.msg import EndpointState, RawScan
+from posor_ros.ros_arguments import ros_arguments
+from sensor_msgs.msg import JointState
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+pytestmark = pytest.mark.usefixtures("ros_domain")
+
+LATE_S, LIMIT_S, SIGMA = 0.04, 0.045, 4e-3  # of the stamps [s]; of the encoder [rad]: 5 of them are 0.5 rad/s for 40 ms
+RATE, CYCLE_S = 100, 6.0  # [Hz], [s]
+PLATES = ("joint_receiving", "joint_target")
+PROVENANCE = {"source": "a test", "method": "by hand", "date": "none"}
+URDF = """<robot name="arm"><link name="base"/><link name="joint_receiving"/><link name="joint_target"/>
+<link name="endpoint"/>
+<joint name="column" type="fixed"><parent link="base"/><child link="joint_receiving"/><origin xyz="0 0 0.4"/></joint>
+<joint name="joint" type="floating"><parent link="joint_receiving"/><child link="joint_target"/>
+<origin xyz="0 0 0.000735"/></joint>
+<joint name="forearm" type="fixed"><parent link="joint_target"/><child link="endpoint"/>
+<origin xyz="0.5 0 0.05"/></joint>
+</robot>"""
+
+
+def quantity(value: object, unit: str) -> dict[str, object]:
+    return {"value": value, "unit": unit}
+
+
+def write_arm(folder: Path) -> Path:
+    """Write an arm of one joint that swings by up to 0.5 rad/s, and whose stamps are late; return the arm file."""
+    start, end = quantity(0.0, "s"), quantity(CYCLE_S, "s")
+    swing = {"kind": "spline", "duration": end, "joints": ["joint"]}
+    swing["through"] = quantity([[1.0], [0.0]], "rad")
+    scenario = {"format": "posor_scenario", "version": 1, "name": "arm", "provenance": PROVENANCE, "seed": 7}
+    scenario |= {"rate": quantity(RATE, "Hz"), "duration": end, "joints": {"joint": {}}, "motion": [swing]}
+    converter = {"bits": 24, "probes": quantity([-7.0, 7.0], "V"), "diodes": quantity([0.0, 1.5e-4], "A")}
+    scenario["electronics"] = {"converter": converter}
+    late = {"joint": "joint", "kind": "clock", "from": start, "until": end, "size": quantity(LATE_S, "s")}
+    scenario["faults"] = [late]
+    calibration = sized_design("quad_light_ring", 0.2032, frames=PLATES, title="joint")
+    arm = {"format": "posor_arm", "version": 1, "name": "arm", "provenance": PROVENANCE, "urdf": "arm.urdf"}
+    arm |= {"joints": {"joint": {"calibration": "joint.yaml"}}, "driver": {"source": "simulated"}}
+    (folder / "arm.urdf").write_text(URDF, encoding="utf-8")
+    contents = {"joint": calibration.model_dump(mode="json", exclude_none=True), "scenario": scenario}
+    for name, content in {**contents, "arm": {**arm, "scenario": "scenario.yaml"}}.items():
+        (folder / f"{name}.yaml").write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
+    return folder / "arm.yaml"
+
+
+def program(package: str, executable: str, namespace: str, **parameters: object) -> Program:
+    names = {name.replace("__", "."): value for name, value in parameters.items()}
+    return Program([*installed(package, executable), *ros_arguments(names, namespace)])
+
+
+class Rig:
+    """The nodes; ``truth``: poses of the endpoint by stamp [ns]; ``states``: of the endpoint, with stated stamps."""
+
+    def __init__(self, graph: Graph) -> None:
+        self.graph, self.truth, self.moving_since = graph, dict[int, Any](), 0
+        graph.watch_diagnostics()
+        self.states: list[Any] = graph.collect(EndpointState, "/stated/endpoint/state")
+        self.encoder = graph.node.create_publisher(JointState, "/arm/joint/encoder", LOSSLESS)
+        self.stated = graph.node.create_publisher(RawScan, "/stated/joint/raw", LOSSLESS)
+        graph.node.create_subscription(PoseStamped, "/arm/truth/endpoint", self._on_truth, LOSSLESS)
+        graph.node.create_subscription(PoseStamped, "/arm/truth/joint", self._on_joint, LOSSLESS)
+        graph.node.create_subscription(RawScan, "/arm/joint/raw", self._on_scan, 10)
+
+    def _on_truth(self, message: Any) -> None:
+        self.truth[stamp_ns(message)] = pose_from_message(message.pose)
+
+    def _on_joint(self, message: Any) -> None:
+        theta = native_from_rotation(pose_from_message(message.pose).rotation)[2]
+        reading = JointState(position=[theta])
+        reading.header.stamp = message.header.stamp
+        self.encoder.publish(reading)
+
+    def _on_scan(self, message: Any) -> None:
+        message.stamp_limit = LIMIT_S
+        self.stated.publish(message)
+
+
+@pytest.fixture(scope="module")
+def rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
+    arm = write_arm(tmp_path_factory.mktemp("late"))
+    calibration, urdf = str(arm.with_name("joint.yaml")), str(arm.with_name("arm.urdf"))
+    simulated = {"source": "simulated", "simulated__arm": str(arm), "simulated__joint": "joint"}
+    with (
+        Graph() as graph,
+        program("posor_estimator", "posor_node", "/arm/joint", calibration=calibration, encoder__sigma=SIGMA),
+        program("posor_estimator", "posor_node", "/stated/joint", calibration=calibration),
+        program("posor_estimator", "chain_node", "/stated", urdf=urdf, endpoint_frame="endpoint"),
+    ):
+        rig = Rig(graph)
+        for name in ("/arm/joint/posor_node: estimate", "/stated/chain_node: endpoint"):
+            graph.wait_for_status(name, "yet")
+        with program("posor_drivers", "driver_node", "/arm/joint", wait_for_subscribers=1, **simulated):
+            yield rig
+
+
+def test_the_encoder_names_the_time_offset(rig: Rig) -> None:
+    name = "/arm/joint/posor_node: estimate"
+    status = wait_for_value(rig.graph, name, "reason", "time offset of the scans from the encoder is ")
+    values = values_of(status)
+    assert "ENCODER" in values["faults"]
+    offset, uncertainty = (float(values[f"encoder_time_offset{part}_s"]) for part in ("", "_uncertainty"))
+    assert abs(offset - LATE_S) < 5.0 * uncertainty < LATE_S
+    assert float(values["scan_period_s"]) == pytest.approx(1.0 / RATE, rel=1e-3)
+    assert 0.0 <= float(values["stamp_scatter_s"]) < 1e-3
+
+
+def test_without_an_encoder_the_error_stays_within_the_level_of_the_stated_limit(rig: Rig) -> None:
+    def judged() -> list[Any]:
+        return [
+            state
+            for state in rig.states
+            if state.state == EndpointState.STATE_OK
+            and np.isfinite(state.protection_level).all()
+            and stamp_ns(state) in rig.truth
+        ]
+
+    rig.graph.wait_until(lambda: len(judged()) > 2 * RATE * CYCLE_S, "two cycles of states")
+    errors, levels = [], []
+    for state in judged():
+        found, true = pose_from_message(state.pose), rig.truth[stamp_ns(state)]
+        turned = pin.log3(found.rotation @ true.rotation.T)
+        errors.append(np.abs([*(found.translation - true.translation), *turned]))
+        levels.append(np.array(state.protection_level))
+    assert (np.array(errors) <= np.array(levels)).all()
+    worst = np.argmax(np.array(errors)[:, 5])
+    assert errors[worst][5] > 0.4 * LATE_S  # 0.4 rad/s
+    assert levels[worst][5] < 1.5 * errors[worst][5]
