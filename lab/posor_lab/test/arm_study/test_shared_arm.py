@@ -40,7 +40,7 @@ def variances_along_x(sampler: ArmSampler, path: Path) -> tuple[float, float]:
 
 
 def test_the_coherent_sum_covers_common_errors_and_the_independent_one_does_not(shared_arm: Path) -> None:
-    """One pose of each arm, drawn by parameters and geometry. The terms are 36 um along X of the base, the rest 3 um."""
+    """One pose of each arm, drawn by parameters and geometry. The terms are 36 um along X, the rest 3 um."""
     sampler = ArmSampler(load_checked_arm(str(shared_arm)), 1)
     sample = sampler.draw(range(SEED, SEED + ARMS))
     assert sample.lost == 0

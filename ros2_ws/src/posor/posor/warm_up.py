@@ -84,8 +84,14 @@ def example_stream(count: int = 1) -> MessageStream:
 def warm_up_chain() -> None:
     """Find the endpoint of an arm of one joint, and one more from a row of bytes."""
     layout = JointRowLayout(
-        **{"pose": 32, "native": 88, "covariance_random": 144, "covariance_systematic": 432, "shared": 0},
-        **{"stamp_shift": 720, "state": 21, "size": ROW_BYTES},
+        pose=32,
+        native=88,
+        covariance_random=144,
+        covariance_systematic=432,
+        shared=0,
+        stamp_shift=720,
+        state=21,
+        size=ROW_BYTES,
     )
     estimator = Chain(ARM, "endpoint").estimator(row_layouts=[layout])
     if not estimator.estimate():

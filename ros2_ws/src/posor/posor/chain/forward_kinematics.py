@@ -324,7 +324,6 @@ def compute_endpoint(
     write_covariance(random, endpoints.covariances_random[scan])
     write_covariance(systematic, endpoints.covariances_systematic[scan])
     write_pose(rotation, translation, endpoints.poses[scan])
-    bound_stamp_shift(arm, history, measurements, endpoints, scan)
 
 
 @in_place
@@ -418,6 +417,7 @@ def estimate_endpoints(
             forget_after_gap(stamp_ns, history)
             estimate_accelerations(history)
         compute_endpoint(arm, history, measurements, endpoints, n)
+        bound_stamp_shift(arm, history, measurements, endpoints, n)
         if not is_finite(endpoints, n):
             write_nan(endpoints, n)
             for j in range(faults.shape[0]):

@@ -50,15 +50,7 @@ LARGEST_FLOAT = sys.float_info.max
 ROW_LAYOUT = np.dtype(
     [
         (name, np.int64)
-        for name in (
-            "pose",
-            "native",
-            "covariance_random",
-            "covariance_systematic",
-            "shared",
-            "stamp_shift",
-            "state",
-        )
+        for name in ("pose", "native", "covariance_random", "covariance_systematic", "shared", "stamp_shift", "state")
     ]
 )
 """Where a row of message bytes holds its fields: indices of 8-byte numbers, and of the byte ``state``."""
