@@ -43,7 +43,7 @@ BUMP = 2.0 * math.pi / BUMPS
 def message_of(scan: Scan) -> RawScan:
     """Return a scan as its message, with a number and a status of which no bit may be lost."""
     message = scan_message(scan)
-    message.scan, message.samples, message.status = 2**64 - 1 - scan.number, 4, 2**31 + 8
+    message.scan, message.samples, message.status = 2**64 - 100 + scan.number, 4, 2**31 + 8
     message.status |= RawScan.STATUS_HOME_BUMP if scan.at_home else 0
     return message
 
