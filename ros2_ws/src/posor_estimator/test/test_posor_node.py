@@ -231,7 +231,7 @@ def test_every_scan_number_that_a_message_can_hold_is_answered(rig: NodeRig, sou
 def test_a_contradicting_reading_is_lost_by_its_chi_square(rig: NodeRig, sound: Callable[[int], Any]) -> None:
     """A spot moved by dirt: every reading is in range, but no pose explains all seven."""
     graph, raw, transforms = rig.graph, rig.raw, rig.transforms
-    scan = sound(1)
+    scan = sound(1000)
     shift = 0.03 * TOTAL_A  # of the ratio along y, within the map
     scan.diode_currents[5] -= shift
     scan.diode_currents[7] += shift
