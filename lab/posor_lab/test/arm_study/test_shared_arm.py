@@ -32,8 +32,15 @@ def variances_along_x(sampler: ArmSampler, path: Path) -> tuple[float, float]:
     arm, names = load_arm_file(path), [joint.name for joint in sampler.chain.joints]
     angles = dict(zip(names, map(float, sampler._commanded[0]), strict=True))
     model = model_covariances({name: arm.calibration(name) for name in names}, sampler.chain, angles)
-    parts = zip(names, model.random.values(), model.systematic.values(), model.shared.values(), strict=True)
-    measured = {n: MeasuredJoint(sampler.chain.nominal_joint(n, angles[n]), *own) for n, *own in parts}
+    measured = {
+        name: MeasuredJoint(
+            sampler.chain.nominal_joint(name, angles[name]),
+            model.random[name],
+            model.systematic[name],
+            model.shared[name],
+        )
+        for name in names
+    }
     alone = {name: replace(each, shared_effects={}) for name, each in measured.items()}
     found = sampler.chain.estimate(measured), sampler._independent.estimate(alone)
     return found[0].covariance()[0, 0], found[1].covariance()[0, 0]

@@ -132,12 +132,14 @@ def test_the_results_are_the_same_bytes_in_one_process_and_in_four(scans: list[b
 
 
 def test_services_may_be_called_while_scans_come_in_another_thread(scans: list[bytes]) -> None:
+    count = 5 * len(scans)
+    played = [ScanTemplate(scans[n % len(scans)]).at(1_000_000 * (n + 1), n + 1) for n in range(count)]
     with NodeProcess() as process, Graph() as graph:
         arm = Arm([process])
         ended = Event()
 
         def publish() -> None:
-            for data in scans * 5:
+            for data in played:
                 arm.raw.publish(data)
             ended.set()
 
@@ -152,8 +154,8 @@ def test_services_may_be_called_while_scans_come_in_another_thread(scans: list[b
             answers.append(answer.result().success)
         thread.join()
         assert all(answers)
-        stamps = [data[STAMP] for data in arm.results(5 * len(scans))["/endpoint/pose"]]
-        assert stamps == [data[STAMP] for data in scans] * 5
+        stamps = [data[STAMP] for data in arm.results(count)["/endpoint/pose"]]
+        assert stamps == [data[STAMP] for data in played]
         assert not any(node.exit_requested for node in process.nodes)
 
 
@@ -171,7 +173,7 @@ def test_invalid_messages_are_refused_and_the_next_scan_is_estimated(scans: list
             wait_for_message("/joint1/posor_node: estimate", words)
 
         for data, words in (
-            (scans[0][:50], "a message of 50 bytes ends within 'status'; expected at least 52 bytes"),
+            (scans[0][:66], "a message of 66 bytes ends within 'status'; expected at least 68 bytes"),
             (surplus, "a message says that it has 9 gap_voltages; expected at most 8"),
             (b"", "a message begins with bytes ''"),
         ):
