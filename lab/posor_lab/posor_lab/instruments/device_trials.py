@@ -80,6 +80,8 @@ Entries = dict[str, dict[str, Any]]
 RANGE_M = 5e-4  # measuring range of the capacitive sensors; in it the gap voltages of the test rig lie
 SCALE_V_PER_M, OFFSET_V = 4e4, -10.0  # voltage of the simulated probe by distance
 STREAM_RATE = 1000.0
+FRAME_NS = {"labjack": 900_000, "labjack_stream": 900_000, "scpi": 100_000_000}
+"""Time within which the channels of a frame are read, less than from frame to frame [ns]."""
 FEEDBACK_OHM = 1e5  # feedback of the amplifiers that turn diode currents into voltages
 VOLTAGE_SERVERS: Mapping[str, type[LabJackServer | ScpiServer]] = {
     "labjack": LabJackServer,
@@ -196,7 +198,7 @@ def serve_voltages(kind: str, readings: SimulatedReadings, stack: ExitStack) -> 
     gains = {n: FEEDBACK_OHM if each.unit == "A" else 1.0 for n, each in enumerate(channels) if each.unit != "1"}
 
     def voltages(time_ns: int) -> list[float]:
-        values = readings.at(joint, time_ns)
+        values = readings.at(joint, time_ns, FRAME_NS[kind])
         return [gain * values[n] for n, gain in gains.items()]
 
     server: Any = VOLTAGE_SERVERS[kind](voltages)

@@ -46,6 +46,7 @@ class SimulatedReadings:
         self.arm = arm
         self._rate_ns = SIMULATED_RATE / slowness / NS
         self._random = np.random.default_rng(seed)
+        self._drawn: dict[str, tuple[int, int]] = {}
         effects = ("sag", "inertia") if slowness == 1.0 else ("sag",)  # slower, its accelerations are negligible
         smooth = ArmSimulation(arm, Imperfections.only(*effects), SIMULATED_RATE)
         noisy = ArmSimulation(arm, Imperfections.only("noise", *effects), SIMULATED_RATE)
@@ -66,12 +67,20 @@ class SimulatedReadings:
         """Begin the cycle, once the graph runs."""
         self._begin_ns = time.time_ns()
 
-    def at(self, joint: str, time_ns: int) -> list[float]:
-        """Return the readings of a joint at a ROS time [ns], in the order of its channels."""
+    def at(self, joint: str, time_ns: int, hold_ns: int = 0) -> list[float]:
+        """Return the readings of a joint at a ROS time [ns], in the order of its channels.
+
+        Noise that was drawn less than ``hold_ns`` before is kept: channels of a frame have the noise of one scan, which
+        is not independent from contact to contact.
+        """
         table, noise = self._tables[joint]
         row, following, share = self._rows(time_ns)
         values = (1.0 - share) * table[row] + share * table[following]
-        values += noise[self._random.integers(len(noise))]
+        drawn_ns, drawn = self._drawn.get(joint, (0, 0))
+        if not 0 <= time_ns - drawn_ns < hold_ns:
+            drawn = int(self._random.integers(len(noise)))
+            self._drawn[joint] = time_ns, drawn
+        values += noise[drawn]
         values[self._whole[joint]] = table[row, self._whole[joint]]
         readings: list[float] = values.tolist()
         return readings
