@@ -10,7 +10,7 @@ import yaml
 from posor.calibration.calibration_file import Calibration, calibration_from
 from posor.calibration.designs import design
 from posor.calibration.edit import parse_key_path
-from posor.calibration.parameter_covariance import parameter_entries
+from posor.calibration.parameter_entries import parameter_entries
 from posor.estimation.posor import Posor
 from posor_calibration.calibration_parameters import FreeParameters
 from posor_drivers.simulator.imperfections import RandomStream

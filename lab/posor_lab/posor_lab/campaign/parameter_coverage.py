@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.polynomial import chebyshev
-from posor.calibration.parameter_covariance import parameter_entries
+from posor.calibration.parameter_entries import parameter_entries
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from posor.calibration.calibration_file import Calibration
-    from posor.calibration.parameter_covariance import ParameterEntry
+    from posor.calibration.parameter_entries import ParameterEntry
     from posor.numerics.array_types import FloatArray
 
     from posor_lab.campaign.ground_truth import GroundTruth

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.polynomial import chebyshev
 from posor.calibration.calibration_file import calibration_from
-from posor.calibration.parameter_covariance import parameter_entries
+from posor.calibration.parameter_entries import parameter_entries
 from posor_lab.campaign import campaign_run
 from posor_lab.campaign.campaign_report import CampaignReport
 from posor_lab.campaign.campaign_run import calibrate_from_bags, record_bags, run_in_memory

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from posor.calibration.calibration_file import load_calibration
 from posor.calibration.designs import design
-from posor.calibration.parameter_covariance import parameter_entries
+from posor.calibration.parameter_entries import parameter_entries
 from posor.errors import CalibrationError, FitError
 from posor.estimation.sensor_stack import Stack
 from posor_calibration.calibration_parameters import FixedParameters, FreeParameters

@@ -54,9 +54,9 @@ def endpoint_columns(estimates: EndpointEstimates, joints: Sequence[str] = ()) -
     joints = joints or [str(n) for n in range(estimates.angles.shape[1])]
     columns: dict[str, Any] = {"log_time_ns": estimates.log_times_ns, "stamp_ns": estimates.stamps_ns}
     columns |= _split(POSE, estimates.poses)
-    columns |= _covariance_columns(estimates)
+    columns |= _covariance_columns(estimates) | _split(STAMP_SHIFT, estimates.stamp_shifts)
     columns |= _split([f"angle_{joint}" for joint in joints], estimates.angles)
-    return columns | _split(STAMP_SHIFT, estimates.stamp_shifts)
+    return columns
 
 
 def scan_columns(scans: Scans) -> dict[str, Any]:

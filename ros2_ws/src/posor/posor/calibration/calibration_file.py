@@ -19,7 +19,7 @@ from pydantic import Field, PrivateAttr, SerializeAsAny, create_model, field_val
 
 from posor.calibration.file_model import EntryError, FrozenModel, select_model_by_key
 from posor.calibration.fit_record import FitRecord
-from posor.calibration.parameter_covariance import parameter_entries
+from posor.calibration.parameter_entries import parameter_entries
 from posor.calibration.quantity import Quantity, measured
 from posor.calibration.session import Session
 from posor.calibration.shared_terms import SharedQuantity, SharedTerm, check_shared_terms

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from posor.calibration.calibration_file import VERSION, Calibration, calibration_from
-from posor.calibration.parameter_covariance import parameter_entries
+from posor.calibration.parameter_entries import parameter_entries
 from posor.chain.beams_file import VERSION as BEAMS_VERSION
 from posor.chain.beams_file import BeamsFile
 

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import pairwise
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+import pinocchio as pin
 import pytest
 import yaml
-from posor.bags.arm_estimator import ArmEstimator
+from posor import load_arm, simulate
+from posor.bags.arm_estimator import ArmEstimator, EndpointPipeline
 from posor.bags.reprocess_task import JointSettings, Settings
 from posor.calibration.designs import design
 from posor.estimation.estimate import Estimates
@@ -19,10 +22,11 @@ from posor.messages.estimate_arrays import estimate_joint
 from posor.messages.raw_scan import RecordedScans
 from posor.model.fault import Fault, State
 from posor.model.native_coordinates import rotation_from_native
+from posor.node_parameters import ChainParameters
+from posor.numerics.stamps import NS
+from posor.uncertainty.protection_level import endpoint_effects
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from posor.calibration.calibration_file import Calibration
     from posor.calibration.designs import DesignName
 
@@ -78,6 +82,33 @@ def test_each_joint_gets_the_poses_of_its_scans_one_by_one(settings: Settings) -
     summary, endpoint = estimator.summarise()
     assert endpoint is None
     assert [joint.scans for joint in summary.values()] == [111, 120, 80]
+
+
+def test_limits_of_the_stamps_reach_the_endpoint() -> None:
+    """The endpoint's bound is the sum of the joints' effects, but for the sag of the beams."""
+    arm = load_arm(Path(__file__).resolve().parents[3] / "posor_bringup" / "arms" / "six_axis" / "arm.yaml")
+    chain, count = arm.chain(), 40
+    numbers = np.arange(count)
+    poses, thetas = np.zeros((count, 7)), 2e-3 * numbers
+    poses[:, 2], poses[:, 5], poses[:, 6] = 0.735e-3, np.sin(0.5 * thetas), np.cos(0.5 * thetas)
+    fields = {"stamps_ns": NS + 5_000_000 * numbers, "numbers": numbers.astype(np.uint64)}
+    joints, frames, orders = {}, {}, {}
+    for n, name in enumerate(arm.calibrations):
+        calibration = arm.calibration(name)
+        limits = {"stamp_limits": np.full(count, n * 1e-3)}  # of the first joint, none
+        joints[name] = Posor(calibration).estimate_all(
+            simulate(calibration, poses, seed=n).with_fields(fields | limits)
+        )
+        frames[name], orders[name] = (calibration.frames.parent, calibration.frames.child), numbers
+    parameters = ChainParameters(urdf=str(arm.urdf), endpoint_frame=arm.endpoint_frame)
+    found = EndpointPipeline(chain, parameters, frames).estimate(joints, orders)
+    assert len(found) > 0.9 * count
+    n = int(np.searchsorted(fields["stamps_ns"], found.stamps_ns[-1]))
+    transforms = {name: pin.XYZQUATToSE3(each.poses[n]) for name, each in joints.items()}
+    effects = endpoint_effects(chain, transforms)
+    expected = sum(np.abs(effects[name]) @ each.stamp_shifts[n] for name, each in joints.items())
+    np.testing.assert_allclose(found.stamp_shifts[-1], expected, rtol=2e-3)
+    assert found.stamp_shifts[-1].min() > 0.0
 
 
 def test_scans_of_another_frame_or_without_a_stamp_are_lost_and_the_others_are_as_without_them() -> None:

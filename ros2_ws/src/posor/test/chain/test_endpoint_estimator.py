@@ -304,7 +304,9 @@ def test_serialised_rows_give_the_bits_of_arrays(chain: Chain, covariances: Part
     scans = INITIAL_CAPACITY + 40
     poses, stamps = swinging(chain, scans)
     columns = [
-        JointRowLayout(*(8 * (j + first) for first in (1, 8, 14, 50)), 0, 8 * (j + 86), state=3, size=776)
+        JointRowLayout(
+            8 * (j + 1), 8 * (j + 8), 8 * (j + 14), 8 * (j + 50), shared=0, stamp_shift=8 * (j + 86), state=3, size=776
+        )
         for j in range(JOINTS)
     ]
     estimator, other = (chain.estimator(scans * PERIOD_NS * 1e-9, columns) for _ in range(2))

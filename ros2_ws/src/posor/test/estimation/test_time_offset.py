@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from posor import Estimate, Scans
-    from posor.numerics.array_types import FloatArray
+    from posor.numerics.array_types import Array
 
 COUNT, MOVING = 800, 200  # scans, and those at rest before the joint swings
 TIMES = np.arange(COUNT) * PERIOD_S
@@ -25,12 +25,12 @@ SPEED, ANGULAR = 0.5, 0.5 * math.pi  # largest rate [rad/s], angular frequency o
 LATE_S, SIGMA = 0.04, 4e-3  # by which content is older than its stamps [s]; of an encoder [rad]: 5 of them are 40 ms
 
 
-def thetas(times: FloatArray) -> FloatArray:
+def thetas(times: Array) -> Array:
     swinging = ANGULAR * np.maximum(times - MOVING * PERIOD_S, 0.0)
     return np.asarray(SPEED / ANGULAR * (1.0 - np.cos(swinging)))
 
 
-def poses(times: FloatArray) -> FloatArray:
+def poses(times: Array) -> Array:
     """Return the true poses at times [s], shape (n, 7)."""
     theta = thetas(times)
     out = np.zeros((len(times), 7))
@@ -39,7 +39,7 @@ def poses(times: FloatArray) -> FloatArray:
     return out
 
 
-def swung(kind: str, late_s: float, limit_s: float = 0.0, times: FloatArray = TIMES) -> Scans:
+def swung(kind: str, late_s: float, limit_s: float = 0.0, times: Array = TIMES) -> Scans:
     """Return scans whose content is older than their stamps."""
     scans = simulate(load_calibration(ARMS / JOINTS[kind]), poses(times - late_s), seed=1)
     index = np.arange(len(times))
@@ -81,7 +81,7 @@ def confirmed(
 ) -> list[Estimate]:
     """Return the estimates of scans with a reading of an encoder for each, older than its stamp by up to ``age_s``."""
     posor, rng, found = Posor(load_calibration(ARMS / JOINTS[kind])), np.random.default_rng(4), []
-    for scan in scans:
+    for scan in (scans[n] for n in range(len(scans))):
         time_s = (scan.stamp_ns - FIRST_NS) * 1e-9 - age_s * rng.uniform()
         theta = float(thetas(np.array([time_s]))[0]) + error(time_s)
         posor.confirm_theta(theta, sigma, FIRST_NS + round(time_s * 1e9))
@@ -129,7 +129,7 @@ def test_a_precise_encoder_tells_the_offset_precisely_and_its_uncertainty_holds(
     scans = swung("light ring", LATE_S)
     posor = Posor(load_calibration(ARMS / JOINTS["light ring"]))
     assert all(math.isnan(value) for value in posor.time_offset)
-    for scan in scans:
+    for scan in (scans[n] for n in range(len(scans))):
         theta = float(thetas(np.array([(scan.stamp_ns - FIRST_NS) * 1e-9]))[0])
         posor.confirm_theta(theta + 1e-4 * NOISE.standard_normal(), 1e-4, scan.stamp_ns)
         posor.estimate(scan)

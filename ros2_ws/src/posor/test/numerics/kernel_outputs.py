@@ -136,7 +136,7 @@ def arm(rng: np.random.Generator) -> list[float]:
     estimate_endpoints(
         ArmGeometry(elements, beams, rotations[:2], np.zeros((2, 3)), np.array([0.1, 0.2, -9.8]), terms, *common),
         BeamHistory.allocate(3e-6, 2),
-        JointMeasurements(stamps, poses, random[:-1], systematic[:-1], thetas, shared),
+        JointMeasurements(stamps, poses, random[:-1], systematic[:-1], thetas, shared, np.zeros((scans, 2, 6))),
         endpoints,
         0,
     )
