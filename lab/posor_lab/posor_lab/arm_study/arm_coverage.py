@@ -171,9 +171,7 @@ class ArmSampler:
             straight, estimator = self.straight.estimate_all(poses, random, systematic), self.chain.estimator()
             estimator.use_terms(self._terms)
             most = max(map(len, self._terms))
-            endpoints = estimator.estimate_all(
-                poses, random, systematic, shared_effects=effects[:, :, :most]
-            )
+            endpoints = estimator.estimate_all(poses, random, systematic, shared_effects=effects[:, :, :most])
             errors[n, known] = pose_errors(_to_pose_array(endpoints.poses), true)
             without_sag[n, known] = pose_errors(_to_pose_array(straight.poses), true)
             normalised[n, known] = normalised_squares(errors[n, known], endpoints.covariances())

@@ -8,7 +8,7 @@ All other values are independent, but for the shared terms of the file (``calibr
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
