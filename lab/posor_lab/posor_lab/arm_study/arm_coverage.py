@@ -163,20 +163,20 @@ class ArmSampler:
             known = np.all([estimates.states != State.LOST for estimates in found.values()], axis=0)
             if not known.any():
                 continue
-            poses, random, systematic, effects = (
+            measured, random, systematic, effects = (
                 np.stack([getattr(each, name) for each in found.values()], axis=1)[known]
                 for name in ("poses", "covariances_random", "covariances_systematic", "shared_effects")
             )
             true = truth.endpoint.select(known)
-            straight, estimator = self.straight.estimate_all(poses, random, systematic), self.chain.estimator()
+            straight, estimator = self.straight.estimate_all(measured, random, systematic), self.chain.estimator()
             estimator.use_terms(self._terms)
             most = max(map(len, self._terms))
-            endpoints = estimator.estimate_all(poses, random, systematic, shared_effects=effects[:, :, :most])
+            endpoints = estimator.estimate_all(measured, random, systematic, shared_effects=effects[:, :, :most])
             errors[n, known] = pose_errors(_to_pose_array(endpoints.poses), true)
             without_sag[n, known] = pose_errors(_to_pose_array(straight.poses), true)
             normalised[n, known] = normalised_squares(errors[n, known], endpoints.covariances())
             if has_terms:
-                covariances = self._independent.estimate_all(poses, random, systematic).covariances()
+                covariances = self._independent.estimate_all(measured, random, systematic).covariances()
                 independent[n, known] = normalised_squares(errors[n, known], covariances)
         lost = int(np.isnan(normalised).sum())
         return ArmSample(normalised, errors, without_sag, lost, independent if has_terms else None)

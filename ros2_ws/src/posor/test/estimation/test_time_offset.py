@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
@@ -16,8 +16,10 @@ from .test_clocks import ARMS, FIRST_NS, JOINTS, PERIOD_S, errors
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from numpy.typing import NDArray
     from posor import Estimate, Scans
-    from posor.numerics.array_types import Array
+
+    Array = NDArray[Any]
 
 COUNT, MOVING = 800, 200  # scans, and those at rest before the joint swings
 TIMES = np.arange(COUNT) * PERIOD_S
