@@ -8,13 +8,8 @@ from itertools import groupby
 from typing import TYPE_CHECKING
 
 import numpy as np
-from posor.calibration.parameter_covariance import (
-    RELATIVE_ROUNDING,
-    ParameterEntry,
-    covariance_square_root,
-    parameter_entries,
-    stated_covariance,
-)
+from posor.calibration.parameter_covariance import RELATIVE_ROUNDING, covariance_square_root, stated_covariance
+from posor.calibration.parameter_entries import ParameterEntry, parameter_entries
 from posor.errors import FitError
 from posor.estimation.sensor_stack import Stack
 

@@ -14,7 +14,8 @@ from posor.calibration.calibration_file import Calibration, calibration_from, lo
 from posor.calibration.designs import design
 from posor.calibration.document_text import document_text
 from posor.calibration.fit_record import Instrument
-from posor.calibration.parameter_covariance import parameter_entries, stated_covariance
+from posor.calibration.parameter_covariance import stated_covariance
+from posor.calibration.parameter_entries import parameter_entries
 from posor.errors import CalibrationError
 from posor.estimation.forward import empty_scans
 from posor.estimation.posor import Posor

@@ -8,12 +8,8 @@ import numpy as np
 import pytest
 from posor.calibration.designs import design
 from posor.calibration.fit_record import CovarianceRecord, FitRecord, RecordedData
-from posor.calibration.parameter_covariance import (
-    CovarianceSquareRoot,
-    covariance_square_root,
-    parameter_entries,
-    stated_covariance,
-)
+from posor.calibration.parameter_covariance import CovarianceSquareRoot, covariance_square_root, stated_covariance
+from posor.calibration.parameter_entries import parameter_entries
 from posor.calibration.quantity import Quantity
 from posor.calibration.session import Session
 from posor.estimation.digital_zero import find_digital_zero

@@ -101,7 +101,7 @@ def test_limits_of_the_stamps_reach_the_endpoint() -> None:
         )
         frames[name], orders[name] = (calibration.frames.parent, calibration.frames.child), numbers
     parameters = ChainParameters(urdf=str(arm.urdf), endpoint_frame=arm.endpoint_frame)
-    found = EndpointPipeline(chain, parameters, frames).estimate(joints, orders)
+    found = EndpointPipeline(chain, parameters, frames, dict.fromkeys(frames, ())).estimate(joints, orders)
     assert len(found) > 0.9 * count
     n = int(np.searchsorted(fields["stamps_ns"], found.stamps_ns[-1]))
     transforms = {name: pin.XYZQUATToSE3(each.poses[n]) for name, each in joints.items()}
