@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -16,23 +16,21 @@ from .test_clocks import ARMS, FIRST_NS, JOINTS, PERIOD_S, errors
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from numpy.typing import NDArray
-    from posor import Estimate, Scans
-
-    Array = NDArray[Any]
+    from posor import Estimate, Scan, Scans
+    from posor.numerics.array_types import FloatArray
 
 COUNT, MOVING = 800, 200  # scans, and those at rest before the joint swings
-TIMES = np.arange(COUNT) * PERIOD_S
+TIMES: FloatArray = np.asarray(np.arange(COUNT) * PERIOD_S, dtype=np.float64)
 SPEED, ANGULAR = 0.5, 0.5 * math.pi  # largest rate [rad/s], angular frequency of the swing [rad/s]
 LATE_S, SIGMA = 0.04, 4e-3  # by which content is older than its stamps [s]; of an encoder [rad]: 5 of them are 40 ms
 
 
-def thetas(times: Array) -> Array:
+def thetas(times: FloatArray) -> FloatArray:
     swinging = ANGULAR * np.maximum(times - MOVING * PERIOD_S, 0.0)
     return np.asarray(SPEED / ANGULAR * (1.0 - np.cos(swinging)))
 
 
-def poses(times: Array) -> Array:
+def poses(times: FloatArray) -> FloatArray:
     """Return the true poses at times [s], shape (n, 7)."""
     theta = thetas(times)
     out = np.zeros((len(times), 7))
@@ -41,7 +39,7 @@ def poses(times: Array) -> Array:
     return out
 
 
-def swung(kind: str, late_s: float, limit_s: float = 0.0, times: Array = TIMES) -> Scans:
+def swung(kind: str, late_s: float, limit_s: float = 0.0, times: FloatArray = TIMES) -> Scans:
     """Return scans whose content is older than their stamps."""
     scans = simulate(load_calibration(ARMS / JOINTS[kind]), poses(times - late_s), seed=1)
     index = np.arange(len(times))
@@ -78,12 +76,16 @@ def test_without_a_limit_or_a_pose_nothing_is_added() -> None:
     assert (shifts[351:] > 0.0).all()
 
 
+def one_by_one(scans: Scans) -> list[Scan]:
+    return [scans[n] for n in range(len(scans))]
+
+
 def confirmed(
     kind: str, scans: Scans, sigma: float, error: Callable[[float], float], age_s: float = 0.0
 ) -> list[Estimate]:
     """Return the estimates of scans with a reading of an encoder for each, older than its stamp by up to ``age_s``."""
     posor, rng, found = Posor(load_calibration(ARMS / JOINTS[kind])), np.random.default_rng(4), []
-    for scan in (scans[n] for n in range(len(scans))):
+    for scan in one_by_one(scans):
         time_s = (scan.stamp_ns - FIRST_NS) * 1e-9 - age_s * rng.uniform()
         theta = float(thetas(np.array([time_s]))[0]) + error(time_s)
         posor.confirm_theta(theta, sigma, FIRST_NS + round(time_s * 1e9))
@@ -131,7 +133,7 @@ def test_a_precise_encoder_tells_the_offset_precisely_and_its_uncertainty_holds(
     scans = swung("light ring", LATE_S)
     posor = Posor(load_calibration(ARMS / JOINTS["light ring"]))
     assert all(math.isnan(value) for value in posor.time_offset)
-    for scan in (scans[n] for n in range(len(scans))):
+    for scan in one_by_one(scans):
         theta = float(thetas(np.array([(scan.stamp_ns - FIRST_NS) * 1e-9]))[0])
         posor.confirm_theta(theta + 1e-4 * NOISE.standard_normal(), 1e-4, scan.stamp_ns)
         posor.estimate(scan)
@@ -155,7 +157,7 @@ def test_a_reading_is_used_at_its_own_time() -> None:
 def test_an_acknowledgement_forgets_the_offset() -> None:
     scans = swung("light ring", LATE_S)
     posor = Posor(load_calibration(ARMS / JOINTS["light ring"]))
-    for scan in (scans[n] for n in range(500)):
+    for scan in one_by_one(scans.part(0, 500)):
         posor.confirm_theta(float(thetas(np.array([(scan.stamp_ns - FIRST_NS) * 1e-9]))[0]), SIGMA, scan.stamp_ns)
         posor.estimate(scan)
     assert posor.acknowledge()

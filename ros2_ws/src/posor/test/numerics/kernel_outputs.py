@@ -136,11 +136,14 @@ def arm(rng: np.random.Generator) -> list[float]:
     estimate_endpoints(
         ArmGeometry(elements, beams, rotations[:2], np.zeros((2, 3)), np.array([0.1, 0.2, -9.8]), terms, *common),
         BeamHistory.allocate(3e-6, 2),
-        JointMeasurements(stamps, poses, random[:-1], systematic[:-1], thetas, shared, np.zeros((scans, 2, 6))),
+        JointMeasurements(
+            *(stamps, poses, random[:-1], systematic[:-1], thetas, shared, rng.uniform(0.0, 1e-6, (scans, 2, 6)))
+        ),
         endpoints,
         0,
     )
-    outputs = *endpoints, *endpoints.relative_to(endpoints.poses[0])[:3]
+    relative = endpoints.relative_to(endpoints.poses[0])
+    outputs = *endpoints, *relative[:3], relative.stamp_shifts
     return [number for each in outputs for number in each.ravel().tolist()]
 
 
