@@ -13,6 +13,9 @@ The tracker has a time of its own that only moves forward, so a step of the cloc
 * where the stamps scatter and the source does not state their uncertainty, by the numbers times the period;
 * where the two clocks contradict each other, by the smaller of both, which accepts the least motion; a count of theta
   is given up.
+
+A step of the stamps shows that they were or are wrong by as much: it is the least largest error of the stamps until an
+acknowledgement.
 """
 
 from __future__ import annotations
@@ -158,6 +161,7 @@ def _refuse(model: Model, scan: Any, stamp: float, elapsed: float) -> int:
     if clocks.agreeing < LATE_RUN and not has_new_rate:
         return CONTRADICTORY
     by_numbers = float(scan.number - clocks.number) * clocks.period
+    clocks.step = max(clocks.step, abs(elapsed - by_numbers))
     tracker.time += min(elapsed, by_numbers) if elapsed > 0.0 else by_numbers
     _doubt_count(model)
     clocks.line = stamp
@@ -186,6 +190,7 @@ def _follow_back(model: Model, scan: Any, stamp: float, elapsed: float) -> int:
         tracker.time += clocks.period
     elif elapsed <= 0.0:
         tracker.time += clocks.period
+        clocks.step = max(clocks.step, LATE_RUN * clocks.period - elapsed)
         _doubt_count(model)
     else:
         tracker.time += elapsed

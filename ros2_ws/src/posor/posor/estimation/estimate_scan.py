@@ -268,7 +268,7 @@ def solve_and_check(
     use_confirmation(workspace)
     checks.faults |= _flagged(scan)
     _end_start(settings, tracker)
-    _bound_stamp_shift(workspace, scan.stamp_limit, theta, estimate)
+    _bound_stamp_shift(workspace, max(scan.stamp_limit, tracker.clocks.step), theta, estimate)
     theta = _keep_pose(workspace, theta)
     if checks.contradictory or tracker.latch:
         write_lost(estimate, _with_latch(checks.faults, latched))
@@ -309,7 +309,7 @@ def _write_unsolved(workspace: Any, outcome: int, flagged: int, estimate: Any) -
 
 @inlined
 def _bound_stamp_shift(workspace: Any, limit: float, theta: float, estimate: Any) -> None:
-    """Write the largest error of an accepted pose by its stamp; zero where no limit [s] is stated."""
+    """Write the largest error of an accepted pose by its stamp; zero where no limit [s] is known."""
     tracker, checks = workspace.tracker, workspace.checks
     if not limit > 0.0:
         tracker.motion.followed = 0.0

@@ -212,12 +212,16 @@ class Posor:
     def acknowledge(self) -> bool:
         """Release the latch after a fault: the next scan starts anew, and a counted theta must be counted again.
 
+        Without a latch, a step of the stamps is accepted, which bounds the error of the stamps no longer.
+
         Returns:
-            Whether there was a latch; without one nothing changes.
+            Whether there was a latch or a step; without one nothing changes.
 
         """
         if not self.tracker["latch"]:
-            return False
+            stepped = bool(self.tracker["clocks"]["step"])
+            self.tracker["clocks"]["step"] = 0.0
+            return stepped
         kept = {name: self.tracker[name].copy() for name in ("theta", "last_raw", "repeats")}
         self.reset()
         for name, value in kept.items():

@@ -125,6 +125,22 @@ def test_a_jump_beside_a_clock_fault_is_seen(name: str) -> None:
     assert estimates.faults[-1] & Fault.INNOVATION
 
 
+@pytest.mark.parametrize(
+    ("name", "step"), [("clock steps by -0.05 s", 0.05), ("driver restarts, stamps two ticks back", 2.0 * PERIOD_S)]
+)
+def test_stamps_that_were_set_may_be_wrong_by_the_step_until_it_is_acknowledged(name: str, step: float) -> None:
+    _, shift, numbers, _ = CASES[name]
+    posor = Posor(load_calibration(ARMS / JOINTS["light ring"]), false_alarm=1e-9)
+    fields = {"stamps_ns": FIRST_NS + np.round((INDEX * PERIOD_S + shift) * 1e9).astype(np.int64)}
+    scans = simulated("light ring").with_fields({**fields, "numbers": numbers.astype(np.uint64)})
+    found = posor.estimate_all(scans.part(0, COUNT - 1))
+    assert not found.stamp_shifts[AT - 1].any()
+    assert found.stamp_shifts[-1, 5] >= RATE * step
+    assert posor.acknowledge()
+    assert not posor.acknowledge()
+    assert not posor.estimate_all(scans.part(COUNT - 1, COUNT)).stamp_shifts.any()
+
+
 @pytest.mark.parametrize("kind", JOINTS)
 @pytest.mark.parametrize("scatter", [0.06, 0.2])
 def test_stamps_on_arrival_degrade_with_a_covariance_that_holds(kind: str, scatter: float) -> None:
