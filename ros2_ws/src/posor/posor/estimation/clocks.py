@@ -40,6 +40,7 @@ RESTART_RUN = 3  # the same where the numbers are RESTART_NUMBERS, or the stamps
 RESTART_NUMBERS = 64
 LEAST_DEVIATION, GREATEST_DEVIATION = 0.5, 8.0  # limits of the deviation that contradicts the line, in periods
 SCATTER_SIGMAS = 5.0  # standard deviations of the scatter that a stamp may deviate from the line
+DEVIATION_SIGMAS = 3.0  # standard deviations that the deviation of one stamp is at most taken for
 SCATTERED = 0.02  # scatter in periods above which an unstated stamp is replaced by its number times the period
 
 
@@ -59,8 +60,13 @@ def scatter_of(tracker: Any) -> float:
 
 @inlined
 def stamp_sigma(tracker: Any, scan: Any) -> float:
-    """Return the standard uncertainty of a stamp [s]: the stated one, else the scatter of the stamps."""
-    return float(scan.stamp_uncertainty) if scan.stamp_uncertainty > 0.0 else scatter_of(tracker)
+    """Return the standard uncertainty of a stamp [s]: the stated one, else the scatter of the stamps.
+
+    Where stamps begin to scatter, the deviation of the present one is more than the scatter of those before explains.
+    """
+    if scan.stamp_uncertainty > 0.0:
+        return float(scan.stamp_uncertainty)
+    return max(scatter_of(tracker), tracker.clocks.deviation / DEVIATION_SIGMAS)
 
 
 @inlined
@@ -79,7 +85,7 @@ def motion_allowance(tracker: Any, scan: Any) -> float:
 @inlined
 def _begin_line(clocks: Any, scan: Any, stamp: float) -> None:
     """Begin a new line at a scan; the period is unknown."""
-    clocks.fitted, clocks.period, clocks.variance = 1, 0.0, 0.0
+    clocks.fitted, clocks.period, clocks.variance, clocks.deviation = 1, 0.0, 0.0, 0.0
     clocks.line = stamp
     _accept(clocks, scan, stamp)
 
@@ -134,6 +140,7 @@ def _tolerance(clocks: Any) -> float:
 @inlined
 def _fit(clocks: Any, steps: float, deviation: float) -> None:
     """Add a scan to the line, ``steps`` numbers after the last one and ``deviation`` [s] off the predicted line."""
+    clocks.deviation = abs(deviation) if clocks.fitted > 1 else 0.0
     clocks.fitted = min(clocks.fitted + 1, MEMORY)
     n = clocks.fitted
     if n > 2:  # noqa: PLR2004  two scans fit any line

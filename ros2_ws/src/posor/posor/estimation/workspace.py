@@ -50,6 +50,7 @@ CLOCKS = np.dtype(  # the line between scan numbers and stamps (``estimation.clo
         ("line", "f8"),  # the line at its number [s]
         ("period", "f8"),  # slope of the line [s]
         ("variance", "f8"),  # of the stamps about the line [s^2]
+        ("deviation", "f8"),  # of the present stamp from the line [s]
         ("step", "f8"),  # largest step of the stamps that was accepted: they were or are wrong by as much [s]
         ("refused", "i8"),  # scans in a row that contradict the line
         ("agreeing", "i8"),  # the last of them that agree with one another

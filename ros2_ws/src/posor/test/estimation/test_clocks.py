@@ -155,6 +155,14 @@ def test_stamps_on_arrival_degrade_with_a_covariance_that_holds(kind: str, scatt
     assert estimates.faults[-1] & Fault.TIME
 
 
+def test_stamps_that_begin_to_scatter_give_no_wrong_pose() -> None:
+    times = INDEX * PERIOD_S
+    scattered = np.where(INDEX < AT, times, times + 0.2 * PERIOD_S * np.random.default_rng(3).standard_normal(COUNT))
+    estimates = estimate("light ring", np.maximum.accumulate(scattered), INDEX, simulated("light ring"))
+    assert count_wrong(estimates, poses(np.maximum.accumulate(scattered))) == 0
+    assert usable(estimates).mean() >= 0.95
+
+
 def test_a_stated_uncertainty_of_the_stamps_enters_the_random_covariance() -> None:
     scans = simulated("light ring")
     times = INDEX * PERIOD_S
