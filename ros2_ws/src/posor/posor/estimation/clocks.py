@@ -66,7 +66,7 @@ def stamp_sigma(tracker: Any, scan: Any) -> float:
     """
     if scan.stamp_uncertainty > 0.0:
         return float(scan.stamp_uncertainty)
-    return max(scatter_of(tracker), tracker.clocks.deviation / DEVIATION_SIGMAS)
+    return float(max(scatter_of(tracker), tracker.clocks.deviation / DEVIATION_SIGMAS))
 
 
 @inlined
