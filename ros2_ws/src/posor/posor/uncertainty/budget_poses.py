@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 import pinocchio as pin
 
+from posor.calibration.shared_terms import check_same_terms
 from posor.errors import ChainError, ParameterError
 from posor.estimation.forward import empty_scans, scans_at
 from posor.estimation.posor import Posor
@@ -151,8 +152,10 @@ def model_covariances(
 ) -> ModelCovariances:
     """Return the covariances of the POSORs' sensor models.
 
-    Raises ChainError: a POSOR has no valid pose at its angle.
+    Raises ChainError: a POSOR has no valid pose at its angle; CalibrationError: a shared term has two uncertainties.
     """
+    files = {f"calibration '{calibration.name}'": calibration.shared for calibration in calibrations.values()}
+    check_same_terms({"the beams file": chain.shared, **files})
     random, systematic, shared = {}, {}, {}
     for joint in chain.joints:
         pose = chain.nominal_joint(joint.name, angles[joint.name])
