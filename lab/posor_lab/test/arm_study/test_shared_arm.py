@@ -3,23 +3,24 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
+import pinocchio as pin
 import pytest
+from posor import load_arm
 from posor.chain.arm_file import load_arm_file
 from posor.chain.joint_measurements import MeasuredJoint
 from posor.uncertainty.budget_poses import model_covariances
+from posor.uncertainty.common_errors import LENGTH_SCALE, TEMPERATURE
 from posor_bringup.arms import load_checked_arm
 from posor_lab.accuracy.consistency import REGION_LIMIT
 from posor_lab.arm_study.arm_coverage import ArmSampler, coverage_figures, sample_arms
 from posor_lab.arm_study.shared_arm import write_shared_arm
 from scipy.stats import binom, chi2
 
-if TYPE_CHECKING:
-    from pathlib import Path
-
 ARMS, SEED = 80, 4711
+ROOT = Path(__file__).resolve().parents[4]
 
 
 @pytest.fixture(scope="module")
@@ -60,6 +61,22 @@ def test_the_coherent_sum_covers_common_errors_and_the_independent_one_does_not(
     coherent, independent = (along_x / variance for variance in variances_along_x(sampler, shared_arm))
     assert chi2.ppf(1e-4, ARMS) <= coherent <= chi2.ppf(1.0 - 1e-4, ARMS)
     assert independent > chi2.ppf(1.0 - 1e-9, ARMS)
+
+
+def test_recorded_scans_get_the_coherent_sum(shared_arm: Path) -> None:
+    """The covariance of a reprocessed bag is that of the chain, of each joint's transform with its shared terms."""
+    arm = load_arm(shared_arm)
+    found, chain, at = arm.estimate(ROOT / "bags/five_axis"), arm.chain(), 300
+    measured = {}
+    for name, joint in found.joints.items():
+        n = int(np.searchsorted(joint.stamps_ns, found.endpoint.stamps_ns[at]))
+        effects = dict(zip(arm.calibration(name).shared, joint.shared_effects[n], strict=False))
+        parts = joint.covariances_random[n], joint.covariances_systematic[n], effects
+        measured[name] = MeasuredJoint(pin.SE3(joint.rotations[n], joint.translations[n]), *parts)
+    expected = chain.estimate(measured)
+    assert expected.shared_effects.keys() == {LENGTH_SCALE, TEMPERATURE}
+    own = found.endpoint.covariances_systematic[at]
+    np.testing.assert_allclose(own, expected.covariance_systematic, rtol=1e-3, atol=1e-3 * own.max())
 
 
 @pytest.mark.long
