@@ -4,17 +4,13 @@ from __future__ import annotations
 
 import os
 import signal
+from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import pytest
 from posor.lazy_program import handle_interrupts
 from posor_lab.harness.ros_domain import leased_domain
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
 
 PROFILES = "FASTRTPS_DEFAULT_PROFILES_FILE"
 """Names the file with the settings of Fast DDS. Without them a graph takes up to 3 s longer to start and to end."""

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,7 +13,7 @@ from geometry_msgs.msg import Point, Pose, Quaternion
 from posor.calibration.calibration_file import load_calibration
 from posor.chain.kinematic_chain import Chain
 from posor.estimation.posor import Posor
-from posor_bringup.installed import JOINT, bag_path, calibration_path, urdf_path
+from posor_bringup.installed import JOINT, Bag, CalibrationName, bag_path, calibration_path, urdf_path
 from posor_bringup.supervisor import Supervisor
 from posor_lab.harness.message_conversion import is_usable, scan_from_message, transform_message
 from posor_lab.harness.ros_domain import leased_domain
@@ -20,12 +22,6 @@ from posor_msgs.msg import JointTransform, RawScan
 from posor_ros.node_program import ros_context
 from rclpy.serialization import deserialize_message
 from rosbags.rosbag2 import Reader
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-    from pathlib import Path
-
-    from posor_bringup.installed import Bag, CalibrationName
 
 
 def make_plan(

@@ -7,18 +7,16 @@ import os
 import re
 import shutil
 import signal
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
 import yaml
 from posor_bringup.arms import find_arm
 from posor_lab.arm_study.arm_command import main
 from posor_lab.harness.program import Program, installed
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
 
 CONTROLLER = Path(__file__).resolve().parents[1] / "examples" / "endpoint_controller" / "endpoint_controller.py"
 RUNNING = "without controller"  # printed when the ticks begin

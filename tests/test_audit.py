@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import os
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import audit_requirements
 import pytest
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 CLOSED = "http://127.0.0.1:9"  # nothing listens there
 

@@ -8,15 +8,17 @@ from contextlib import ExitStack
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 from posor.bags.reprocess_command import main as reprocess
 from posor.chain.arm_file import DriverFile
+from posor.numerics.array_types import FloatArray
 from posor_bringup.arm_programs import arm_programs
 from posor_bringup.arms import find_arm, load_checked_arm
+from posor_bringup.supervisor import Parameter
 from posor_lab.harness.graph import Graph, wait_for_value
 from posor_lab.harness.message_conversion import stamp_ns
 from posor_lab.harness.program import Program
@@ -26,10 +28,6 @@ from sensor_msgs.msg import JointState
 
 from bags.make_arm_bag import arm_endpoints
 from tests.rig_replay import all_message_bits, message_bits, read_bag_messages
-
-if TYPE_CHECKING:
-    from posor.numerics.array_types import FloatArray
-    from posor_bringup.supervisor import Parameter
 
 BAGS = Path(__file__).resolve().parents[1] / "bags"
 BAG = BAGS / "five_axis"

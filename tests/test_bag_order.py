@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import re
 import shutil
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from itertools import pairwise
 from operator import itemgetter
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
@@ -30,9 +31,6 @@ from posor_lab.harness.program import Program, installed
 from posor_msgs.msg import RawScan
 from posor_ros.ros_arguments import ros_arguments
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
 
 BAG = Path(__file__).resolve().parents[1] / "bags/five_axis"
 ELBOW = "/five_axis/elbow/raw"

@@ -5,8 +5,8 @@ from __future__ import annotations
 import os
 import re
 import signal
+from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import pytest
 from geometry_msgs.msg import PoseStamped
@@ -17,9 +17,6 @@ from posor_lab.replay_1985.comparison import STEPS
 from posor_msgs.msg import RawScan
 
 from tests.composed_rig import filled
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
 
 pytestmark = pytest.mark.usefixtures("ros_domain")
 

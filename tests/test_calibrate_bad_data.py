@@ -5,34 +5,29 @@ from __future__ import annotations
 import json
 import re
 import subprocess
+from collections.abc import Callable
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import replace
 from functools import cache
 from io import StringIO
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import yaml
 from posor.bags.recording import POSE, SCALAR, Recording, Track
 from posor.calibration.calibration_file import load_calibration
+from posor.numerics.array_types import FloatArray
 from posor_calibration.calibrate_command import main
 from posor_drivers.calibration_bag import entries, write_bag
 from posor_lab.campaign.campaign_run import step_arguments
-from posor_lab.campaign.campaign_steps import campaign_steps
-from posor_lab.campaign.ground_truth import GroundTruth
+from posor_lab.campaign.campaign_steps import CampaignStep, campaign_steps
+from posor_lab.campaign.ground_truth import GroundTruth, PosorName
 from posor_lab.campaign.parameter_coverage import compare_with_truth
 from posor_lab.harness.case_tables import cases
 from posor_lab.harness.program import installed
 from scipy.spatial.transform import Rotation
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
-
-    from posor.numerics.array_types import FloatArray
-    from posor_lab.campaign.campaign_steps import CampaignStep
-    from posor_lab.campaign.ground_truth import PosorName
 
 SEED = 5000
 SOUND = 4.5  # standard uncertainties by which no number of a result is off; there are some dozen in each case

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import subprocess
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
@@ -21,9 +22,6 @@ from posor_lab.harness.case_tables import refusal
 from posor_lab.harness.simulated_recordings import diode_calibration, lifted_recording
 from posor_msgs.msg import RawScan
 from scipy.spatial.transform import Rotation
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
 BAGS = Path(__file__).resolve().parent.parent / "bags"
 BEGIN = 1_795_000_000 * NS

@@ -8,7 +8,7 @@ from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
@@ -20,6 +20,7 @@ from posor.node_parameters import NodeParameters
 from posor.ros_names import RELIABILITY_TOPIC
 from posor_bringup.arm_programs import Layout, arm_programs, group_programs
 from posor_bringup.arms import load_checked_arm
+from posor_bringup.supervisor import Parameter
 from posor_estimator.composition_file import NodeEntry
 from posor_lab.harness.graph import Graph, values_of, wait_for_value
 from posor_lab.harness.message_conversion import is_usable, stamp_ns
@@ -31,9 +32,6 @@ from sensor_msgs.msg import JointState
 
 from tests.composed_rig import COMPOSE, NODES, RIG, write_composition
 from tests.rig_replay import all_message_bits, read_bag_messages
-
-if TYPE_CHECKING:
-    from posor_bringup.supervisor import Parameter
 
 pytestmark = pytest.mark.usefixtures("ros_domain")
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import pytest
 from posor.errors import CalibrationError
@@ -13,9 +13,6 @@ from posor_lab.harness.case_tables import cases, edited, refusal
 from posor_lab.harness.program import Program, error_lines
 
 from tests.composed_rig import COMPOSE, NODES, RIG, write_composition
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 pytestmark = pytest.mark.usefixtures("ros_domain")
 

@@ -7,8 +7,8 @@ import os
 import shutil
 import signal
 import subprocess
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import pytest
 from ament_index_python.packages import get_package_prefix, get_package_share_directory
@@ -17,10 +17,7 @@ from posor_lab.replay_1985.replay import TOPICS
 
 from tests.rig_replay import read_bag_messages
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
-    Demo = Callable[..., subprocess.Popen[str]]
+Demo = Callable[..., subprocess.Popen[str]]
 
 DEMO = Path(get_package_prefix("posor_lab"), "lib", "posor_lab", "demo")
 FIRST_STEP = "   1     0.0"

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import pytest
 import yaml
@@ -11,9 +12,6 @@ from posor_lab.harness.graph import Graph
 from posor_lab.harness.program import Program
 
 from tests.composed_rig import COMPOSE, RIG, write_composition
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 FILE = get_package_share_path("posor_bringup") / "config" / "diagnostic_aggregator.yaml"
 ENTRIES = {"endpoint", "estimate", "input", "lifecycle", "listeners", "process", "source", "timing"}

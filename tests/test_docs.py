@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import re
 import subprocess
-from typing import TYPE_CHECKING
+from pathlib import Path
+from types import ModuleType
 
 import document_calculators
 import document_parameters
 import pytest
 from environment import THIS
-
-if TYPE_CHECKING:
-    from pathlib import Path
-    from types import ModuleType
 
 LINK = re.compile(r"\]\((?!https?://)([^)#\s]*)(?:#[^)]*)?\)")
 

@@ -6,14 +6,11 @@ import re
 import subprocess
 import sys
 from html.parser import HTMLParser
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import posor
 import pytest
 from environment import THIS
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 DOCS = THIS.root / "docs"
 MESSAGES = THIS.ros2 / "src" / "posor_msgs" / "msg"

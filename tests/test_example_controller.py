@@ -6,19 +6,22 @@ import itertools
 import math
 import re
 import time
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any, Self
 
 import numpy as np
 import pinocchio as pin
 import pytest
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped, Vector3Stamped
+from posor.numerics.array_types import FloatArray
 from posor.numerics.stamps import NS, tick_stamp_ns
 from posor_bringup.arm_programs import arm_programs
 from posor_bringup.arms import load_checked_arm
+from posor_bringup.supervisor import Parameter
 from posor_drivers.simulator.arm_simulation import ArmSimulation
 from posor_lab.arm_study.arm_record import Dropouts
 from posor_lab.harness.graph import LOSSLESS, Graph, values_of, wait_for_value
@@ -27,12 +30,6 @@ from posor_lab.harness.program import Program, script
 from posor_msgs.msg import JointTransform
 from posor_ros.ros_arguments import ros_arguments
 from rosgraph_msgs.msg import Clock
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
-    from posor.numerics.array_types import FloatArray
-    from posor_bringup.supervisor import Parameter
 
 pytestmark = pytest.mark.usefixtures("ros_domain")
 

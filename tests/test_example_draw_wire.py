@@ -6,9 +6,9 @@ import json
 import os
 import subprocess
 import sys
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
@@ -17,8 +17,11 @@ from posor.calibration.calibration_file import load_calibration
 from posor.errors import CalibrationError
 from posor.estimation.forward import scans_at
 from posor.estimation.posor import Posor
+from posor.estimation.sensor_stack import Stack
 from posor.model.fault import Fault, State
 from posor.model.native_coordinates import rotation_from_native
+from posor.model.scan import Scan, Scans
+from posor.numerics.array_types import FloatArray
 from posor.sensors.base import PlainSensor
 from posor.sensors.registry import sensor_types
 from posor_lab.harness.case_tables import refusal
@@ -29,13 +32,6 @@ from posor_lab.harness.random_poses import TICK_NS, errors_in_parent
 from posor_msgs.msg import JointTransform, RawScan
 from posor_ros.ros_arguments import ros_arguments
 from scipy.stats import chi2
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
-
-    from posor.estimation.sensor_stack import Stack
-    from posor.model.scan import Scan, Scans
-    from posor.numerics.array_types import FloatArray
 
 EXAMPLE = Path(__file__).resolve().parents[1] / "examples" / "posor_draw_wire"
 WIRES = 4

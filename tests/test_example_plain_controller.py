@@ -4,21 +4,18 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
 from geometry_msgs.msg import PoseStamped, Vector3Stamped
 from posor_bringup.arm_programs import arm_programs, group_programs
-from posor_lab.faults.fault_table import write_fault_arm
+from posor_bringup.supervisor import ProgramCommand
+from posor_lab.faults.fault_table import ArmName, write_fault_arm
 from posor_lab.harness.graph import Graph
 from posor_lab.harness.message_conversion import stamp_ns
 from posor_lab.harness.program import Program, script
 from posor_ros.ros_arguments import ros_arguments
-
-if TYPE_CHECKING:
-    from posor_bringup.supervisor import ProgramCommand
-    from posor_lab.faults.fault_table import ArmName
 
 pytestmark = pytest.mark.usefixtures("ros_domain")
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
 from posor.bags.calibration_recording import read_scans
@@ -24,9 +25,6 @@ from posor_lab.harness.case_tables import refusal
 from rosbags.rosbag2 import StoragePlugin, Writer
 
 from tests.rig_replay import read_bag_messages
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 FORMATS = Path(__file__).parent / "formats"
 ROOT = Path(__file__).resolve().parents[1]

@@ -6,13 +6,10 @@ import re
 from collections import Counter
 from graphlib import TopologicalSorter
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+import grimp
 import pytest
 from draw_rooms import FLOOR, PACKAGES, PICTURE, build_graph, count_imports, room_of
-
-if TYPE_CHECKING:
-    import grimp
 
 ROOT = Path(__file__).resolve().parents[1]
 WITHOUT_ROS = {"posor", "posor_calibration", "posor_design"}

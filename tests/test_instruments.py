@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -24,10 +25,6 @@ from posor_lab.instruments.device_trials import TRIALS, DeviceTrial
 from posor_lab.instruments.trial_run import run_trial
 from posor_lab.instruments.trials_command import main as trials
 from posor_ros.node_program import ros_context
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
 
 pytestmark = pytest.mark.usefixtures("ros_domain")
 

@@ -4,17 +4,13 @@ from __future__ import annotations
 
 import os
 import signal
-from importlib.metadata import entry_points
+from collections.abc import Callable
+from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import pytest
 from posor.lazy_program import LazyProgram, interrupts_blocked
 from posor_lab.harness.program import Program, in_background, installed, script
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from importlib.metadata import EntryPoint
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = ("posor_bringup", "posor_drivers", "posor_estimator", "posor_lab")

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,9 +16,6 @@ from posor_lab.harness.program import Program, installed
 from posor_ros.ros_arguments import ros_arguments
 
 from tests.composed_rig import COMPOSE, NODES, RIG, write_composition
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 pytestmark = pytest.mark.usefixtures("ros_domain")
 

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from typing import Any
 
 import pytest
 from posor_lab.harness.graph import Graph
 from posor_msgs.msg import JointTransform, RawScan
 from rclpy.serialization import serialize_message
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 
 def raw_scan() -> Any:

@@ -7,9 +7,11 @@ import os
 import shutil
 import subprocess
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from types import ModuleType
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -19,6 +21,7 @@ import pytest
 from geometry_msgs.msg import PoseStamped
 from posor.bags.recording import Recording
 from posor.calibration.designs import design
+from posor.chain.arm_file import ParameterValue
 from posor.model.fault import State
 from posor.model.native_coordinates import rotation_from_native
 from posor.numerics import compiled
@@ -26,12 +29,6 @@ from posor_bringup.arms import find_arm
 from rclpy.serialization import deserialize_message
 
 from tests.rig_replay import read_bag_messages
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from types import ModuleType
-
-    from posor.chain.arm_file import ParameterValue
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = ("posor", "posor_calibration")

@@ -5,8 +5,9 @@ Messages of rcl itself (rosout, parameter events, transition events) are seriali
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
 from posor_bringup.arm_programs import LAYOUTS, Layout, arm_programs, group_programs
@@ -17,13 +18,9 @@ from posor_lab.harness.program import Program
 from posor_ros.message_classes import message_class
 from posor_ros.qos import LATCHED_QOS
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
 
 from tests.composed_rig import COMPOSE, RIG, write_composition
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from rosbags.typesys.store import Typestore
 
 pytestmark = pytest.mark.usefixtures("ros_domain")
 

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
-from geometry_msgs.msg import PoseStamped
+from geometry_msgs.msg import Pose, PoseStamped
 from posor.model.fault import State
 from posor_lab.harness.message_conversion import stamp_ns
 from posor_lab.replay_1985.comparison import STEPS
-from posor_lab.replay_1985.replay import TOPICS
+from posor_lab.replay_1985.replay import TOPICS, Replay
 from posor_msgs.msg import JointTransform
 from rclpy.qos import qos_profile_sensor_data
 from rclpy.serialization import deserialize_message
@@ -24,13 +25,6 @@ from tests.rig_replay import (
     open_replay,
     read_bag_messages,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
-
-    from geometry_msgs.msg import Pose
-    from posor_lab.replay_1985.replay import Replay
 
 RAW, TRANSFORM, ENDPOINT, TRUTH = TOPICS
 FURTHER_POSES = 5  # number of further poses that show a working graph

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 import pytest
 from geometry_msgs.msg import PoseStamped
 from posor.model.fault import Fault, State
 from posor.model.scan import DIODES_ESTIMATED, PROBES_ESTIMATED
+from posor.numerics.array_types import FloatArray
 from posor_bringup.installed import BAGS, CALIBRATIONS, Bag, CalibrationName
 from posor_lab.replay_1985.comparison import STEPS, compare_with_thesis
 from posor_lab.replay_1985.motion_test import MotionTest
 from posor_lab.replay_1985.printed_results import PRINTED_FILES, read_printed
-from posor_lab.replay_1985.replay import TOPICS
+from posor_lab.replay_1985.replay import TOPICS, ReplayPlan
 from posor_lab.reports.findings import Verdict
 from posor_lab.thesis_data import data_path
 from posor_msgs.msg import JointTransform
@@ -29,12 +30,6 @@ from tests.rig_replay import (
     read_bag_messages,
     run_replay,
 )
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from posor.numerics.array_types import FloatArray
-    from posor_lab.replay_1985.replay import ReplayPlan
 
 RAW, TRANSFORM, ENDPOINT, TRUTH = TOPICS
 ALPHA, BETA, THETA = range(3)

@@ -8,8 +8,9 @@ from __future__ import annotations
 import resource
 import socket
 import struct
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -26,6 +27,7 @@ from posor_bringup.installed import calibration_path, urdf_path
 from posor_lab.harness.message_conversion import pose_from_message
 from posor_msgs.msg import JointTransform
 from rclpy.serialization import deserialize_message
+from rosbags.interfaces import Connection
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 
 from tests.rig_replay import (
@@ -36,11 +38,6 @@ from tests.rig_replay import (
     message_bits,
     read_bag_messages,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from rosbags.interfaces import Connection
 
 BAGS = Path(__file__).resolve().parents[1] / "bags"
 BAG = BAGS / "five_axis"

@@ -7,9 +7,9 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import dask
 import pytest
@@ -19,9 +19,6 @@ from posor_bringup.arms import find_arm, load_checked_arm
 from posor_bringup.installed import bag_path, calibration_path
 from posor_lab.benchmark.offline_benchmark import repeat_bag
 from posor_lab.harness.program import Program, installed, wait_until, writes_below
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
 
 ROOT = Path(__file__).resolve().parents[1]
 BAG = ROOT / "bags" / "five_axis"

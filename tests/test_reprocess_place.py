@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 import shutil
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import pyarrow as pa
 import pyarrow.parquet
@@ -13,9 +13,6 @@ import pytest
 from posor.bags.reprocess_command import main
 from posor.bags.result_folder import FORMER, MARK, NEW, UNFINISHED, clear_unfinished
 from posor_bringup.installed import calibration_path
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 BAGS = Path(__file__).resolve().parents[1] / "bags"
 CALIBRATION = ["--calibration", f"joint1={calibration_path('printed')}"]

@@ -5,17 +5,14 @@ from __future__ import annotations
 import os
 import signal
 import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import pytest
 from posor.bags.result_folder import UNFINISHED
 from posor_bringup.arms import find_arm, load_checked_arm
 from posor_lab.benchmark.offline_benchmark import repeat_bag
 from posor_lab.harness.program import Program, installed, wait_until, writes_below
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
 
 BAG = Path(__file__).resolve().parents[1] / "bags" / "five_axis"
 ARM = ["--arm", str(find_arm("five_axis"))]

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Mapping
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -20,9 +20,6 @@ from posor.messages.message_definitions import MessageTypes
 from posor.ros_names import RAW_SCAN
 from posor_bringup.arms import find_arm
 from rosbags.rosbag2 import Reader
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
 
 ROOT = Path(__file__).resolve().parents[1]
 BAG = ROOT / "bags" / "five_axis"  # simulated

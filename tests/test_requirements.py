@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib.metadata
 import re
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import pytest
 from environment import THIS
@@ -14,9 +14,6 @@ from packaging.utils import canonicalize_name
 from pip._vendor.packaging.requirements import Requirement as PipRequirement
 from setup_state import NAMED_LISTS, NAMED_LOCKS, WHEEL_LOCKS
 from try_bounds import LIBRARY, bounds
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 FOLDER = THIS.root / "requirements"
 LOCKS = (*WHEEL_LOCKS, "audit.txt")

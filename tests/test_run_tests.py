@@ -7,17 +7,14 @@ import re
 import signal
 import subprocess
 import sys
+from collections.abc import Callable
+from pathlib import Path
 from textwrap import dedent
-from typing import TYPE_CHECKING
 
 import pytest
 from environment import THIS
 from posor_lab.harness.program import in_background
 from run_tests import PROCESSES, WITHOUT_ROS, make_test_jobs
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
 
 RUNNER = [sys.executable, str(THIS.root / "tools" / "run_tests.py")]
 

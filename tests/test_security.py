@@ -9,7 +9,7 @@ from fnmatch import fnmatchcase
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from xml.etree import ElementInclude
 from xml.etree import ElementTree as ET
 
@@ -22,10 +22,8 @@ from posor_estimator.posor_node import PosorEstimatorNode
 from posor_lab.harness.graph import Graph
 from posor_lab.harness.in_process_nodes import NodeProcess, run_refused_node
 from posor_lab.harness.program import Program, installed
-
-if TYPE_CHECKING:
-    from posor_ros.lifecycle_node import PosorNode
-    from rclpy.node import Node
+from posor_ros.lifecycle_node import PosorNode
+from rclpy.node import Node
 
 pytestmark = pytest.mark.usefixtures("ros_domain")
 

@@ -10,9 +10,9 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import pytest
 from environment import THIS, SetupError, Workspace
@@ -21,9 +21,6 @@ from setup_state import build_inputs, reasons_to_set_up
 from setup_workspace import rewrite_cmake_paths
 
 from tests.miniature import BASE_PYTHON, PACKAGE, Miniature, clean_environ
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 EVENT_DEADLINE_S = 60.0
 STEP = re.compile(r"^set-up: (.*) \.\.\. \d+\.\d s$", re.MULTILINE)

@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import json
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import pytest
 from posor_lab.soak.soak_command import MOST_GROWTH_MB, main
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 FULL_S = 120.0  # after which the limit of the growth holds; it is proportional to the time
 

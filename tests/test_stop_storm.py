@@ -5,15 +5,12 @@ from __future__ import annotations
 import signal
 import time
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 import pytest
 from posor_bringup.installed import bag_path, calibration_path, urdf_path
 from posor_bringup.supervisor import ProgramCommand, Supervisor
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 pytestmark = pytest.mark.usefixtures("ros_domain")
 

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 from functools import reduce
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree as ET
 
 import pytest
@@ -14,10 +16,6 @@ from posor_lab.harness.graph import Graph
 from posor_lab.harness.program import Program, installed
 from posor_ros.message_classes import message_class
 from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
 
 pytestmark = pytest.mark.usefixtures("ros_domain")
 

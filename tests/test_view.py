@@ -6,15 +6,12 @@ import math
 import shutil
 import signal
 import time
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import pytest
 from environment import THIS
 from make_screenshots import BROWSER, KILLED, opened_page, running_arm, wait_for_banner
 from posor_bringup.view_page import GREEN, GREY, RED
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 pytestmark = [
     pytest.mark.usefixtures("ros_domain"),

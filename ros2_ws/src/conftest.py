@@ -4,18 +4,15 @@ from __future__ import annotations
 
 import copy
 import json
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
 import pytest
 import yaml
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from posor.numerics.array_types import FloatArray
+from posor.numerics.array_types import FloatArray
 
 GOLDEN_CASES = 100
 SOURCES = Path(__file__).resolve().parent

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from posor.calibration.designs import design
+from posor.calibration.designs import DesignName, design
 from posor.estimation.forward import scans_at
 from posor.estimation.posor import Posor
 from posor.model.fault import State
@@ -17,9 +16,6 @@ from posor_lab.accuracy.consistency import closure, monte_carlo, nees
 from posor_lab.accuracy.fault_detection import FAULTS, detectable_shifts, detection
 from posor_lab.accuracy.golden_command import largest_errors
 from posor_lab.harness.random_poses import STACKS, TICK_NS
-
-if TYPE_CHECKING:
-    from posor.calibration.designs import DesignName
 
 CASES = Path(__file__).resolve().parents[4] / "ros2_ws" / "src" / "posor" / "test" / "data" / "posor_cases.jsonl"
 SEED = 7

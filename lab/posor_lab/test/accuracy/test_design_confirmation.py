@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import pytest
 from posor_design.layout_evaluation import evaluate, extreme_poses
@@ -12,9 +13,6 @@ from posor_design.layout_search import SearchResult
 from posor_design.posor_output import REQUIREMENT, output_files, requirement_text, write_files
 from posor_design.requirement import Requirement, requirement_content
 from posor_lab.accuracy.accuracy_command import confirm_design, main
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 DRAWS = 400
 KIND = LayoutKind("light_ring", 3, 4, gap_outside=True)

@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 import math
 import shutil
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -27,9 +28,6 @@ from posor_lab.arm_study.arm_budget_command import (
 )
 from posor_lab.thesis_data import data_path, read_table
 from scipy.constants import inch
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 ARMS = share() / "arms"
 DRAWS = 3_000

@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 import shutil
-from typing import TYPE_CHECKING
+from pathlib import Path
 
+import pytest
 from posor_bringup.installed import share
 from posor_lab.arm_study.arm_command import main
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    import pytest
 
 
 def test_coverage_alone_of_an_arm_without_beams_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

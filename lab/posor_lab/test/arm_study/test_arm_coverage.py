@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,9 +12,6 @@ from posor_bringup.arms import load_checked_arm
 from posor_lab.accuracy.consistency import REGION_LIMIT
 from posor_lab.arm_study.arm_coverage import ArmSample, ArmSampler, arm_coverage, coverage_figures, sample_arms
 from scipy.stats import binom, chi2
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 ARMS, POSES, SEED = 60, 3, 4711
 

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import io
 import json
+from collections.abc import Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
+from posor.numerics.array_types import FloatArray
 from posor_bringup.arms import load_checked_arm
 from posor_drivers.simulator.arm_simulation import ArmSimulation
 from posor_drivers.simulator.pose_array import PoseArray
@@ -32,11 +34,6 @@ from posor_lab.arm_study.arm_run import ArmLiveTable
 from posor_lab.harness.report_page import ReportPage
 from posor_lab.reports.findings import Verdict
 from rich.console import Console
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from posor.numerics.array_types import FloatArray
 
 NEAR = np.array([0.0, 0.0, 5e-6])
 POSOR_OFF = np.array([3e-6, 0.0, 4e-6])

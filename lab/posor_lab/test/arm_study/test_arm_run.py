@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import pytest
 from posor_bringup.arm_programs import arm_programs
@@ -15,9 +15,6 @@ from posor_lab.arm_study.arm_run import ArmLiveTable, ArmRun
 from posor_lab.reports import graph_receiver
 from posor_ros.node_program import ros_context
 from rich.console import Console
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 
 def test_a_missing_topic_is_shown_and_ends_the_start(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import pytest
 from geometry_msgs.msg import PointStamped
@@ -12,9 +12,6 @@ from posor.messages.message_definitions import MessageTypes
 from posor.ros_names import POINT_STAMPED
 from posor_lab.benchmark.comparison_loops import check_same_messages
 from rclpy.serialization import serialize_message
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 TOPICS = ("/one", "/other")
 

@@ -1,8 +1,7 @@
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
+import numpy.typing as npt
 import pytest
 from posor.errors import PosorError
 from posor.numerics.stamps import tick_stamp_ns
@@ -14,9 +13,6 @@ from posor_lab.benchmark.tick_statistics import (
     evaluate_window,
     run_figures,
 )
-
-if TYPE_CHECKING:
-    import numpy.typing as npt
 
 SECOND_NS = 1_000_000_000
 RATE = 2000

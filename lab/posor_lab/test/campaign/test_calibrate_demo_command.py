@@ -9,15 +9,13 @@ import signal
 import subprocess
 import sys
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import pytest
 from posor.calibration.calibration_file import load_calibration
 from posor_lab.campaign.calibrate_demo_command import main
 from posor_lab.harness.report_page import ReportPage
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 CAMPAIGNS = 4
 pytestmark = pytest.mark.timeout(300)

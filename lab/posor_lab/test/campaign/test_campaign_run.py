@@ -3,27 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from numpy.polynomial import chebyshev
-from posor.calibration.calibration_file import calibration_from
+from posor.bags.recording import Recording
+from posor.calibration.calibration_file import Calibration, calibration_from
 from posor.calibration.parameter_entries import parameter_entries
 from posor_lab.campaign import campaign_run
 from posor_lab.campaign.campaign_report import CampaignReport
 from posor_lab.campaign.campaign_run import calibrate_from_bags, record_bags, run_in_memory
-from posor_lab.campaign.campaign_steps import INTERFEROMETER, campaign_steps
+from posor_lab.campaign.campaign_steps import INTERFEROMETER, CampaignStep, campaign_steps
 from posor_lab.campaign.ground_truth import DRIFT, GroundTruth, as_built_calibration
 from posor_lab.campaign.parameter_coverage import compare_with_truth, measuring_steps, parameter_family
 from posor_lab.reports.findings import Verdict
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from posor.bags.recording import Recording
-    from posor.calibration.calibration_file import Calibration
-    from posor_lab.campaign.campaign_steps import CampaignStep
 
 SEED = 7
 

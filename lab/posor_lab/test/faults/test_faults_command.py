@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 from copy import deepcopy
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,9 +21,6 @@ from posor_lab.faults.offline_faults import run_slips
 from posor_lab.faults.pose_judge import SIGMAS, wrong_poses
 from posor_lab.faults.storm import StormMaker, count_storm, estimate_storm, storm_calibrations
 from posor_msgs.msg import JointTransform, RawScan
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 pytestmark = pytest.mark.timeout(300)
 KEYS = {"fault", "kind", "observable", "expected", "seen", "naming_s", "wrong_ok", "lost", "covered", "failures"}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,9 +17,6 @@ from posor_msgs.msg import JointTransform
 from posor_ros.lifecycle_node import LISTENERS_STATUS
 from posor_ros.node_program import ros_context
 from rclpy.serialization import deserialize_message
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 SCANS = 2000
 

@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import csv
 import io
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree as ET
 
 import pytest
@@ -16,9 +17,6 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from posor.errors import PosorError
 from posor_lab.fuzz.fuzz_command import readers
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 YAML_FORMATS = ("calibration", "beams", "arm", "scenario")
 TEXTS = st.text(st.characters(exclude_categories=("Cs", "Cc")), max_size=12)

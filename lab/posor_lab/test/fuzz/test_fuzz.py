@@ -6,11 +6,12 @@ import os
 import random
 import subprocess
 import sys
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import pytest
 from posor.numerics.compiled import COMPILING
 from posor_bringup.arms import load_checked_arm
+from posor_drivers.simulator.arm_simulation import ArmSimulation
 from posor_lab.fuzz.fuzz_command import fuzz_files, main, readers
 from posor_lab.fuzz.message_fuzz import (
     MUTATIONS,
@@ -23,11 +24,6 @@ from posor_lab.fuzz.message_fuzz import (
 )
 from posor_lab.fuzz.node_fuzz import NodeScanFuzz, NodeTransformFuzz
 from posor_ros.node_program import ros_context
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from posor_drivers.simulator.arm_simulation import ArmSimulation
 
 SEED = 1985
 

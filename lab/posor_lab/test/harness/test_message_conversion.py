@@ -1,7 +1,8 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from enum import IntEnum, IntFlag
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -17,10 +18,6 @@ from posor_lab.harness.message_conversion import (
     transform_message,
 )
 from posor_msgs.msg import JointTransform, RawScan
-
-if TYPE_CHECKING:
-    from enum import IntEnum, IntFlag
-
 
 RANDOM = np.diag([1.0, 2.0, 3.0, 4.0, 5.0, 6.0]) * 1e-12
 SYSTEMATIC = np.outer(np.arange(1.0, 7.0), np.arange(1.0, 7.0)) * 1e-14

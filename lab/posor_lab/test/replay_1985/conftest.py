@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Mapping
 
 import numpy as np
 import pytest
 from posor.model.fault import Fault, State
+from posor.numerics.array_types import FloatArray
 from posor_lab.replay_1985.motion_test import TRUTH_LEVER, MotionStep, MotionTest
 from posor_lab.replay_1985.printed_results import PRINTED_FILES, PrintedColumns, read_printed
 from posor_lab.thesis_data import data_path
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
-
-    from posor.numerics.array_types import FloatArray
 
 OFFSET = np.array([3e-3, -2e-3, 0.1])  # angles of the first step [rad]; no figure may depend on them
 

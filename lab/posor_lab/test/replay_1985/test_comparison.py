@@ -2,23 +2,20 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, get_args
+from collections.abc import Callable
+from typing import Any, get_args
 
 import numpy as np
 import pytest
 from posor.model.scan import DIODES_ESTIMATED, PROBES_ESTIMATED
 from posor_bringup.installed import BAGS, CALIBRATIONS, Bag
 from posor_lab.replay_1985.comparison import STEPS, WITHOUT_POSE, compare_with_thesis, expectations
+from posor_lab.replay_1985.motion_test import MotionTest
 from posor_lab.replay_1985.printed_results import PrintedColumns
 from posor_lab.reports.findings import Finding, Findings, Verdict
 from posor_lab.thesis_data import URAD
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from posor_lab.replay_1985.motion_test import MotionTest
-
-    Compare = Callable[..., Findings]
+Compare = Callable[..., Findings]
 
 
 @pytest.fixture

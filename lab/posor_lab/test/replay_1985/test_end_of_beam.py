@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -20,13 +19,10 @@ from posor_lab.replay_1985.end_of_beam import (
     simulated_errors,
     simulated_readings,
 )
-from posor_lab.replay_1985.printed_results import EndOfBeamResults, EndOfBeamTest, read_end_of_beam
+from posor_lab.replay_1985.printed_results import EndOfBeamResults, EndOfBeamTest, PrintedColumns, read_end_of_beam
 from posor_lab.thesis_budgets.motion_predictions import dimensions
 from posor_lab.thesis_data import URAD
 from scipy.constants import inch
-
-if TYPE_CHECKING:
-    from posor_lab.replay_1985.printed_results import PrintedColumns
 
 TESTS: tuple[EndOfBeamTest, ...] = ("TWIS", "GEN")
 NO_NOISE = SensorNoise(np.zeros(3), np.zeros(4), 0.0)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -14,12 +14,8 @@ from posor_bringup.installed import BAGS, CALIBRATIONS, Bag, CalibrationName
 from posor_calibration.attitude_fit import angles_from_displacements, deviation_from_first
 from posor_lab.replay_1985.comparison import STEPS, compare_with_thesis
 from posor_lab.replay_1985.motion_test import ANGLES, TRUTH_LEVER, MotionTest, offline_motion_test
+from posor_lab.replay_1985.printed_results import PrintedColumns
 from scipy.constants import inch
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from posor_lab.replay_1985.printed_results import PrintedColumns
 
 
 def test_values_are_relative_to_the_first_step(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,15 +11,11 @@ from posor_lab.replay_1985.printed_results import (
     EXPECTED_ERRORS_FILE,
     PRINTED_FILES,
     PredictedError,
+    PrintedColumns,
     read_predicted_errors,
     read_printed,
 )
 from posor_lab.thesis_data import URAD, data_path
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from posor_lab.replay_1985.printed_results import PrintedColumns
 
 
 def test_printed_columns_are_read(printed: PrintedColumns) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Callable
 
 import pytest
 from posor.calibration.calibration_file import load_calibration
@@ -10,15 +10,10 @@ from posor.model.scan import DIODES_ESTIMATED
 from posor_bringup.installed import calibration_path
 from posor_lab.harness.report_page import ReportPage
 from posor_lab.replay_1985.comparison import compare_with_thesis
-from posor_lab.replay_1985.printed_results import EXPECTED_ERRORS_FILE, read_predicted_errors
+from posor_lab.replay_1985.motion_test import MotionTest
+from posor_lab.replay_1985.printed_results import EXPECTED_ERRORS_FILE, PrintedColumns, read_predicted_errors
 from posor_lab.replay_1985.replay_report import replay_page
 from posor_lab.thesis_data import data_path
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from posor_lab.replay_1985.motion_test import MotionTest
-    from posor_lab.replay_1985.printed_results import PrintedColumns
 
 
 def test_the_page_is_complete_and_self_contained(

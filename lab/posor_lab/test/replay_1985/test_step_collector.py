@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Iterator
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,11 +14,7 @@ from posor_lab.replay_1985.replay import StepCollector
 from posor_msgs.msg import JointTransform
 from posor_ros.node_program import ros_context
 from posor_ros.qos import KEEP_ALL_QOS
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
-    from rclpy.publisher import Publisher
+from rclpy.publisher import Publisher
 
 
 @pytest.fixture

@@ -4,21 +4,17 @@ from __future__ import annotations
 
 import csv
 import io
-from typing import TYPE_CHECKING
+from collections.abc import Callable
 
 import pytest
 from posor.model.scan import DIODES_ESTIMATED
 from posor_lab.replay_1985.comparison import compare_with_thesis
+from posor_lab.replay_1985.motion_test import MotionTest
+from posor_lab.replay_1985.printed_results import PrintedColumns
 from posor_lab.replay_1985.replay_report import HEADINGS
 from posor_lab.replay_1985.step_table import CSV_HEADER, LiveTable, steps_as_csv
 from posor_lab.reports.findings import print_findings
 from rich.console import Console
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from posor_lab.replay_1985.motion_test import MotionTest
-    from posor_lab.replay_1985.printed_results import PrintedColumns
 
 
 def show_steps(test: MotionTest, *, terminal: bool, live: bool = True, height: int = 60) -> str:

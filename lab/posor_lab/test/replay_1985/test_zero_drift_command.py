@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 from posor.bags.calibration_recording import load_recording
 from posor.calibration.calibration_file import load_calibration
-from posor_bringup.installed import bag_path, calibration_path
+from posor_bringup.installed import Bag, bag_path, calibration_path
 from posor_calibration.procedures.zero_drift import NAME, ZeroDriftOptions, find_zero_drift
 from posor_lab.replay_1985.zero_drift_command import TESTS, TRUTH, main, search_zero_shifts
 from posor_lab.thesis_data import URAD
-
-if TYPE_CHECKING:
-    from posor_bringup.installed import Bag
 
 LEFT = {("ymo", "alpha"): 1.95, ("ymo", "beta"): 2.65, ("yzmo", "alpha"): 1.82, ("yzmo", "beta"): 5.65}
 """Standard deviation [urad] that the shifts found leave, over every step that gives a pose."""

@@ -3,21 +3,16 @@
 from __future__ import annotations
 
 from array import array
+from collections.abc import Iterator
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 from posor_bringup.arms import load_checked_arm
 from posor_lab.benchmark.tick_statistics import TickWindow
 from posor_lab.soak.process_sample import ProcessSample, growth_mb
-from posor_lab.soak.soak_command import SoakReceiver, main, soak_findings
+from posor_lab.soak.soak_command import SoakFigures, SoakReceiver, main, soak_findings
 from posor_ros.node_program import ros_context
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from posor_lab.soak.soak_command import SoakFigures
 
 RATE = 50
 WINDOW = TickWindow(0, 10 * 20_000_000, RATE)

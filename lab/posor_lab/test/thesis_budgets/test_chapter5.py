@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
+from posor.numerics.array_types import FloatArray
 from posor.uncertainty.budget_poses import scan_at
 from posor.uncertainty.budget_quantities import PlatePoint
 from posor_design.monte_carlo import BATCH, monte_carlo
@@ -24,9 +24,6 @@ from posor_lab.thesis_budgets.chapter5 import (
     root_sum_square,
 )
 from scipy.constants import inch
-
-if TYPE_CHECKING:
-    from posor.numerics.array_types import FloatArray
 
 STEP = 1e-6
 WORST = Slopes(PROBE_RANGE, PROBE_RANGE)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import pytest
 from posor.errors import DataFileError
@@ -18,10 +19,6 @@ from posor_lab.thesis_budgets.motion_predictions import (
     twist_stage_alpha,
 )
 from posor_lab.thesis_data import URAD, data_path
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-    from pathlib import Path
 
 
 @pytest.fixture

@@ -7,19 +7,15 @@ import json
 import math
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import pytest
 from posor.errors import DataFileError
 from posor_lab.thesis_budgets import budget_tables
-from posor_lab.thesis_budgets.budget_tables import DIODE_FILE, FACTOR_FILES, PROBE_FILE, BudgetCell
+from posor_lab.thesis_budgets.budget_tables import DIODE_FILE, FACTOR_FILES, PROBE_FILE, BudgetCell, BudgetTable
 from posor_lab.thesis_budgets.chapter5 import spot_shift
 from posor_lab.thesis_budgets.thesis_budgets_command import main
 from posor_lab.thesis_data import data_path, last_digit
 from posor_lab.thesis_table.thesis_row import Agreement
-
-if TYPE_CHECKING:
-    from posor_lab.thesis_budgets.budget_tables import BudgetTable
 
 FILES = {"5.2": FACTOR_FILES[0], "5.4": FACTOR_FILES[1], "7.9": DIODE_FILE, "7.12": PROBE_FILE}
 CELLS = {"5.2": 24, "5.4": 32, "7.9": 78, "7.12": 60}

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import pytest
 from posor.errors import DataFileError
 from posor_lab.thesis_table.figure_data import draw_figures
 from posor_lab.thesis_table.row_file import RowFile
 from posor_lab.thesis_table.thesis_row import ComparisonKind
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 FILE = """
 title: Beams

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import re
 import shutil
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import pytest
 from posor.bags.reprocess_command import parser, tasks_of
@@ -14,9 +14,6 @@ from posor_bringup.arms import find_arm, installed_arms, load_checked_arm
 from posor_bringup.bringup_options import parse_driver_parameters
 from posor_bringup.installed import share
 from posor_lab.harness.case_tables import refusal
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 JOINTS = ["base_swivel", "shoulder", "elbow", "wrist_roll", "wrist_yaw"]
 

@@ -5,17 +5,14 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-from typing import TYPE_CHECKING
+from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 from posor_bringup import supervisor as module
 from posor_bringup.supervisor import ProcessError, ProgramCommand, RunningProgram, Supervisor
 from posor_lab.harness.case_tables import refusal
 from posor_lab.harness.program import in_background
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
 
 LOOP = "echo started; while :; do sleep 0.05; done"
 SCRIPTS = {

@@ -2,22 +2,17 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 import pytest
 from posor.calibration.calibration_file import load_calibration
-from posor.calibration.designs import design
+from posor.calibration.designs import DesignName, design
 from posor.calibration.parameter_entries import parameter_entries
 from posor.errors import CalibrationError, FitError
 from posor.estimation.sensor_stack import Stack
 from posor_calibration.calibration_parameters import FixedParameters, FreeParameters
 from posor_lab.harness.random_poses import STACKS
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from posor.calibration.designs import DesignName
 
 
 @pytest.mark.parametrize("name", STACKS)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import datetime as dt
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -23,9 +24,6 @@ from posor_calibration.calibration_update import FitContext, update_calibration,
 from posor_calibration.least_squares import fit_parameters
 from posor_calibration.procedure import JointCovariance, Outcome, Part, Replacement
 from posor_lab.harness.case_tables import refusal
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 CONTEXT = FitContext(
     procedure="bench",

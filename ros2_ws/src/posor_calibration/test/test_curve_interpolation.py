@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 import pytest
 from numpy.polynomial import polynomial
 from posor.errors import FitError
+from posor.numerics.array_types import FloatArray
 from posor_calibration.map_basis import GRID_ERROR_RATIO, doubled_grid_errors, tabulate_interpolation
-
-if TYPE_CHECKING:
-    from posor.numerics.array_types import FloatArray
 
 RATIOS = np.linspace(-0.8, 0.8, 21)
 AT = np.linspace(-6.35e-3, 6.35e-3, 15)  # positions of fifteen curves over half an inch, as in 1985

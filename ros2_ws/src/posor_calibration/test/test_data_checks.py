@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 from posor.errors import FitError, TrackError
 from posor.estimation.forward import empty_scans
+from posor.numerics.array_types import FloatArray
 from posor_calibration.data_checks import (
     channel_name,
     check_axis,
@@ -19,9 +19,6 @@ from posor_calibration.data_checks import (
     check_unit,
 )
 from posor_lab.harness.case_tables import refusal
-
-if TYPE_CHECKING:
-    from posor.numerics.array_types import FloatArray
 
 MOVED = np.linspace(0.0, 1e-3, 20)[:, None]
 NAMES = ("gap_1", "gap_2")

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
+from posor.calibration.calibration_file import Calibration
 from posor.calibration.quantity import Quantity
 from posor.errors import FitError
 from posor_calibration.drift_check import check_drift
 from posor_calibration.procedures.bundle import BundleOptions
 from posor_lab.harness.drawn_posor import DrawnPosor, pose_track
 from scipy.stats import kstest
-
-if TYPE_CHECKING:
-    from posor.calibration.calibration_file import Calibration
 
 
 def with_shift(calibration: Calibration, shift: float) -> Calibration:

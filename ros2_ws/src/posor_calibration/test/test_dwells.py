@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 import pytest
 from posor.bags.recording import Recording, Track
 from posor.errors import FitError, TrackError
 from posor.estimation.forward import empty_scans
+from posor.model.scan import Scans
+from posor.numerics.array_types import FloatArray
 from posor_calibration.dwells import (
     Dwell,
     DwellOptions,
@@ -18,10 +18,6 @@ from posor_calibration.dwells import (
     mask_outliers,
     scans_with_reference,
 )
-
-if TYPE_CHECKING:
-    from posor.model.scan import Scans
-    from posor.numerics.array_types import FloatArray
 
 SECOND = 1_000_000_000
 GAPS = ("gap_voltages",)

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
 from posor.errors import FitError
+from posor.numerics.array_types import FloatArray
 from posor_calibration.least_squares import Fit, fit_linear, fit_parameters, weak_directions
 from posor_calibration.pose_advice import information_gains
 from scipy.stats import chi2
-
-if TYPE_CHECKING:
-    from posor.numerics.array_types import FloatArray
 
 TRUTH = np.array([2.0, -0.5, 3e-3])
 NAMES, UNITS = ("offset", "slope", "bend"), ("m", "m/V", "m/V^2")

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 import pytest
+from posor.calibration.calibration_file import Calibration
 from posor.calibration.designs import design
 from posor.calibration.fit_record import CovarianceRecord, FitRecord, RecordedData
 from posor.calibration.parameter_covariance import CovarianceSquareRoot, covariance_square_root, stated_covariance
@@ -17,16 +16,12 @@ from posor.estimation.forward import scans_at
 from posor.estimation.posor import Posor
 from posor.model.native_coordinates import native_jacobian
 from posor.model.scan import Scans
+from posor.numerics.array_types import FloatArray
 from posor.uncertainty.budget_poses import pose_from_native, scan_at
-from posor.uncertainty.first_order import error_budget, sensitivities
+from posor.uncertainty.first_order import ErrorBudget, error_budget, sensitivities
 from posor.uncertainty.reading_sensitivity import sensitivity_at
 from posor_design.monte_carlo import BATCH, monte_carlo
 from posor_lab.harness.random_poses import TICK_NS
-
-if TYPE_CHECKING:
-    from posor.calibration.calibration_file import Calibration
-    from posor.numerics.array_types import FloatArray
-    from posor.uncertainty.first_order import ErrorBudget
 
 NATIVE = np.array([1e-4, -1e-4, 0.7e-3, 2e-4, -1e-4, 0.02])
 POSE = pose_from_native(NATIVE.tolist())

@@ -4,13 +4,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy.linalg
-
-if TYPE_CHECKING:
-    from posor.numerics.array_types import FloatArray
+from posor.numerics.array_types import FloatArray
 
 ELEMENTS = 180
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import combinations
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
@@ -14,12 +13,10 @@ from posor.uncertainty.budget_poses import scan_at
 from posor.uncertainty.first_order import error_budget
 from posor.uncertainty.reliability import joint_reliability
 from posor_design.layout_evaluation import evaluate, extreme_poses, with_noise
+from posor_design.layout_geometry import LayoutKind
 from posor_design.posor_layout import BITS
 
 from .layout_examples import BUMPS, RING_OF_LIGHTS, candidate, example
-
-if TYPE_CHECKING:
-    from posor_design.layout_geometry import LayoutKind
 
 GAP = 2
 KINDS = (RING_OF_LIGHTS, BUMPS)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import re
 from functools import cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -14,11 +13,9 @@ from posor_design.layout_evaluation import evaluate, random_poses
 from posor_design.layout_geometry import LayoutKind
 from posor_design.layout_search import RESERVE, LayoutSearch, SearchResult, objectives, ratios, trade_off
 from posor_design.nearest_requirement import binding_constraint, refuse
+from posor_design.requirement import Requirement
 
 from .layout_examples import candidate, example
-
-if TYPE_CHECKING:
-    from posor_design.requirement import Requirement
 
 KINDS = (
     LayoutKind("light_ring", 2, 4, gap_outside=True),

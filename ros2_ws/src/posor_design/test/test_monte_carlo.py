@@ -4,26 +4,20 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
-from typing import TYPE_CHECKING
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from posor.calibration.calibration_file import calibration_from
-from posor.calibration.designs import design
+from posor.calibration.designs import DesignName, design
 from posor.errors import FitError, ParameterError
 from posor.estimation.posor import Posor
+from posor.model.scan import Scan
 from posor.uncertainty.budget_poses import middle_pose, pose_from_native, scan_at
 from posor.uncertainty.budget_quantities import PlatePoint
-from posor.uncertainty.first_order import error_budget
-from posor_design.monte_carlo import BATCH, COVERAGE_FACTOR, monte_carlo, numerical_tolerance, validate
+from posor.uncertainty.first_order import ErrorBudget, error_budget
+from posor_design.monte_carlo import BATCH, COVERAGE_FACTOR, MonteCarlo, monte_carlo, numerical_tolerance, validate
 from posor_lab.harness.random_poses import STACKS
-
-if TYPE_CHECKING:
-    import pinocchio as pin
-    from posor.calibration.designs import DesignName
-    from posor.model.scan import Scan
-    from posor.uncertainty.first_order import ErrorBudget
-    from posor_design.monte_carlo import MonteCarlo
 
 POINTS = (PlatePoint(-0.0254, 0.0381),)
 SEED = 7

@@ -7,7 +7,6 @@ import math
 import shlex
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -17,14 +16,12 @@ from posor.chain.arm_file import load_arm_file
 from posor.errors import OutputError
 from posor.estimation.posor import Posor
 from posor_design.design_command import main
+from posor_design.layout_geometry import LayoutKind
 from posor_design.posor_design_page import verdict
 from posor_design.posor_output import ARM_FILE, CALIBRATION, JOINT, output_files, write_files
 from posor_design.requirement import load_requirement
 
 from .layout_examples import BUMPS, RING_OF_LIGHTS, candidate, example, result_of
-
-if TYPE_CHECKING:
-    from posor_design.layout_geometry import LayoutKind
 
 OPTIONS = ["--outside-diameter", "80 mm", "--translations", "2 um", "--angles", "20 urad"]
 

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 from posor.messages.message_definitions import MessageTypes
 from posor.ros_names import POINT_STAMPED, RAW_SCAN
 from posor_drivers import message_builder
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-    from pathlib import Path
 
 TYPES = MessageTypes()
 FRAME = "posor_receiving"

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from pathlib import Path
+from pathlib import Path
 
 HEADER = "step,y_in,z_in,x_in,l1_v,l2_v,l3_v,dx1,dy1,dx2,dy2,repaired"
 ROWS = (

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterable, Iterator
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,9 +18,6 @@ from rclpy.serialization import deserialize_message
 from scipy.stats import chi2
 
 from .sample_bags import header, scan
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
 
 START = 1000 * 1_000_000_000
 TICK = 1_000_001

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from posor_drivers.driver_parameters import ConditioningParameters
 from posor_drivers.sources.source import SourceMessage
 from posor_lab.harness.graph import Graph, values_of
 from posor_lab.harness.in_process_nodes import run_refused_node
+from posor_lab.harness.program import Program
 from posor_msgs.msg import RawScan
 from rclpy.qos import QoSProfile
 from rclpy.serialization import serialize_message
@@ -23,11 +25,6 @@ from rclpy.serialization import serialize_message
 from .driver_program import LOSSLESS, driver_program
 from .sample_bags import SECOND, Record, point, scan, write_bag
 from .sample_tables import write_table
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from posor_lab.harness.program import Program
 
 pytestmark = pytest.mark.usefixtures("ros_domain")
 

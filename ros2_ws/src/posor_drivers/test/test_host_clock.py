@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import os
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import pytest
 from posor_drivers.host_clock import HostClock
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 CHRONY = "C0A80001,192.168.0.1,2,1795663704.1,0.000001,0.000002,0.000009,-8.1,0.001,0.02,0.000300,0.000100,16.1,{}"
 PTP = "sending: GET CURRENT_DATA_SET\n stepsRemoved {}\n offsetFromMaster -120.0\n meanPathDelay 400.0"

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterator, Sequence
+from typing import Any
 
 import pytest
 from posor.messages.message_definitions import MessageTypes
 from posor.parameter_model import ParameterGroup
 from posor_drivers.sources.source import LiveSource, SourceMessage
 from posor_drivers.tick_scheduler import MissedTicks, Pause, schedule_ticks
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
 
 PERIOD = 10
 

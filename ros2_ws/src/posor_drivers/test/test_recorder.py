@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import signal
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import pytest
 import yaml
@@ -22,9 +22,6 @@ from std_msgs.msg import String
 
 from .driver_program import LOSSLESS, driver_program
 from .sample_bags import read_bag, scan, write_bag
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
 
 pytestmark = pytest.mark.usefixtures("ros_domain")
 

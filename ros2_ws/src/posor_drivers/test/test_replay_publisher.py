@@ -3,8 +3,10 @@ from __future__ import annotations
 import itertools
 import math
 import time
+from collections.abc import Iterator
+from pathlib import Path
 from threading import Event
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
 from posor.errors import BagError, ParameterError
@@ -20,11 +22,6 @@ from posor_ros.message_classes import message_class
 from rclpy.serialization import deserialize_message
 
 from .sample_bags import SECOND, Record, point, scan, text, write_bag
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
-
 
 START = 1000 * SECOND
 TENTH = SECOND // 10

@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from threading import Event, get_ident
-from typing import TYPE_CHECKING
 
 import pytest
+from posor_drivers.ros_clock import TickClock
 from posor_drivers.sources.source import SourceMessage
 from posor_drivers.tick_scheduler import Pause, TickScheduler, TickTask
 from posor_ros.idle_scheduler import run_when_idle
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from posor_drivers.ros_clock import TickClock
 
 PERIOD_NS = 2_000_000
 

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from copy import deepcopy
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import yaml
@@ -12,13 +13,9 @@ from posor.calibration.designs import SizedDesignName, sized_design
 from posor.chain.arm_file import load_arm_file
 from posor.errors import CalibrationError
 from posor_drivers.simulator.arm_simulation import ArmSimulation
+from posor_drivers.simulator.imperfections import Imperfections
 from posor_lab.harness.beams import beams_content, plate, quantity, tube, uncertainty
 from posor_lab.harness.case_tables import refusal
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from posor_drivers.simulator.imperfections import Imperfections
 
 SCENARIO = Path(__file__).parent / "scenarios" / "three_joints.yaml"
 JOINTS = ("base", "shoulder", "elbow")

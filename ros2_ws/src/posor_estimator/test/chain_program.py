@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
+from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 from posor.model.native_coordinates import native_from_rotation
 from posor_lab.harness.graph import Graph, set_stamp, values_of, wait_for_value
@@ -14,9 +15,6 @@ from posor_lab.harness.program import HAND_FED, Program, installed
 from posor_msgs.msg import JointTransform
 from posor_ros.ros_arguments import ros_arguments
 from sensor_msgs.msg import JointState
-
-if TYPE_CHECKING:
-    from diagnostic_msgs.msg import DiagnosticStatus
 
 PLATES = ("posor_receiving", "posor_target")
 TURN = 2.0 * math.pi  # the joint has made one turn

@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from posor.messages.raw_scan import ScanTemplate
-from posor_lab.harness.graph import LOSSLESS
+from posor_lab.harness.graph import LOSSLESS, Graph
 from posor_msgs.msg import RawScan
+from rclpy.qos import QoSProfile
 from rosbags.rosbag2 import Reader
-
-if TYPE_CHECKING:
-    from posor_lab.harness.graph import Graph
-    from rclpy.qos import QoSProfile
 
 BRINGUP = Path(__file__).resolve().parents[2] / "posor_bringup"
 POSOR = {"calibration": str(BRINGUP / "config" / "slocum1985_printed.yaml"), "session": "ymo"}

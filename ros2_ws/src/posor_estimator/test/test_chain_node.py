@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from functools import reduce
 from itertools import count
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -19,9 +20,6 @@ from posor_msgs.msg import EndpointState, JointTransform
 from std_srvs.srv import Trigger
 
 from .chain_program import LOSSLESS, TURN, ChainRig, chain_node, lost_transform, transform_of
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
 
 pytestmark = pytest.mark.usefixtures("ros_domain")
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
@@ -18,9 +18,6 @@ from posor_lab.harness.in_process_nodes import run_refused_node
 from posor_msgs.msg import EndpointState, JointTransform
 
 from .chain_program import LOSSLESS, ChainRig, chain_node, lost_transform, transform_of
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
 
 pytestmark = pytest.mark.usefixtures("ros_domain")
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from contextlib import ExitStack
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import pytest
 from posor_lab.harness.graph import Graph
@@ -13,9 +13,6 @@ from posor_msgs.msg import JointTransform
 from posor_ros.ros_arguments import ros_arguments
 
 from .live_topics import POSOR, ScanSender
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 pytestmark = pytest.mark.usefixtures("ros_domain")
 

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 import time
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 import pytest
 from posor.messages.joint_transform import stamp_ns_of
+from posor.numerics.array_types import FloatArray
 from posor_lab.harness.graph import Graph, wait_for_value
 from posor_lab.harness.message_conversion import stamp_ns
 from posor_lab.harness.program import Program, installed
@@ -18,11 +20,6 @@ from rclpy.qos import QoSProfile
 
 from .chain_program import PLATES, RANDOM_SHARE, lost_transform, transform_of
 from .live_topics import BRINGUP, PERIOD_S, POSOR, ScanSender
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from posor.numerics.array_types import FloatArray
 
 pytestmark = pytest.mark.usefixtures("ros_domain")
 

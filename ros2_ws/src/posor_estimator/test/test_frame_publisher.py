@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -12,6 +13,7 @@ import pytest
 from ament_index_python.packages import get_package_share_path
 from posor.chain.joint_measurements import MeasuredJoint
 from posor.chain.kinematic_chain import load_chain
+from posor.chain.robot_model import FreeJoint
 from posor_estimator.chain_node import ChainNode
 from posor_lab.harness.graph import Graph
 from posor_lab.harness.in_process_nodes import NodeProcess, run_refused_node
@@ -21,11 +23,6 @@ from std_msgs.msg import String
 from tf2_msgs.msg import TFMessage
 
 from .chain_program import LOSSLESS, ChainRig, chain_node, lost_transform, transform_of
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-
-    from posor.chain.robot_model import FreeJoint
 
 pytestmark = pytest.mark.usefixtures("ros_domain")
 

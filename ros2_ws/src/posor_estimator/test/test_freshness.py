@@ -5,10 +5,12 @@ from __future__ import annotations
 import math
 import re
 import time
+from collections.abc import Iterator
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
 from posor.node_parameters import FreshnessParameters, NodeParameters
 from posor_lab.harness.graph import LOSSLESS, Graph, values_of, wait_for_value
 from posor_lab.harness.program import Program, installed
@@ -21,11 +23,6 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
 from .live_topics import PERIOD_S, POSOR, ScanSender
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from diagnostic_msgs.msg import DiagnosticStatus
 
 pytestmark = pytest.mark.usefixtures("ros_domain")
 

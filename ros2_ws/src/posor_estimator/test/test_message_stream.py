@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from itertools import product
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
-from posor.calibration.designs import BUMPS, design
+from posor.calibration.designs import BUMPS, DesignName, design
 from posor.errors import TopicError
 from posor.estimation.forward import scans_at
 from posor.estimation.posor import Posor
@@ -19,6 +20,7 @@ from posor.messages.message_table import TableLayout
 from posor.messages.raw_scan import ScanTemplate, scan_of
 from posor.model.fault import Fault, State
 from posor.model.native_coordinates import rotation_from_native
+from posor.model.scan import Scan
 from posor.numerics.stamps import NS
 from posor_lab.harness.case_tables import refusal
 from posor_lab.harness.graph import scan_message
@@ -27,12 +29,6 @@ from posor_lab.harness.random_poses import STACKS, TICK_NS
 from posor_msgs.msg import JointTransform, RawScan
 from posor_ros.message_classes import schema_of_class
 from rclpy.serialization import deserialize_message
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from posor.calibration.designs import DesignName
-    from posor.model.scan import Scan
 
 RAW_SCAN = schema_of_class(RawScan)
 JOINT_TRANSFORM = schema_of_class(JointTransform)

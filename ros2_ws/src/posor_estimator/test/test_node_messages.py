@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -26,9 +27,6 @@ from posor_msgs.msg import JointTransform, RawScan
 from posor_ros.message_classes import schema_of_class
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
 
 RAW_SCAN = schema_of_class(RawScan)
 JOINT_TRANSFORM = schema_of_class(JointTransform)

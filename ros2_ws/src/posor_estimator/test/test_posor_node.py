@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Iterator
 from functools import reduce
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
@@ -21,10 +22,6 @@ from posor_lab.harness.program import HAND_FED, Program, installed
 from posor_lab.thesis_data import read_table
 from posor_msgs.msg import JointTransform, RawScan
 from posor_ros.ros_arguments import ros_arguments
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
 
 pytestmark = pytest.mark.usefixtures("ros_domain")
 

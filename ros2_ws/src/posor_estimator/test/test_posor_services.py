@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any, Self
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Self
 
 import numpy as np
 import pytest
 import yaml
-from posor.calibration.calibration_file import load_calibration
-from posor.calibration.designs import design
+from posor.calibration.calibration_file import Calibration, load_calibration
+from posor.calibration.designs import DesignName, design
 from posor.calibration.quantity import Quantity
 from posor.calibration.session import Session
 from posor.estimation.forward import scans_at
 from posor.estimation.posor import Posor
 from posor.model.native_coordinates import rotation_from_native
+from posor.numerics.array_types import FloatArray
 from posor_estimator.posor_node import PosorEstimatorNode
 from posor_lab.harness.case_tables import edited
 from posor_lab.harness.graph import Graph, scan_message, values_of, wait_for_value
@@ -23,14 +26,6 @@ from posor_lab.harness.program import HAND_FED, Program, installed
 from posor_msgs.msg import JointTransform, RawScan
 from posor_ros.ros_arguments import ros_arguments
 from std_srvs.srv import Trigger
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
-
-    from posor.calibration.calibration_file import Calibration
-    from posor.calibration.designs import DesignName
-    from posor.numerics.array_types import FloatArray
 
 pytestmark = pytest.mark.usefixtures("ros_domain")
 

@@ -1,7 +1,5 @@
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import pytest
 from posor.node_parameters import NodeParameters
 from posor_bringup.installed import calibration_path
@@ -11,9 +9,7 @@ from posor_lab.harness.in_process_nodes import NodeProcess, run_refused_node
 from posor_ros.qos import RELIABLE_QOS, result_qos, sensor_publisher_qos, sensor_subscription_qos
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
-
-if TYPE_CHECKING:
-    from rclpy.topic_endpoint_info import TopicEndpointInfo
+from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 POSOR = {"calibration": str(calibration_path("printed"))}
 RAW = "qos_overrides./joint1/raw.subscription."

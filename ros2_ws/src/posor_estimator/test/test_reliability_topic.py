@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -13,6 +13,7 @@ from posor.calibration.designs import STANDOFF
 from posor.chain.kinematic_chain import load_chain
 from posor.estimation.posor import Posor
 from posor.model.native_coordinates import rotation_from_native
+from posor.numerics.array_types import FloatArray
 from posor.uncertainty.budget_poses import scan_at
 from posor.uncertainty.protection_level import (
     endpoint_effects,
@@ -26,9 +27,6 @@ from posor_msgs.msg import EndpointState, JointReliability, JointTransform
 
 from .chain_program import LOSSLESS, PLATES, chain_node, transform_of
 from .test_posor_services import NodeRig
-
-if TYPE_CHECKING:
-    from posor.numerics.array_types import FloatArray
 
 pytestmark = pytest.mark.usefixtures("ros_domain")
 

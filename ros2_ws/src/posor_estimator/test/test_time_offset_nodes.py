@@ -6,7 +6,9 @@ to a second posor_node with the stated largest error of their stamps.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -21,10 +23,6 @@ from posor_lab.harness.program import Program, installed
 from posor_msgs.msg import EndpointState, RawScan
 from posor_ros.ros_arguments import ros_arguments
 from sensor_msgs.msg import JointState
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
 
 pytestmark = pytest.mark.usefixtures("ros_domain")
 

@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from threading import Thread, current_thread
-from typing import TYPE_CHECKING
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from posor.ros_names import DIAGNOSTICS_TOPIC
 from posor_lab.harness.graph import Graph, values_of
 from posor_ros import diagnostics as diagnostics_module
-from posor_ros.diagnostics import MAX_QUEUED, MIN_INTERVAL_S, Diagnostics, LastingErrorLog, Level, StatusReport
+from posor_ros.diagnostics import (
+    MAX_QUEUED,
+    MIN_INTERVAL_S,
+    Diagnostics,
+    LastingErrorLog,
+    Level,
+    StatusReport,
+    StatusText,
+)
 from posor_ros.qos import RELIABLE_QOS
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
-    from posor_ros.diagnostics import StatusText
 
 pytestmark = pytest.mark.usefixtures("ros_domain")
 

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from threading import Event, Semaphore, Thread
 from time import time_ns
-from typing import TYPE_CHECKING
 
 import pytest
 from posor_ros import idle_scheduler
 from posor_ros.idle_scheduler import MAX_MARGIN_NS, TickSchedule, run_when_idle
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
 
 SLOW_RATE = 1.0
 

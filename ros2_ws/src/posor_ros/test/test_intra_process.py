@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Iterator
+from typing import Any
 
 import pytest
 from posor.errors import ParameterError, TopicError
@@ -16,9 +17,6 @@ from posor_ros.intra_process import IntraProcessPublisher, IntraProcessSubscript
 from posor_ros.lifecycle_node import LISTENERS_STATUS, PosorNode
 from posor_ros.qos import KEEP_ALL_QOS
 from rclpy.serialization import serialize_message
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
 
 pytestmark = pytest.mark.usefixtures("ros_domain")
 

@@ -6,17 +6,14 @@ import shutil
 import signal
 import socket
 import subprocess
+from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import pytest
 from posor.errors import SystemRefusal
 from posor_lab.harness.program import TIMEOUT_S, Program, script
 from posor_ros.service_manager import ServiceManager
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
 
 EXAMPLE = script(Path(__file__).with_name("example_node.py"))
 WATCHDOG_S = 0.4

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import chain
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 from mcap.records import ChunkIndex
 from mcap.writer import CompressionType
@@ -14,10 +15,6 @@ from posor.bags.mcap_file import checked_index
 from posor.messages.message_definitions import MessageTypes
 from posor.ros_names import RAW_SCAN
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
-    from pathlib import Path
 
 TOPICS = ("/one/raw", "/two/raw", "/other/raw")
 WANTED = list(TOPICS[:2])

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
@@ -14,7 +13,8 @@ import yaml
 from posor import load_arm, simulate
 from posor.bags.arm_estimator import ArmEstimator, EndpointPipeline
 from posor.bags.reprocess_task import JointSettings, Settings
-from posor.calibration.designs import design
+from posor.calibration.calibration_file import Calibration
+from posor.calibration.designs import DesignName, design
 from posor.estimation.estimate import Estimates
 from posor.estimation.forward import scans_at
 from posor.estimation.posor import Posor
@@ -25,10 +25,6 @@ from posor.model.native_coordinates import rotation_from_native
 from posor.node_parameters import ChainParameters
 from posor.numerics.stamps import NS
 from posor.uncertainty.protection_level import endpoint_effects
-
-if TYPE_CHECKING:
-    from posor.calibration.calibration_file import Calibration
-    from posor.calibration.designs import DesignName
 
 DESIGNS: tuple[DesignName, ...] = ("triad_diodes", "triad_bumpy_ring", "triad_diodes")
 

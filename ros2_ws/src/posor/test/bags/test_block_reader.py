@@ -6,7 +6,9 @@ The order of chunks that overlap in log time is that of rosbags to the last tie,
 from __future__ import annotations
 
 import struct
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,7 +20,8 @@ from posor.bags.message_block import TopicReader
 from posor.errors import BagError
 from posor.messages.byte_kernels import index_messages
 from posor.messages.message_definitions import MessageTypes
-from posor.messages.message_table import TableLayout
+from posor.messages.message_table import MessageTable, TableLayout
+from posor.numerics.array_types import IntArray
 from posor.ros_names import RAW_SCAN
 from posor_msgs.msg import RawScan
 from posor_ros.message_classes import schema_of_class
@@ -26,13 +29,6 @@ from rclpy.serialization import deserialize_message, serialize_message
 from rosbags.rosbag2 import CompressionMode, Reader, StoragePlugin
 
 from .bag_files import TOPICS, WANTED, Record, by_blocks, by_rosbags, chunk_indices, damaged, in_chunks, write
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
-
-    from posor.messages.message_table import MessageTable
-    from posor.numerics.array_types import IntArray
 
 RANDOM = np.random.default_rng(11)
 

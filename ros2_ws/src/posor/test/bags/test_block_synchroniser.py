@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
 import numpy as np
 import pytest
 from posor.bags import block_synchroniser
 from posor.bags.block_synchroniser import JOINT_ROWS, BlockSynchroniser
 from posor.chain.time_synchroniser import TimeSynchroniser
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
 NAMES = ("a", "b", "c")
 Arrival = tuple[int, int]  # joint and stamp

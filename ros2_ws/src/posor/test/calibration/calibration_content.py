@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import yaml
 from posor.calibration.edit import parse_key_path
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 PROBE = "sensors[0].probes[0]"
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import pytest
 import yaml
@@ -11,9 +12,6 @@ from posor.calibration.edit import edit_document
 from posor.calibration.yaml_document import StrictDumper
 
 from .calibration_content import PROBE, at, write
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 RIG = ("printed", "section84")
 

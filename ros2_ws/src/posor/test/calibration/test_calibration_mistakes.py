@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import pytest
 import yaml
@@ -12,9 +13,6 @@ from posor.errors import CalibrationError
 from posor_lab.harness.case_tables import cases, refusal
 
 from .calibration_content import PROBE, at, write
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 
 def line_of(text: str, key: str) -> int:

@@ -3,23 +3,19 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
 import numpy as np
 import pytest
+from posor.calibration.calibration_file import Calibration
 from posor.calibration.designs import PROBE_ACCURACY, SMALLEST_DIAMETER, STANDOFF, SizedDesignName, sized_design
 from posor.errors import CalibrationError
+from posor.estimation.estimate import Estimates
 from posor.estimation.forward import scans_at
 from posor.estimation.posor import Posor
 from posor.model.fault import State
 from posor.model.native_coordinates import rotation_from_native
 from posor_lab.harness.case_tables import refusal
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from posor.calibration.calibration_file import Calibration
-    from posor.estimation.estimate import Estimates
 
 INCH = 0.0254
 DIAMETERS_IN = (4.0, 5.0, 6.0, 8.0, 10.5)

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import os
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 import yaml
 from posor.calibration.edit import edit_document, parse_key_path
@@ -12,12 +15,6 @@ from posor.calibration.save import refuse_existing, save_calibration
 from posor.calibration.yaml_document import FastLoader, StrictLoader, parse_yaml
 from posor.errors import CalibrationError
 from posor_lab.harness.case_tables import refusal
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
-
-    import numpy as np
 
 TEXT = """\
 # a file of its owner's own hand

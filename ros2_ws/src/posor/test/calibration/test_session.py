@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import pytest
 from posor.calibration.calibration_file import load_calibration
@@ -10,9 +11,6 @@ from posor.errors import CalibrationError
 from posor_lab.harness.case_tables import refusal
 
 from .calibration_content import at, write, zero_shifts
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 
 def test_a_session_replaces_zero_shifts_and_maps(rig_calibrations: dict[str, Path]) -> None:

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 import pinocchio as pin
 import pytest
-from posor.calibration.calibration_file import parse_calibration
+from posor.calibration.calibration_file import Calibration, parse_calibration
 from posor.calibration.designs import design
 from posor.calibration.document_text import document_text
 from posor.calibration.parameter_covariance import shared_effects, stated_covariance
@@ -19,9 +17,6 @@ from posor.model.native_coordinates import rotation_from_native
 from posor.uncertainty.budget_poses import middle_pose, scan_at
 from posor.uncertainty.first_order import error_budget
 from posor_lab.harness.case_tables import cases, edited, refusal
-
-if TYPE_CHECKING:
-    from posor.calibration.calibration_file import Calibration
 
 TERMS = """\
 shared:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import pytest
 from posor.calibration.calibration_file import load_calibration
@@ -11,9 +12,6 @@ from posor.errors import CalibrationError
 from posor_lab.harness.case_tables import cases, edited, refusal
 
 from .calibration_content import PROBE, write, zero_shifts
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 ALIAS_BOMB = "a0: &a0 [x]\n" + "".join(f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 10)}]\n" for i in range(1, 10))
 SHIFT = "zero_shift: {value: 0.0, unit: V}"

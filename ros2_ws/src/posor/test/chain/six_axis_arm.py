@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
 from posor.chain.arm_file import load_arm_file
-
-if TYPE_CHECKING:
-    from posor.chain.kinematic_chain import Chain
-    from posor.numerics.array_types import FloatArray, IntArray
+from posor.chain.kinematic_chain import Chain
+from posor.numerics.array_types import FloatArray, IntArray
 
 FOLDER = Path(__file__).resolve().parents[3] / "posor_bringup" / "arms" / "six_axis"
 JOINTS = 6

@@ -3,28 +3,24 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from collections.abc import Callable
 
 import numpy as np
 import pinocchio as pin
 import pytest
 from posor.chain.beam_acceleration import INITIAL_CAPACITY, MINIMUM_SCANS
+from posor.chain.endpoint_estimator import EndpointEstimator
+from posor.chain.forward_kinematics import Endpoints
 from posor.chain.joint_measurements import JointRowLayout
 from posor.chain.kinematic_chain import Chain, Endpoint
 from posor.model.fault import State
 from posor.model.native_coordinates import native_from_rotation
+from posor.numerics.array_types import FloatArray, IntArray
 from posor.uncertainty.protection_level import endpoint_effects
 
 from .six_axis_arm import FOLDER, JOINTS, PERIOD_NS, SCANS, WINDOW_S, assert_bits, six_axis_chain, swinging
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from posor.chain.endpoint_estimator import EndpointEstimator
-    from posor.chain.forward_kinematics import Endpoints
-    from posor.numerics.array_types import FloatArray, IntArray
-
-    Parts = tuple[FloatArray, FloatArray]
+Parts = tuple[FloatArray, FloatArray]
 
 RESULTS = ("pose", "covariance_random", "covariance_systematic", "angles", "stamp_shift")
 

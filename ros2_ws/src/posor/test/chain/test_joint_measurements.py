@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
 import pytest
 from posor.chain.joint_measurements import MeasuredJoint
+from posor.chain.kinematic_chain import Chain
 from posor.errors import ChainError
 from posor_lab.harness.case_tables import refusal
 
 from .six_axis_arm import JOINTS, SCANS, WINDOW_S, assert_bits, six_axis_chain, swinging
-
-if TYPE_CHECKING:
-    from posor.chain.kinematic_chain import Chain
 
 
 @pytest.fixture(scope="module")

@@ -3,8 +3,8 @@ from __future__ import annotations
 import copy
 import math
 import os
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
@@ -15,13 +15,9 @@ from posor.chain.kinematic_chain import Chain, load_chain
 from posor.errors import ChainError
 from posor.input_text import MAX_BYTES
 from posor.model.native_coordinates import native_from_rotation
+from posor.numerics.array_types import FloatArray
 from posor_lab.harness.case_tables import edited, refusal
 from scipy.spatial.transform import Rotation
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from posor.numerics.array_types import FloatArray
 
 SOURCE = "arm.urdf"
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -14,11 +14,9 @@ from posor.chain.beams_file import BeamsFile
 from posor.chain.joint_measurements import MeasuredJoint
 from posor.chain.kinematic_chain import Chain
 from posor.errors import ChainError, PosorError
+from posor.numerics.array_types import FloatArray
 from posor_lab.harness.beams import beams_file, plate, quantity, tube, uncertainty
 from posor_lab.harness.case_tables import refusal
-
-if TYPE_CHECKING:
-    from posor.numerics.array_types import FloatArray
 
 ARM = Path(__file__).with_name("two_beams.urdf").read_text(encoding="utf-8")
 LENGTH = math.hypot(0.8, 0.1)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -13,13 +14,9 @@ from posor.chain.beams_file import BeamsFile, load_beams
 from posor.chain.joint_measurements import SHARED_TOO_LARGE, JointRowLayout, MeasuredJoint
 from posor.chain.kinematic_chain import Chain
 from posor.model.native_coordinates import native_from_rotation
+from posor.numerics.array_types import FloatArray
 
 from .six_axis_arm import FOLDER, JOINTS, assert_bits
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from posor.numerics.array_types import FloatArray
 
 SCALE, HEAVIER = 1e-3, 1e-2  # relative standard uncertainties of the beams' lengths and of gravity
 ARM = load_arm_file(FOLDER / "arm.yaml")

@@ -1,16 +1,13 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from collections.abc import Iterable
 
 import numpy as np
 import pytest
 from posor.chain.time_synchroniser import MAX_OPEN_SCANS, TimeSynchroniser, synchronise_stamps
 from posor.errors import ChainError
 from posor_lab.harness.case_tables import cases, refusal
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
 
 JOINTS = ("shoulder", "elbow", "wrist")
 

@@ -5,24 +5,20 @@ The truth is the motion that the scans are simulated with, as geometry.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
-from posor import Fault, Posor, State, load_calibration, simulate
+from numpy.typing import NDArray
+from posor import Estimates, Fault, Posor, Scans, State, load_calibration, simulate
 from posor.estimation.clocks import LATE_RUN, NEW_RATE_RUN, RESTART_RUN
 from posor.estimation.exposure import LONGEST_OFFSET_S
 from scipy.stats import chi2
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import NDArray
-    from posor import Estimates, Scans
-
-    Array = NDArray[Any]
+Array = NDArray[Any]
 
 ARMS = Path(__file__).resolve().parents[3] / "posor_bringup" / "arms"
 JOINTS = {"bumpy ring": "five_axis/calibrations/elbow.yaml", "light ring": "six_axis/calibrations/shoulder.yaml"}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -11,12 +10,10 @@ from posor.calibration.designs import BUMPS, design
 from posor.estimation.posor import Posor
 from posor.estimation.scan_checks import MARKS
 from posor.model.fault import Fault, State
+from posor.model.scan import Scans
+from posor.numerics.array_types import FloatArray
 from posor.sensors.bumpy_ring import BumpyRing
 from posor_lab.harness.random_poses import turning_scans
-
-if TYPE_CHECKING:
-    from posor.model.scan import Scans
-    from posor.numerics.array_types import FloatArray
 
 BUMP = 2.0 * math.pi / BUMPS
 

@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
+import numpy.typing as npt
 import pytest
 from posor.estimation.covariance import write_covariances
 from posor.estimation.scan_checks import chi_square
 from posor.estimation.workspace import WORKSPACE
+from posor.numerics.array_types import FloatArray
 from posor.numerics.compiled import in_place, record_view
 from posor.numerics.matrix import factorise, normal_matrix, store_factors
 from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
-
-if TYPE_CHECKING:
-    import numpy.typing as npt
-    from posor.numerics.array_types import FloatArray
 
 
 @in_place

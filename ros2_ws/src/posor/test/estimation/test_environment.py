@@ -4,22 +4,17 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 from posor.calibration.calibration_file import calibration_from
-from posor.calibration.designs import design, sized_design
+from posor.calibration.designs import DesignName, design, sized_design
 from posor.errors import CalibrationError, ParameterError, ShapeError
 from posor.estimation.frozen import FROZEN_EVIDENCE, evidence_of_repetition
 from posor.estimation.posor import Posor
 from posor.model.fault import Fault, State
-from posor.model.scan import DIODES_ESTIMATED, HOME_BUMP, PROBES_ESTIMATED, SATURATED
+from posor.model.scan import DIODES_ESTIMATED, HOME_BUMP, PROBES_ESTIMATED, SATURATED, Scans
 from posor_lab.harness.random_poses import STACKS, turning_scans
-
-if TYPE_CHECKING:
-    from posor.calibration.designs import DesignName
-    from posor.model.scan import Scans
 
 
 def resting(posor: Posor, count: int, seed: int | None = 3, *, rounded: bool = False) -> Scans:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,18 +11,15 @@ from posor.calibration.calibration_file import calibration_from
 from posor.calibration.designs import design, sized_design
 from posor.errors import ParameterError
 from posor.estimation.clocks import LATE_RUN
+from posor.estimation.estimate import Estimates
 from posor.estimation.forward import scans_at
 from posor.estimation.posor import Posor
 from posor.estimation.scan_checks import RESIDUAL_RUN
 from posor.model.fault import Fault, State
 from posor.model.native_coordinates import rotation_from_native
-from posor.model.scan import NO_SOURCE, STATED_HOME
+from posor.model.scan import NO_SOURCE, STATED_HOME, Scans
+from posor.numerics.array_types import FloatArray
 from posor_lab.harness.random_poses import TICK_NS, errors_in_parent, turning_scans
-
-if TYPE_CHECKING:
-    from posor.estimation.estimate import Estimates
-    from posor.model.scan import Scans
-    from posor.numerics.array_types import FloatArray
 
 INCH = 0.0254
 COUNT = 4000

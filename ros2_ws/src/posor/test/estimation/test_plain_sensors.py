@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 import pytest
-from posor.calibration.calibration_file import TiltAngle
+from posor.calibration.calibration_file import Calibration, TiltAngle
 from posor.calibration.designs import BUMPS, design
 from posor.errors import ParameterError
 from posor.estimation.forward import scans_at
@@ -16,16 +16,13 @@ from posor.estimation.sensor_stack import Stack
 from posor.model.fault import Fault, State
 from posor.model.reading_rows import differentiate_rows, evaluate_rows
 from posor.model.scan import Scan, Scans
+from posor.numerics.array_types import FloatArray
 from posor.sensors.base import PlainReadings, PlainSensor, RowSensor, SensorCalibration
 from posor.uncertainty.budget_poses import middle_pose, scan_at
 from posor.uncertainty.budget_quantities import PlatePoint
 from posor.uncertainty.first_order import error_budget
 from posor_design.monte_carlo import monte_carlo
 from posor_lab.harness.random_poses import TICK_NS, readable_poses, turning_scans
-
-if TYPE_CHECKING:
-    from posor.calibration.calibration_file import Calibration
-    from posor.numerics.array_types import FloatArray
 
 BUMP = 2.0 * math.pi / BUMPS
 

@@ -5,21 +5,17 @@ from __future__ import annotations
 import copy
 import math
 from dataclasses import fields, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 from posor.calibration.calibration_file import calibration_from
-from posor.calibration.designs import design
+from posor.calibration.designs import DesignName, design
 from posor.errors import ParameterError, ScanError, ShapeError
 from posor.estimation.posor import Posor
 from posor.model.fault import Fault, State
 from posor.model.native_coordinates import rotation_from_native
 from posor.model.scan import NO_SOURCE, Scan
 from posor_lab.harness.random_poses import STACKS, turning_scans
-
-if TYPE_CHECKING:
-    from posor.calibration.designs import DesignName
 
 SEED = 7
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -13,12 +13,8 @@ from posor.estimation.posor import Posor
 from posor.model.fault import Fault, State
 from posor.model.native_coordinates import native_from_rotation, rotation_from_native
 from posor.model.scan import NO_SOURCE, Scan, Scans
+from posor.numerics.array_types import FloatArray
 from posor_lab.harness.random_poses import TICK_NS, errors_in_parent
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from posor.numerics.array_types import FloatArray
 
 RUNS, COUNT, ONSET = 40, 400, 50
 RUN_SEED = 20

@@ -3,20 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
 import pytest
-from posor.calibration.designs import design
+from posor.calibration.designs import DesignName, design
 from posor.errors import ShapeError
 from posor.estimation.posor import Posor
 from posor.model.fault import Fault, State
 from posor.model.scan import Scans
 from posor_lab.harness.random_poses import STACKS, turning_scans
-
-if TYPE_CHECKING:
-    from posor.calibration.designs import DesignName
 
 COUNT = 40
 

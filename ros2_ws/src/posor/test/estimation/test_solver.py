@@ -2,19 +2,17 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import pinocchio as pin
 import pytest
 from posor.estimation import solver
 from posor.estimation.workspace import WORKSPACE
 from posor.model.reading_rows import GAP, ROW, SPOT_X, SPOT_Y, evaluate_rows, prepare_rows
+from posor.numerics.array_types import FloatArray, IntArray
 from posor.numerics.compiled import in_place, record_view
-
-if TYPE_CHECKING:
-    import numpy.typing as npt
-    from posor.numerics.array_types import FloatArray, IntArray
 
 LEAST_RATIO = 1e-7
 

@@ -3,21 +3,16 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from collections.abc import Callable
 
 import numpy as np
 import pytest
-from posor import Fault, Posor, State, load_calibration, simulate
+from posor import Estimate, Fault, Posor, Scan, Scans, State, load_calibration, simulate
 from posor.model.scan import STATED_HOME
+from posor.numerics.array_types import FloatArray
 from posor.uncertainty.protection_level import COVERAGE_FACTOR
 
 from .test_clocks import ARMS, FIRST_NS, JOINTS, PERIOD_S, errors
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from posor import Estimate, Scan, Scans
-    from posor.numerics.array_types import FloatArray
 
 COUNT, MOVING = 800, 200  # scans, and those at rest before the joint swings
 TIMES: FloatArray = np.asarray(np.arange(COUNT) * PERIOD_S, dtype=np.float64)

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
 from posor.estimation.tracking import LONGEST_GAP, predict, turn_about_z, update_tracker
 from posor.estimation.workspace import WORKSPACE
+from posor.numerics.array_types import FloatArray
 from posor.numerics.compiled import record_view
 from posor.numerics.vector import theta_of
-
-if TYPE_CHECKING:
-    from posor.numerics.array_types import FloatArray
 
 ELAPSED = 0.5e-3
 MOVED = np.array([1e-6, 2e-6, 3e-6])

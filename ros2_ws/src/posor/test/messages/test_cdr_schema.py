@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,9 +19,6 @@ from posor_ros.message_classes import schema_of_class
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
 
 TYPES = [RawScan, JointTransform, PoseStamped, PoseWithCovarianceStamped, JointState, TransformStamped, Header]
 CASES = 25

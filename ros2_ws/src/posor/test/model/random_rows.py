@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
 from posor.model.gap import plane_normal
+from posor.numerics.array_types import FloatArray
 from scipy.spatial.transform import Rotation
-
-if TYPE_CHECKING:
-    from posor.numerics.array_types import FloatArray
 
 
 def random_gap(rng: np.random.Generator) -> tuple[FloatArray, pin.SE3]:

@@ -1,17 +1,13 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from collections.abc import Callable
 
 import numpy as np
 import pinocchio as pin
 import pytest
 from posor.model.native_coordinates import native_from_rotation, native_jacobian, rotation_from_native
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from posor.numerics.array_types import FloatArray
+from posor.numerics.array_types import FloatArray
 
 LEAN = 0.06  # rad, more than a POSOR's gaps allow
 

@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
 import pytest
 from posor.model.reading_rows import GAP, RING, SPOT_X, SPOT_Y
+from posor.numerics.array_types import FloatArray
 from posor_lab.harness.row_builder import parameter_derivatives, read_row, tangent_derivative
 
 from .random_rows import random_gap, random_ring_gap, random_spot
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from posor.numerics.array_types import FloatArray
 
 CASES = 200
 WHOLE_NUMBERS = {RING: (7, 8, 11, 14)}  # the number of harmonics, and each k: not to be differentiated

@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
+import numpy.typing as npt
 from numpy.polynomial import chebyshev, polynomial
 from posor.calibration.quantity import Quantity
 from posor.model.diode import DIODE, SPOT_POSITION
 from posor.model.spot_map import INSIDE, OUTSIDE_Y, position_of_ratios, ratios_of_positions
+from posor.numerics.array_types import FloatArray
 from posor.numerics.compiled import record_view
 from posor.sensors.diode_map import CurvesMap, TensorMap
-
-if TYPE_CHECKING:
-    import numpy.typing as npt
-    from posor.numerics.array_types import FloatArray
 
 STOPS = 15  # by 15, as in thesis 7.4.2
 ORDER = 9

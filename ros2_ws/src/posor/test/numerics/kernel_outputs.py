@@ -8,9 +8,10 @@ from __future__ import annotations
 import math
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, get_args
+from typing import get_args
 
 import numpy as np
+from numpy.typing import NDArray
 from posor.calibration.designs import DesignName, design
 from posor.chain.arm_geometry import BEAM, ELEMENT, ArmGeometry
 from posor.chain.beam_acceleration import BeamHistory
@@ -23,15 +24,12 @@ from posor.messages.message_stream import MessageEstimator
 from posor.model.reading_rows import GAP, RING, SPOT_X, SPOT_Y, differentiate_rows, evaluate_rows
 from posor.numerics import compiled, vector
 from posor.numerics import matrix as matrices
+from posor.numerics.array_types import FloatArray
 from posor.numerics.compiled import in_place, record_view
 from posor.numerics.summary_statistics import FIGURES, figures_of
 from posor.warm_up import example_stream
 from posor_lab.harness.random_poses import turning_scans
 from posor_lab.harness.row_builder import make_rows
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-    from posor.numerics.array_types import FloatArray
 
 CASES = 100
 THETAS = 2e-3 * np.arange(6.0)

@@ -6,15 +6,12 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 from posor.estimation import solver as solve
+from posor.numerics.array_types import FloatArray
 from posor.numerics.compiled import PACKAGE, cache_folder
-
-if TYPE_CHECKING:
-    from posor.numerics.array_types import FloatArray
 
 PROGRAM = Path(__file__).resolve().parent / "kernel_outputs.py"
 NUMBA = importlib.util.find_spec("numba") is not None

@@ -1,17 +1,13 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 from posor.numerics import matrix as symmetric
-from posor.numerics.matrix import cholesky_factorise, solve_lower_triangular
-
-if TYPE_CHECKING:
-    from posor.numerics.array_types import FloatArray
-    from posor.numerics.matrix import Symmetric
-    from posor.numerics.vector import Matrix, Vector
+from posor.numerics.array_types import FloatArray
+from posor.numerics.matrix import Symmetric, cholesky_factorise, solve_lower_triangular
+from posor.numerics.vector import Matrix, Vector
 
 
 def vector(a: FloatArray) -> Vector:

@@ -1,17 +1,13 @@
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Callable
 
 import numpy as np
 import pinocchio as pin
 import pytest
 from posor.numerics import vector
+from posor.numerics.array_types import FloatArray
 from scipy.linalg import expm
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from posor.numerics.array_types import FloatArray
 
 
 def test_a_vector_is_three_entries_of_an_array() -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,9 +11,6 @@ from posor.reporting.figure_style import BLUE, LIGHT_BLUE, ORANGE
 from posor.reporting.html_page import Section, render_page
 from posor.reporting.plot import Plot
 from posor_lab.harness.report_page import ReportPage
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 CHROMIUM = "/usr/bin/chromium"
 TIME_S = np.linspace(0.0, 1.0, 50)

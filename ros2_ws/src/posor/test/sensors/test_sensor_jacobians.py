@@ -2,23 +2,18 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 import pytest
 from posor.calibration.calibration_file import Calibration, calibration_from, load_calibration
-from posor.calibration.designs import design
+from posor.calibration.designs import DesignName, design
 from posor.estimation.forward import scans_at
 from posor.estimation.posor import Posor
+from posor.estimation.sensor_stack import Stack
 from posor.model.scan import Scan, Scans
+from posor.numerics.array_types import FloatArray
 from posor_lab.harness.random_poses import STACKS, readable_poses
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from posor.calibration.designs import DesignName
-    from posor.estimation.sensor_stack import Stack
-    from posor.numerics.array_types import FloatArray
 
 RELATIVE = 1e-6
 CURVES = 5

@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
+import pinocchio as pin
 from posor.estimation.forward import empty_scans
+from posor.estimation.posor import Posor
+from posor.estimation.sensor_stack import Stack
 from posor.model.reading_rows import evaluate_poses
+from posor.model.scan import Scans
+from posor.numerics.array_types import FloatArray
 from posor.sensors.base import RowSensor
-
-if TYPE_CHECKING:
-    import pinocchio as pin
-    from posor.estimation.posor import Posor
-    from posor.estimation.sensor_stack import Stack
-    from posor.model.scan import Scans
-    from posor.numerics.array_types import FloatArray
 
 
 def drawn_stack(posor: Posor, random: np.random.Generator) -> Stack:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
 from posor.errors import ParameterError
@@ -21,9 +22,6 @@ from posor.uncertainty.air_index import (
 )
 from posor_lab.harness.case_tables import refusal
 from posor_lab.thesis_data import read_table
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 HELIUM_NEON = 633e-9
 INCH_OF_MERCURY = 3386.389

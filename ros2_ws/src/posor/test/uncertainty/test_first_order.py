@@ -2,32 +2,27 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
 import pytest
 from posor.calibration.calibration_file import calibration_from, load_calibration
-from posor.calibration.designs import design
+from posor.calibration.designs import DesignName, design
 from posor.errors import FitError, ParameterError, ScanError
 from posor.estimation.posor import Posor
 from posor.model.fault import Fault
 from posor.model.native_coordinates import native_from_rotation, native_jacobian
 from posor.model.scan import Scans
+from posor.numerics.array_types import FloatArray
 from posor.uncertainty.budget_poses import middle_pose, pose_from_native, scan_at
 from posor.uncertainty.budget_quantities import Outputs, PlatePoint, physical_quantities
 from posor.uncertainty.first_order import ContributionKind, error_budget, sensitivities
 from posor_lab.harness.case_tables import refusal
 from posor_lab.harness.random_poses import STACKS
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
-
-    from posor.calibration.designs import DesignName
-    from posor.numerics.array_types import FloatArray
-
-    Differentiate = Callable[[Callable[[FloatArray], float], int], FloatArray]
+Differentiate = Callable[[Callable[[FloatArray], float], int], FloatArray]
 
 NATIVE = (2e-5, -1e-5, 0.75e-3, 1e-3, -2e-3, 0.03)
 POINTS = (PlatePoint(0.0, 0.0), PlatePoint(-0.0254, 0.0381))

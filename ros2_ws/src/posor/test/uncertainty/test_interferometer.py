@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
@@ -23,9 +24,6 @@ from posor.uncertainty.interferometer import (
     correct_reading,
 )
 from posor_lab.harness.case_tables import refusal
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 PAGE = Path(__file__).resolve().parents[5] / "docs" / "reference" / "reference_uncertainty.md"
 INCH = 0.0254

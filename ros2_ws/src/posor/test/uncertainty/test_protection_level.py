@@ -5,17 +5,18 @@ from __future__ import annotations
 import math
 from itertools import product
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
 import pytest
 from posor.calibration.designs import sized_design
+from posor.chain.beams_file import BeamsFile
 from posor.chain.joint_measurements import MeasuredJoint
 from posor.chain.kinematic_chain import Chain
 from posor.estimation.forward import scans_at
 from posor.estimation.posor import Posor
 from posor.model.fault import State
+from posor.numerics.array_types import FloatArray
 from posor.uncertainty.protection_level import (
     COVERAGE_FACTOR,
     INTEGRITY_RISK,
@@ -29,10 +30,6 @@ from posor_lab.harness.beams import beams_file, quantity, uncertainty
 from scipy.special import ndtr
 
 from .biased_readings import biased_scans, drawn_stack
-
-if TYPE_CHECKING:
-    from posor.chain.beams_file import BeamsFile
-    from posor.numerics.array_types import FloatArray
 
 URDF = Path(__file__).with_name("two_joints.urdf").read_text(encoding="utf-8")
 ANGLES = {"a": 0.4, "b": -0.7}

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
 import pytest
-from posor.calibration.designs import design
+from posor.calibration.designs import DesignName, design
 from posor.errors import ScanError
 from posor.estimation.posor import Posor
 from posor.model.native_coordinates import rotation_from_native
@@ -17,9 +16,6 @@ from posor.model.scan import NO_SOURCE
 from posor.uncertainty.reading_sensitivity import EstimateMatrices, sensitivity_at
 from posor_lab.harness.case_tables import refusal
 from posor_lab.harness.random_poses import STACKS, turning_scans
-
-if TYPE_CHECKING:
-    from posor.calibration.designs import DesignName
 
 THETAS = np.linspace(0.05, 0.06, 5)
 

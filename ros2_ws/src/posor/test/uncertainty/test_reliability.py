@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
@@ -13,13 +12,11 @@ from posor.estimation.forward import scans_at
 from posor.estimation.posor import Posor
 from posor.model.fault import State
 from posor.model.native_coordinates import rotation_from_native
+from posor.numerics.array_types import FloatArray
 from posor.uncertainty.reliability import Reliability, joint_reliability, noncentrality, transformed
 from scipy.special import chndtr
 
 from .biased_readings import biased_scans, drawn_stack
-
-if TYPE_CHECKING:
-    from posor.numerics.array_types import FloatArray
 
 POSE = pin.SE3(rotation_from_native(5e-4, -1e-3, 0.02), np.array([2e-5, -1e-5, 0.75e-3]))
 DRAWS = 600

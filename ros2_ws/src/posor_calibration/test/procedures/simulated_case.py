@@ -2,23 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
+from posor.bags.recording import Recording, Track
+from posor.calibration.calibration_file import Calibration
 from posor.calibration.designs import STANDOFF
+from posor.errors import PosorError
+from posor.model.scan import Scans
+from posor.numerics.array_types import FloatArray
+from posor_calibration.procedure import Outcome, Procedure
 from posor_lab.harness.simulated_recordings import diode_calibration, simulated_recording
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from posor.bags.recording import Recording, Track
-    from posor.calibration.calibration_file import Calibration
-    from posor.errors import PosorError
-    from posor.model.scan import Scans
-    from posor.numerics.array_types import FloatArray
-    from posor_calibration.procedure import Outcome, Procedure
 
 
 @dataclass(frozen=True)

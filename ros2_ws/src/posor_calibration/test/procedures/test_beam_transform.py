@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -14,13 +14,11 @@ from posor.errors import FitError, TrackError
 from posor.estimation.forward import scans_at
 from posor.estimation.posor import Posor
 from posor.model.native_coordinates import rotation_from_native
+from posor.numerics.array_types import FloatArray, IntArray
+from posor_calibration.procedure import Outcome
 from posor_calibration.procedures.beam_transform import PROCEDURE, Transform, make_transform
 
 from .simulated_case import check_coverage
-
-if TYPE_CHECKING:
-    from posor.numerics.array_types import FloatArray, IntArray
-    from posor_calibration.procedure import Outcome
 
 SECOND, REFERENCE = "/second", "/tracker"
 BASE, END = (0.3, -0.1, 0.2, 0.0, 0.0, 0.5), (0.0, 0.05, 0.1, 0.2, 0.0, 0.0)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
 import pytest
 from posor.calibration.calibration_file import load_calibration
+from posor.calibration.designs import DesignName
 from posor.calibration.quantity import Quantity
 from posor.errors import FitError
 from posor.estimation.forward import scans_at
@@ -15,11 +17,6 @@ from posor.estimation.posor import Posor
 from posor_calibration.procedures.bundle import BundleOptions, fit_bundle, solve_bundle
 from posor_lab.harness.drawn_posor import DrawnPosor, pose_track
 from posor_lab.harness.random_poses import STACKS, readable, readable_poses
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from posor.calibration.designs import DesignName
 
 PROBES = "sensors[0].probes[*].*"
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 import pytest
 from posor.bags.recording import Recording, Track
@@ -12,14 +10,12 @@ from posor.errors import FitError, TrackError
 from posor.estimation.forward import empty_scans
 from posor.model.native_coordinates import rotation_from_native
 from posor.model.reading_rows import evaluate_poses
+from posor.numerics.array_types import FloatArray
 from posor.sensors.diodes import Diodes
 from posor_calibration.procedures.diode_axes import PROCEDURE
 from posor_lab.harness.simulated_recordings import without_uncertainties
 
 from .simulated_case import SimulatedCase, check_coverage
-
-if TYPE_CHECKING:
-    from posor.numerics.array_types import FloatArray
 
 TOPIC = "/stage"
 STEP_NS = 20_000_000

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 import pytest
 from posor.bags.recording import Recording, Track
@@ -12,18 +10,16 @@ from posor.calibration.designs import design
 from posor.errors import FitError, TrackError
 from posor.estimation.forward import empty_scans
 from posor.estimation.posor import Posor
+from posor.estimation.sensor_stack import Stack
+from posor.model.scan import Scans
+from posor.numerics.array_types import FloatArray
 from posor.sensors.diodes import Diodes
 from posor_calibration.diode_spots import current_ratios
 from posor_calibration.map_basis import surface_design
+from posor_calibration.procedure import Outcome
 from posor_calibration.procedures.diode_map_fit import PROCEDURE
 
 from .simulated_case import SimulatedCase
-
-if TYPE_CHECKING:
-    from posor.estimation.sensor_stack import Stack
-    from posor.model.scan import Scans
-    from posor.numerics.array_types import FloatArray
-    from posor_calibration.procedure import Outcome
 
 TOPIC = "/stage"
 STEP_NS = 20_000_000

@@ -3,22 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
+from posor.calibration.calibration_file import Calibration
 from posor.calibration.quantity import Quantity
 from posor.errors import FitError
+from posor.numerics.array_types import FloatArray
+from posor_calibration.procedure import Procedure
 from posor_calibration.procedures.environment_sensitivity import SUPPLY_SENSITIVITY, TEMPERATURE_SENSITIVITY
 from posor_lab.harness.simulated_recordings import PERIOD_NS, diode_calibration, dwell_path
 from scipy.stats import binomtest
 
 from .simulated_case import SimulatedCase
-
-if TYPE_CHECKING:
-    from posor.calibration.calibration_file import Calibration
-    from posor.numerics.array_types import FloatArray
-    from posor_calibration.procedure import Procedure
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,16 +13,14 @@ from posor.calibration.calibration_file import load_calibration
 from posor.calibration.designs import STANDOFF
 from posor.errors import TrackError
 from posor.model.scan import SATURATED
+from posor.numerics.array_types import FloatArray
 from posor_calibration.gap_polynomial import akaike_criterion
+from posor_calibration.procedure import Outcome
 from posor_calibration.procedures.gap_linearisation import PROCEDURE
 from posor_lab.harness.simulated_recordings import diode_calibration, dwell_path, lifted_recording, simulated_recording
 from scipy.stats import binomtest
 
 from .simulated_case import SimulatedCase
-
-if TYPE_CHECKING:
-    from posor.numerics.array_types import FloatArray
-    from posor_calibration.procedure import Outcome
 
 DATA = Path(__file__).resolve().parents[5] / "data" / "slocum1985"
 LIFTS = STANDOFF + np.linspace(-0.45e-3, 0.45e-3, 31)

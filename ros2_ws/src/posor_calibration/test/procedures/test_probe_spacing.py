@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
 from posor.errors import FitError
+from posor.numerics.array_types import FloatArray
 from posor_calibration.procedures.probe_spacing import PROCEDURE
 from posor_lab.harness.simulated_recordings import diode_calibration, tilted_recording, with_tips, without_uncertainties
 from scipy.stats import binomtest, chi2
 
 from .simulated_case import SimulatedCase
-
-if TYPE_CHECKING:
-    from posor.numerics.array_types import FloatArray
 
 TIPS = np.array([[-0.07635, 0.0, 0.0], [0.0, 0.03802, 0.0], [0.0, -0.03814, 0.0]])
 TRUE = np.array([-0.07635, 0.03802, -0.03814])

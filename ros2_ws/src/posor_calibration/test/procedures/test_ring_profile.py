@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 import pytest
 from posor.bags.recording import Recording, Track
@@ -13,14 +11,12 @@ from posor.errors import FitError, TrackError
 from posor.estimation.forward import scans_at
 from posor.estimation.posor import Posor
 from posor.model.native_coordinates import rotation_from_native
+from posor.numerics.array_types import FloatArray
+from posor_calibration.procedure import Outcome
 from posor_calibration.procedures.ring_profile import PROCEDURE
 from posor_lab.harness.simulated_recordings import without_uncertainties
 
 from .simulated_case import SimulatedCase, check_coverage
-
-if TYPE_CHECKING:
-    from posor.numerics.array_types import FloatArray
-    from posor_calibration.procedure import Outcome
 
 THETA = "/theta"
 THETA_SIGMA = 2e-6

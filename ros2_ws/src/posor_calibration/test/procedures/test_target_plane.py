@@ -2,28 +2,24 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from posor.bags.recording import Recording
 from posor.calibration.calibration_file import load_calibration
-from posor.calibration.designs import design
+from posor.calibration.designs import DesignName, design
 from posor.errors import FitError
 from posor.estimation.forward import scans_at
 from posor.estimation.posor import Posor
 from posor.model.native_coordinates import rotation_from_native
+from posor.numerics.array_types import FloatArray
+from posor_calibration.procedure import Outcome
 from posor_calibration.procedures.target_plane import PROCEDURE
 
 from .recordings_1985 import LEVER, recorded
 from .simulated_case import SimulatedCase, check_coverage
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from posor.calibration.designs import DesignName
-    from posor.numerics.array_types import FloatArray
-    from posor_calibration.procedure import Outcome
 
 WOBBLE = 5e-6
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,10 +19,6 @@ from scipy.spatial.transform import Rotation
 
 from .recordings_1985 import LEVER, recorded
 from .simulated_case import SimulatedCase, check_coverage
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
 
 TOPIC = "/truth"
 STEP_NS = 100_000_000

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from posor_drivers.instruments.device import Device
 from posor_drivers.instruments.device_reader import DeviceReader
 from posor_lab.harness.program import wait_until
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
-    from posor_drivers.instruments.device import Device
 
 
 @contextmanager

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
 
 import yaml
 from posor_lab.device_servers.stream_server import LEAD, MAGIC
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-    from pathlib import Path
 
 
 def quantity(value: float, unit: str, sigma: float = 0.0) -> dict[str, Any]:

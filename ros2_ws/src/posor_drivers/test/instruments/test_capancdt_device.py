@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 import socket
 import time
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,9 +18,6 @@ from posor_lab.device_servers.capancdt_server import FULL_SCALE, HEADER_BYTES, C
 from pydantic import ValidationError
 
 from .device_states import running, wait_for_fault, wait_for_frames
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
 
 TIMEOUT_S = 5.0
 RANGES = {1: 0.5e-3, 3: 2e-3, 4: 1e-3}

@@ -10,17 +10,20 @@ from __future__ import annotations
 import math
 import sys
 import time
+from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache
+from pathlib import Path
 from types import ModuleType, SimpleNamespace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
 from posor import Fault, Posor, State, load_calibration, simulate
 from posor.messages.message_definitions import MessageTypes
 from posor.messages.raw_scan import scan_of
-from posor.model.scan import Scans
+from posor.model.scan import Scan, Scans
+from posor.numerics.array_types import FloatArray
 from posor_bringup.arms import find_arm
 from posor_drivers.instruments.channel_exposures import ExposureEntry, find_exposures
 from posor_drivers.instruments.device import DeviceError, Frames
@@ -34,13 +37,6 @@ from posor_lab.harness.program import wait_until
 from pydantic import ValidationError
 
 from .stream_rig import quantity, write_rig
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
-
-    from posor.model.scan import Scan
-    from posor.numerics.array_types import FloatArray
 
 INTERVAL_S, RATE, SAWTOOTH_NS = 20e-6, 1.0, 50_000_000  # from channel to channel, [rad/s], period of the sawtooth
 GAPS, CHANNELS, FEEDBACK_OHM = 3, 11, 1e5

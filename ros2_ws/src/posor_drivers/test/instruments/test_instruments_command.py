@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import pytest
 from posor_drivers.instruments.instruments_command import main
 from posor_lab.device_servers.stream_server import StreamServer
 
 from .stream_rig import quantity, stream_rig, write_rig
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 
 def content(port: int) -> dict[str, Any]:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import time
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Iterator
+from typing import Any
 
 import numpy as np
 import pytest
 from posor_drivers.instruments.device import DeviceError
+from posor_drivers.instruments.device_reader import DeviceReader
 from posor_drivers.instruments.labjack_stream_device import (
     HEADER,
     HIGHEST_SAMPLE,
@@ -19,11 +21,6 @@ from posor_drivers.instruments.labjack_stream_device import (
 from posor_lab.device_servers.labjack_server import LabJackStreamServer
 
 from .device_states import running, wait_for, wait_for_fault, wait_for_frames
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
-    from posor_drivers.instruments.device_reader import DeviceReader
 
 STEP_V = 3.2e-4  # a little more than a step of the converter at 10 V
 

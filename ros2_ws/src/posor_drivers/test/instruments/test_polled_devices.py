@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import time
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,10 +19,6 @@ from posor_lab.device_servers.scpi_server import ScpiServer
 from pydantic import ValidationError
 
 from .device_states import running, wait_for, wait_for_fault, wait_for_frames
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
 
 OVERLOAD = 9.9e37
 

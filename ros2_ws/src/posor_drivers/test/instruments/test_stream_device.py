@@ -5,22 +5,18 @@ from __future__ import annotations
 import re
 import socket
 import time
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
-from posor_drivers.instruments.device_reader import shared_reader
+from posor_drivers.instruments.device_reader import DeviceReader, shared_reader
 from posor_drivers.instruments.stream_device import StreamDevice, StreamSettings
 from posor_lab.device_servers.stream_server import LEAD, StreamServer
 from pydantic import ValidationError
 
 from .device_states import running, wait_for, wait_for_fault, wait_for_frames
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-    from pathlib import Path
-
-    from posor_drivers.instruments.device_reader import DeviceReader
 
 
 def settings(port: int, **changes: Any) -> StreamSettings:

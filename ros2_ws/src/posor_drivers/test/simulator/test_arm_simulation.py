@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -14,19 +16,14 @@ from posor.estimation.posor import Posor
 from posor.model.fault import State
 from posor.model.scan import SCAN_FIELDS
 from posor.numerics.vector import theta_of
+from posor_drivers.simulator.arm_simulation import ArmSimulation
 from posor_drivers.simulator.imperfections import Imperfections
 from posor_drivers.simulator.mechanics import LinkCompliance, bend_links
 from posor_drivers.simulator.nominal_arm import NominalArm
+from posor_drivers.simulator.pose_array import ArmTruth
 from posor_msgs.msg import RawScan
 
 from ..three_joint_arm import FAR, JOINTS, SECOND, TICKS, N, perfect, refused, scenario, simulation, write_arm
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-    from pathlib import Path
-
-    from posor_drivers.simulator.arm_simulation import ArmSimulation
-    from posor_drivers.simulator.pose_array import ArmTruth
 
 READINGS = ("gap_voltages", "ring_voltages", "diode_currents")
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
@@ -11,9 +10,7 @@ import pytest
 from posor.chain.arm_file import ArmFile, load_arm_file
 from posor_drivers.simulator.arm_simulation import ArmSimulation
 from posor_drivers.simulator.imperfections import Imperfections
-
-if TYPE_CHECKING:
-    from posor_drivers.simulator.pose_array import ArmTruth
+from posor_drivers.simulator.pose_array import ArmTruth
 
 FIVE_AXIS = Path(__file__).resolve().parents[3] / "posor_bringup" / "arms" / "five_axis" / "arm.yaml"
 PERIOD_NS = 5_000_000

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,14 +12,10 @@ from posor.model.fault import State
 from posor_drivers.simulator.arm_simulation import ArmSimulation
 from posor_drivers.simulator.electronics import convert_to_digital
 from posor_drivers.simulator.imperfections import Imperfections
+from posor_drivers.simulator.simulated_scans import SimulatedScans
 from posor_msgs.msg import RawScan
 
 from ..three_joint_arm import FAR, SECOND, TICKS, N, perfect, refused, scenario, simulation, write_arm
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from posor_drivers.simulator.simulated_scans import SimulatedScans
 
 
 @pytest.fixture(scope="module")

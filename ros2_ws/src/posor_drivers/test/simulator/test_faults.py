@@ -2,25 +2,21 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from posor.model.scan import HOME_BUMP
 from posor.sensors.diodes import DiodesCalibration
 from posor.sensors.gap_probes import GapProbesCalibration
+from posor_drivers.simulator.arm_simulation import ArmSimulation
 from posor_drivers.simulator.faults import KINDS
 from posor_drivers.simulator.imperfections import Imperfections
-from posor_drivers.simulator.simulated_scans import PROBE_FIELDS
+from posor_drivers.simulator.simulated_scans import PROBE_FIELDS, SimulatedScans
 from posor_lab.harness.beams import quantity
 
 from ..three_joint_arm import SECOND, TICKS, N, refused, scenario, simulation
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from posor_drivers.simulator.arm_simulation import ArmSimulation
-    from posor_drivers.simulator.simulated_scans import SimulatedScans
 
 FIRST, END = 100, 130  # ticks with the fault, at 100 Hz; the lit light source changes meanwhile
 FIELDS = (*PROBE_FIELDS, "diode_currents", "lit_sources", "supply_voltages", "temperatures", "numbers", "stamps_ns")

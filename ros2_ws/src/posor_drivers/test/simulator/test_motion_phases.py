@@ -2,23 +2,20 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from posor.chain.arm_file import load_arm_file
 from posor.errors import CalibrationError
+from posor.numerics.array_types import FloatArray
 from posor_drivers.simulator.motion_phases import smooth_step
 from posor_drivers.simulator.nominal_arm import NominalArm
 from posor_drivers.simulator.scenario import load_scenario
 from posor_lab.harness.case_tables import refusal
 
 from ..three_joint_arm import JOINTS, scenario, write_arm
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from posor.numerics.array_types import FloatArray
 
 
 def angles(folder: Path, content: dict[str, Any]) -> tuple[NominalArm, FloatArray]:

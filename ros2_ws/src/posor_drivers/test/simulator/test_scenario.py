@@ -1,6 +1,7 @@
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import pytest
 import yaml
@@ -10,9 +11,6 @@ from posor_drivers.simulator.scenario import load_scenario
 from posor_lab.harness.case_tables import refusal
 
 from ..three_joint_arm import SCENARIO, scenario
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 
 def load(folder: Path, content: object) -> Any:

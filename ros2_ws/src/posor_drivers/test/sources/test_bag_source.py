@@ -1,7 +1,8 @@
 from __future__ import annotations
 
 import shutil
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import pytest
 from posor.errors import BagError
@@ -14,9 +15,6 @@ from posor_drivers.sources.source import SourceMessage, Topic
 from rosbags.rosbag2 import StoragePlugin, Writer
 
 from ..sample_bags import Record, point, scan, text, write_bag
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 EXPECTED = "expected a rosbag2 bag, MCAP or SQLite, that was closed properly."
 RECOVER = "'recover' of posor writes what is whole to a new bag"

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import time
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -21,10 +23,6 @@ from posor_msgs.msg import RawScan, ReferenceReading
 from rclpy.serialization import deserialize_message, serialize_message
 
 from ..instruments.stream_rig import quantity, stream_rig, write_rig
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-    from pathlib import Path
 
 UNITS = {"gap": "V", "distance": "mm", "angle": "arcsec", "air": "degC"}
 SOUND = (0.5, 250.0, 3.0, 21.0)

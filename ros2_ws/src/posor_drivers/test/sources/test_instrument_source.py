@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,10 +21,6 @@ from posor_msgs.msg import RawScan
 from rclpy.serialization import deserialize_message
 
 from ..instruments.stream_rig import quantity, stream_rig, write_rig
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
-    from pathlib import Path
 
 SOUND = (1e-4, 2e-6, 3.0, 0.0, 21.5)
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from functools import partial
+from pathlib import Path
 from threading import Event
 from time import sleep
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,9 +15,10 @@ from posor.messages.message_definitions import MessageTypes
 from posor.parameter_model import validate_parameters
 from posor.ros_names import RAW_SCAN
 from posor_drivers.driver_parameters import driver_parameters_for
+from posor_drivers.ros_clock import TickClock
 from posor_drivers.sources import looped_source as looped
 from posor_drivers.sources.looped_source import LoopedParameters, LoopedSource
-from posor_drivers.sources.source import Topic
+from posor_drivers.sources.source import SourceMessage, Topic
 from posor_drivers.tick_scheduler import MissedTicks, TickScheduler, TickTask, schedule_ticks
 from posor_lab.harness.graph import BEST_EFFORT, Graph, values_of
 from posor_lab.harness.message_conversion import stamp_ns
@@ -29,12 +31,6 @@ from rosgraph_msgs.msg import Clock as ClockMessage
 
 from ..driver_program import driver_program
 from ..sample_bags import SECOND, Record, header, scan, write_bag
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from posor_drivers.ros_clock import TickClock
-    from posor_drivers.sources.source import SourceMessage
 
 RATE = 2000
 FAR = 1_800_000_000 * RATE  # a tick of the year 2027

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Self
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
 
 import numpy as np
 import pytest
@@ -15,6 +17,7 @@ from posor_drivers.simulator.arm_simulation import ArmSimulation
 from posor_drivers.sources.simulated_source import SimulatedParameters, SimulatedSource
 from posor_lab.harness.graph import BEST_EFFORT, Graph, values_of, wait_for_value
 from posor_lab.harness.message_conversion import pose_from_message, stamp_ns
+from posor_lab.harness.program import Program
 from posor_msgs.msg import RawScan
 from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message
@@ -23,12 +26,6 @@ from sensor_msgs.msg import JointState
 
 from ..driver_program import driver_program
 from ..three_joint_arm import scenario, write_arm
-
-if TYPE_CHECKING:
-    from pathlib import Path
-    from types import TracebackType
-
-    from posor_lab.harness.program import Program
 
 pytestmark = pytest.mark.usefixtures("ros_domain")
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from importlib.metadata import EntryPoint
-from typing import TYPE_CHECKING
 
 import pytest
 from posor.errors import ParameterError
@@ -13,9 +13,6 @@ from posor.parameter_model import ParameterGroup
 from posor.ros_names import RAW_SCAN, RAW_TOPIC
 from posor_drivers.sources import source
 from posor_drivers.sources.source import LiveSource, SourceMessage, Topic, load_source_class
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
 
 class BoxParameters(ParameterGroup):

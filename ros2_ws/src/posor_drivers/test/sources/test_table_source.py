@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,9 +18,6 @@ from posor_msgs.msg import RawScan
 from rclpy.serialization import deserialize_message
 
 from ..sample_tables import HEADER, ROWS, write_table
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 
 def open_source(folder: Path, **parameters: Any) -> TableSource:
