@@ -25,6 +25,8 @@ class ExampleParameters(NodeParameters):
 
 
 class ExampleNode(PosorNode[ExampleParameters]):
+    """An example."""
+
     NAME = "example"
     Parameters = ExampleParameters
 

@@ -39,6 +39,7 @@ LATE_RUN = 10  # scans in a row, below the last number or off the line, that are
 RESTART_RUN = 3  # the same where the numbers are RESTART_NUMBERS, or the stamps CLOCK_STEP_S, before the last
 RESTART_NUMBERS = 64
 LEAST_DEVIATION, GREATEST_DEVIATION = 0.5, 8.0  # limits of the deviation that contradicts the line, in periods
+CLOCK_DRIFT = 1e-4  # largest change of the ratio of both clocks while no scan comes
 SCATTER_SIGMAS = 5.0  # standard deviations of the scatter that a stamp may deviate from the line
 DEVIATION_SIGMAS = 3.0  # standard deviations that the deviation of one stamp is at most taken for
 SCATTERED = 0.02  # scatter in periods above which an unstated stamp is replaced by its number times the period
@@ -114,14 +115,17 @@ def follow_clocks(model: Model, scan: Any) -> int:
         return _follow_back(model, scan, stamp, elapsed)
     steps = float(scan.number - clocks.number)
     deviation = stamp - (clocks.line + steps * clocks.period)
-    off_line = clocks.fitted > 1 and abs(deviation) > _tolerance(clocks)
+    off_line = clocks.fitted > 1 and abs(deviation) > _tolerance(clocks, steps)
     if (off_line and clocks.fitted >= FITTED_SCANS) or (elapsed <= 0.0 and (off_line or clocks.fitted == 1)):
         return _refuse(model, scan, stamp, elapsed)
     if off_line:
         _begin_line(clocks, scan, stamp)
         tracker.time += elapsed
         return IN_ORDER
-    _fit(clocks, steps, deviation)
+    if clocks.fitted > 1 and abs(deviation) > _tolerance(clocks, 1.0):
+        clocks.line = stamp  # the clocks drifted while no scan came
+    else:
+        _fit(clocks, steps, deviation)
     by_numbers = _uses_numbers(tracker, scan) or elapsed <= 0.0
     tracker.time += steps * clocks.period if by_numbers else elapsed
     _accept(clocks, scan, stamp)
@@ -129,12 +133,15 @@ def follow_clocks(model: Model, scan: Any) -> int:
 
 
 @inlined
-def _tolerance(clocks: Any) -> float:
-    """Return the deviation from the line [s] beyond which a stamp contradicts its number."""
+def _tolerance(clocks: Any, steps: float) -> float:
+    """Return the deviation from the line [s] beyond which a stamp contradicts its number, ``steps`` after the last."""
     if clocks.fitted < FITTED_SCANS:
         return float(GREATEST_DEVIATION * clocks.period)
     scatter = SCATTER_SIGMAS * math.sqrt(clocks.variance)
-    return float(min(max(LEAST_DEVIATION * clocks.period, scatter), GREATEST_DEVIATION * clocks.period))
+    least = min(max(LEAST_DEVIATION * clocks.period, scatter), GREATEST_DEVIATION * clocks.period)
+    # The standard uncertainty of the period is that of a stamp times sqrt(12 / n^3), n scans fitted
+    of_period = scatter * math.sqrt(12.0 / (clocks.fitted * clocks.fitted * clocks.fitted))
+    return float(least + (steps - 1.0) * (CLOCK_DRIFT * clocks.period + of_period))
 
 
 @inlined
@@ -160,7 +167,7 @@ def _refuse(model: Model, scan: Any, stamp: float, elapsed: float) -> int:
     since = stamp - clocks.refused_stamp
     agrees = scan.number > clocks.refused_number and since > 0.0
     if clocks.fitted > 1:
-        agrees = agrees and abs(since - steps * clocks.period) <= _tolerance(clocks)
+        agrees = agrees and abs(since - steps * clocks.period) <= _tolerance(clocks, steps)
     clocks.agreeing = clocks.agreeing + 1 if clocks.refused > 0 and agrees else 1
     clocks.refused += 1
     clocks.refused_number, clocks.refused_stamp = scan.number, stamp
@@ -192,15 +199,13 @@ def _follow_back(model: Model, scan: Any, stamp: float, elapsed: float) -> int:
     far = clocks.number - scan.number >= RESTART_NUMBERS or elapsed < -CLOCK_STEP_S
     if clocks.late < (RESTART_RUN if far else LATE_RUN):
         return LATE
+    missing = clocks.late * clocks.period - elapsed  # at least one interval went by for each scan of the run
+    tracker.time += elapsed if elapsed > 0.0 else clocks.period
     if elapsed < -CLOCK_STEP_S:
         tracker.initialised, tracker.counted, tracker.theta = 0, 0, 0.0
-        tracker.time += clocks.period
-    elif elapsed <= 0.0:
-        tracker.time += clocks.period
-        clocks.step = max(clocks.step, LATE_RUN * clocks.period - elapsed)
+    elif missing > LEAST_DEVIATION * clocks.period:
+        clocks.step = max(clocks.step, missing)
         _doubt_count(model)
-    else:
-        tracker.time += elapsed
     _begin_line(clocks, scan, stamp)
     return IN_ORDER
 

@@ -108,6 +108,15 @@ def test_clocks_that_contradict_each_other_cost_few_scans_and_give_no_wrong_pose
         assert usable(estimates).sum() == COUNT - lost
 
 
+def test_a_pause_in_which_the_clocks_drift_costs_no_scan() -> None:
+    numbers = np.where(INDEX >= AT, INDEX + 720_000, INDEX)  # an hour
+    times = PERIOD_S * (numbers + 5e-5 * (numbers - INDEX))
+    estimates = estimate("light ring", times, numbers, simulated("light ring"))
+    assert usable(estimates).all()
+    assert not estimates.stamp_shifts.any()
+    assert count_wrong(estimates, poses(INDEX * PERIOD_S)) == 0
+
+
 @pytest.mark.parametrize("name", ["one late by one", "one stamp off", "driver restarts, stamps two ticks back"])
 def test_a_jump_beside_a_clock_fault_is_seen(name: str) -> None:
     order, shift, numbers, _ = CASES[name]
