@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, namedtuple
 from copy import copy
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -45,7 +45,8 @@ ESTIMATE = np.dtype(  # the estimate of one scan as the kernels write it; fields
 )
 
 
-FIELDS = ESTIMATE.names or ()
+_make_type: Any = namedtuple  # mypy knows no names that are not written out
+_Fields = _make_type("_Fields", ESTIMATE.names)
 NO_STAMP, OTHER_FRAME = -101, -102
 """``code`` of a recorded scan that is not estimated: its stamp is invalid, or it comes from another frame."""
 _STATES = tuple(State)
@@ -127,22 +128,22 @@ def estimate_of(records: NDArray[np.void], index: int, reason: str) -> Estimate:
     """Return a copy of an estimate record (n,), dtype ESTIMATE, given the sentence on its fault."""
     import pinocchio as pin  # noqa: PLC0415  50 MB that a node does not need before its first scan
 
-    fields = dict(zip(FIELDS, records.item(index), strict=True))
-    state, faults = _STATES[fields["state"]], Fault(fields["faults"]) if fields["faults"] else Fault.NONE
+    fields = _Fields._make(records.item(index))
+    state, faults = _STATES[fields.state], Fault(fields.faults) if fields.faults else Fault.NONE
     if state is State.LOST:
-        return Estimate.lost(fields["number"], faults, reason)
+        return Estimate.lost(fields.number, faults, reason)
     return Estimate(
-        fields["number"],
+        fields.number,
         state,
         faults,
         reason,
-        pin.SE3(fields["rotation"], fields["translation"]),
-        float(fields["native"][5]),
-        fields["random"].copy(),
-        fields["systematic"].copy(),
-        fields["residual"],
-        fields["redundancy"],
-        fields["stamp_shift"].copy(),
+        pin.SE3(fields.rotation, fields.translation),
+        float(fields.native[5]),
+        fields.random.copy(),
+        fields.systematic.copy(),
+        fields.residual,
+        fields.redundancy,
+        fields.stamp_shift.copy(),
     )
 
 

@@ -337,7 +337,11 @@ class ScanBuffer:
         shape.
         """
         for name, memory, count in self._sequences:
-            readings = np.asarray(getattr(scan, name)).reshape(-1)
+            given = getattr(scan, name)
+            if len(given) == 0:
+                count[0] = 0
+                continue
+            readings = np.asarray(given).reshape(-1)
             size = readings.size
             if size > memory.size:
                 received = np.shape(getattr(scan, name))
