@@ -45,7 +45,7 @@ ESTIMATE = np.dtype(  # the estimate of one scan as the kernels write it; fields
 )
 
 
-_make_type: Any = namedtuple  # mypy knows no names that are not written out
+_make_type: Any = namedtuple  # noqa: PYI024  the names are those of the record, which mypy does not know
 _Fields = _make_type("_Fields", ESTIMATE.names)
 NO_STAMP, OTHER_FRAME = -101, -102
 """``code`` of a recorded scan that is not estimated: its stamp is invalid, or it comes from another frame."""
