@@ -18,7 +18,7 @@ from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-from environment import THIS, exit_with, workspace_environment
+from environment import END_S, THIS, exit_with, workspace_environment
 from run_tests import NO_TESTS
 
 LEAST_PERCENT = 95.0
@@ -53,7 +53,11 @@ def run_pytest(file: Path, environ: dict[str, str], limit_s: float | None = None
         output, _ = process.communicate(timeout=limit_s)
     except subprocess.TimeoutExpired:
         process.send_signal(signal.SIGINT)
-        output, _ = process.communicate()
+        try:
+            output, _ = process.communicate(timeout=END_S)
+        except subprocess.TimeoutExpired:  # the interruption came while the observer held a lock
+            process.kill()
+            output, _ = process.communicate()
         return None, output
     return process.returncode, output
 
