@@ -59,7 +59,7 @@ def read_table(path: Path, columns: Iterable[str]) -> list[dict[str, str]]:
 def parse_number(row: Mapping[str, str], column: str, row_name: str, expected: str = "a number") -> float:
     """Return a cell as a number.
 
-    Raises DataFileError: the cell is not a number; ``row_name`` (file and row) and column say where.
+    Raises DataFileError: the cell is not a number; ``row_name`` (file and row) and column name the place.
     """
     try:
         return float(row[column])

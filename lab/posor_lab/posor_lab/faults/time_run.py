@@ -1,7 +1,7 @@
 """Faults of time: clocks that contradict each other, scans in another order, channels read one after another.
 
-A pose is compared with the truth at the time of its readings, which its number tells, where the clock of the stamps was
-set, and with the truth at the stamp where stamps scatter. What a fault costs is counted in the transforms of its joint.
+A pose is compared with the truth at the time of its readings, which follows from its number, where the clock was set,
+and with the truth at the stamp where stamps scatter. What a fault costs is counted in the transforms of its joint.
 """
 
 from __future__ import annotations

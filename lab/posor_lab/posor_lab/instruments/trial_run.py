@@ -131,7 +131,7 @@ def _pose_figures(readings: SimulatedReadings, arrivals: Sequence[Arrival]) -> d
     """Return the figures of the measured poses.
 
     Only noise is simulated behind the servers: one arm has one set of calibration errors, so the share of its poses
-    inside a region says nothing about them (``posor_lab arm`` draws many arms). The region is that of the random part.
+    inside a region shows nothing about them (``posor_lab arm`` draws many arms). The region is that of the random part.
     """
     stamps = [stamp_ns(each.message) for each in arrivals]
     points = [each.message.pose.position for each in arrivals]

@@ -16,7 +16,7 @@ def read_input_text(path: Path) -> str:
     """Return the text of a file.
 
     Raises OSError: the file cannot be read, is larger than MAX_BYTES, or is a pipe or device, on which a reader may
-    wait for ever. ``strerror`` says which. Raises UnicodeDecodeError: it is not UTF-8 text.
+    wait for ever. ``strerror`` names the cause. Raises UnicodeDecodeError: it is not UTF-8 text.
     """
     status = path.stat()
     if not (stat.S_ISREG(status.st_mode) or stat.S_ISDIR(status.st_mode)):  # open() refuses a folder

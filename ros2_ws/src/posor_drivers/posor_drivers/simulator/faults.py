@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 READING_FIELDS = ("gap_voltages", "ring_voltages", DIODE_FIELD, "lit_sources")
 CONTENT = (*READING_FIELDS, "supply_voltages", "temperatures", "at_home", "statuses")
-"""What a scan says about its time of exposure."""
+"""Fields of a scan about its time of exposure."""
 NOT_STATED = {"stamp_uncertainties": 0.0, "stamp_limits": 0.0}
 BURST_STEP_NS = 10_000
 """From one arrival to the next in a burst."""

@@ -1,4 +1,4 @@
-"""Channels that a device reads one after another: each is brought to the tick at its own time, or said to be unknown.
+"""Channels that a device reads one after another: each is brought to the tick at its own time, or stated as unknown.
 
 A joint turns at 1 rad/s in a sawtooth behind the server of each multiplexing device. No noise is simulated, so an error
 of a third of the standard uncertainty would make the errors of noisy scans 5 % larger. A stamp that is late turns the
