@@ -33,8 +33,10 @@ PACKAGES = {
 OTHER_FILES = (
     SOURCE / "posor_estimator" / "test" / "test_message_stream.py",
     THIS.root / "tests" / "test_calibrate_command.py",
+    SOURCE / "posor_design" / "test" / "test_endpoint_budget.py",
+    SOURCE / "posor_design" / "test" / "test_arm_allotment.py",
 )
-"""Tests outside the folders of the packages, of a stream of messages and of the reports on a calibration."""
+"""Tests outside the folders of the packages: of a stream of messages, reports on a calibration, and budgets of arms."""
 COVERAGE = (str(THIS.python), "-m", "coverage")
 REPORT = THIS.root / "build" / "coverage.json"
 
