@@ -108,6 +108,14 @@ def test_clocks_that_contradict_each_other_cost_few_scans_and_give_no_wrong_pose
         assert usable(estimates).sum() == COUNT - lost
 
 
+@pytest.mark.parametrize("name", ["one stamp off", "clock steps by 0.3 s", "clock steps by -0.5 s", "numbers jump"])
+def test_a_stamp_that_contradicts_its_number_is_refused(name: str) -> None:
+    order, shift, numbers, most = CASES[name]
+    estimates = estimate("light ring", INDEX * PERIOD_S + shift, numbers, simulated("light ring").select(order))
+    assert set(estimates.faults[AT : AT + most]) == {Fault.BAD_READING}
+    assert "contradicts its number" in estimates.reason(AT)
+
+
 def test_a_pause_in_which_the_clocks_drift_costs_no_scan() -> None:
     numbers = np.where(INDEX >= AT, INDEX + 720_000, INDEX)  # an hour
     times = PERIOD_S * (numbers + 5e-5 * (numbers - INDEX))
