@@ -1,9 +1,9 @@
 """Measure which lines of the numerical packages tests execute: ``make coverage``.
 
 Kernels stay uncompiled, because the lines of compiled code cannot be observed. That makes them hundreds of times
-slower, so a test file is interrupted after FILE_LIMIT_S and runs again with compiled kernels: tests of thousands of
-scans repeat what shorter ones execute. Tests with the marker ``long`` are left out. The exit code is 1 if less than
-95 % of the lines of a package are covered or a test fails.
+slower, so a test is interrupted after TEST_LIMIT_S and a file of tests after FILE_LIMIT_S; the file runs again with
+compiled kernels, because tests of thousands of scans repeat what shorter ones execute. Tests with the marker ``long``
+are left out. The exit code is 1 if less than 95 % of the lines of a package are covered or a test fails.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from environment import END_S, THIS, exit_with, workspace_environment
 from run_tests import NO_TESTS
 
 LEAST_PERCENT = 95.0
-FILE_LIMIT_S = 60.0
+TEST_LIMIT_S, FILE_LIMIT_S = 15, 90  # with uncompiled kernels
 SOURCE = THIS.ros2 / "src"
 PARTS = ("numerics", "model", "sensors", "estimation", "chain", "calibration", "uncertainty")
 PACKAGES = {
@@ -41,10 +41,12 @@ COVERAGE = (str(THIS.python), "-m", "coverage")
 REPORT = THIS.root / "build" / "coverage.json"
 
 
-def run_pytest(file: Path, environ: dict[str, str], limit_s: float | None = None) -> tuple[int | None, str]:
+def run_pytest(
+    file: Path, environ: dict[str, str], limit_s: float | None = None, options: tuple[str, ...] = ()
+) -> tuple[int | None, str]:
     """Run a test file under observation; return pytest's exit code (None: interrupted at the limit) and output."""
     process = subprocess.Popen(
-        [*COVERAGE, "run", "-m", "pytest", "-q", "--no-header", "-m", "not long", str(file)],
+        [*COVERAGE, "run", "-m", "pytest", "-q", "--no-header", "-m", "not long", *options, str(file)],
         cwd=THIS.root,
         env=environ,
         stdout=subprocess.PIPE,
@@ -66,8 +68,9 @@ def run_pytest(file: Path, environ: dict[str, str], limit_s: float | None = None
 
 def run_test_file(file: Path, environ: dict[str, str]) -> bool:
     """Run a test file without, or where that takes too long also with compiled kernels; return whether none failed."""
-    code, output = run_pytest(file, environ | {"POSOR_COMPILE": "0"}, FILE_LIMIT_S)
-    if code is None:
+    uncompiled = environ | {"POSOR_COMPILE": "0"}
+    code, output = run_pytest(file, uncompiled, FILE_LIMIT_S, (f"--timeout={TEST_LIMIT_S}", "--timeout-method=signal"))
+    if code not in {0, NO_TESTS}:
         code, output = run_pytest(file, environ)
     if code not in {0, NO_TESTS}:
         print(f"{file.relative_to(THIS.root)}: failed\n{output}", flush=True)
