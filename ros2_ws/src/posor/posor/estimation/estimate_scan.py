@@ -19,7 +19,7 @@ from posor.estimation.covariance import (
 )
 from posor.estimation.exposure import TIME, add_stamp_variance, move_to_stamp, write_twist
 from posor.estimation.frozen import NOT_FROZEN, count_repetitions
-from posor.estimation.linearise import add_unmeasured, environment_is_valid, linearise_scan, unmeasured
+from posor.estimation.linearise import add_unmeasured, environment_is_valid, linearise_scan, missing, unmeasured
 from posor.estimation.scan_checks import (
     REFERENCE_SIGMAS,
     REGAINABLE_FAULTS,
@@ -66,7 +66,7 @@ OK, DEGRADED, LOST, UNCOUNTED = (int(state) for state in (State.OK, State.DEGRAD
 BAD_READING_FAULT, NOT_CONVERGED_FAULT = int(Fault.BAD_READING), int(Fault.NOT_CONVERGED)
 ILL_CONDITIONED_FAULT = int(Fault.ILL_CONDITIONED)
 SOURCE_FAULT, FROZEN_FAULT, ENVIRONMENT_FAULT = int(Fault.SOURCE), int(Fault.FROZEN), int(Fault.ENVIRONMENT)
-FLAGGED_FAULT, LATCHED_FAULT = int(Fault.FLAGGED), int(Fault.LATCHED)
+FLAGGED_FAULT, LATCHED_FAULT, ACKNOWLEDGED_FAULT = int(Fault.FLAGGED), int(Fault.LATCHED), int(Fault.ACKNOWLEDGED)
 
 WEAK = 1e-4  # below this pivot ratio the previous pose fills the blind direction: 100 times the usual uncertainty
 
@@ -146,6 +146,13 @@ def _with_latch(faults: int, latched: int) -> int:
 def _flagged(scan: Any) -> int:
     """Return the fault of a scan whose driver has marked a reading as saturated or filled in."""
     return FLAGGED_FAULT if scan.status & (SATURATED | PROBES_ESTIMATED | DIODES_ESTIMATED) else 0
+
+
+@inlined
+def _lasting_faults(workspace: Any, scan: Any) -> int:
+    """Return the faults that degrade a pose without a test: flags, what is no longer measured, an acknowledgement."""
+    faults = _flagged(scan) | (ENVIRONMENT_FAULT if missing(workspace.tracker, scan) != 0 else 0)
+    return faults | (ACKNOWLEDGED_FAULT if workspace.tracker.acknowledged else 0)
 
 
 @inlined
@@ -265,8 +272,8 @@ def solve_and_check(
     check_count(workspace, theta)
     check_home_mark(workspace, theta, scan.at_home)
     check_reference(workspace, theta, estimate, scan.stamp_limit)
-    use_confirmation(workspace)
-    checks.faults |= _flagged(scan)
+    use_confirmation(workspace, scan.at_home)
+    checks.faults |= _lasting_faults(workspace, scan)
     _end_start(settings, tracker)
     _bound_stamp_shift(workspace, max(scan.stamp_limit, tracker.clocks.step), theta, estimate)
     theta = _keep_pose(workspace, theta)

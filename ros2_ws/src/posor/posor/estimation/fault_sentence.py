@@ -54,10 +54,11 @@ def fault_sentence(stack: Stack, settings: Any, tracker: Any, scan: Scan, estima
         f"expected at most {settings['residual_limit']:.3g}",
         Fault.INNOVATION: "the pose is further from the previous pose than the target can have moved",
         Fault.COUNT: "the count of theta is in doubt, or a home mark disagrees with it",
-        Fault.ENVIRONMENT: _environment_sentence(settings, scan),
+        Fault.ENVIRONMENT: _environment_sentence(settings, int(tracker["measured"]), scan),
         Fault.FLAGGED: "the driver marked a reading as saturated or filled in",
         Fault.FROZEN: f"{frozen} repeats to the last bit although it has noise",
         Fault.ENCODER: "theta disagrees with the encoder",
+        Fault.ACKNOWLEDGED: "a latch was released by ~/acknowledge; expected an encoder or home marks to confirm it",
         Fault.TIME: "the target moves while the times of the readings are uncertain; expected stated exposures and "
         "stamps at the time of exposure",
     }
@@ -80,12 +81,18 @@ def fault_sentence(stack: Stack, settings: Any, tracker: Any, scan: Scan, estima
     return f"scan {scan.number}: {'; '.join(found)}." if found else ""
 
 
-def _environment_sentence(settings: Any, scan: Scan) -> str:
+def _environment_sentence(settings: Any, measured: int, scan: Scan) -> str:
     parts = (("supply voltage", scan.supply_voltage, "V"), ("temperature", scan.temperature, "K"))
-    invalid = [
-        f"{name} {value:g} {unit} is outside the calibration's range; expected "
-        + ("a finite number or NaN" if (low, high) == ANY_FINITE else f"{low:g} to {high:g} {unit}")
-        for (name, value, unit), (low, high) in zip(parts, settings["environment"], strict=True)
-        if not (math.isnan(value) or low <= value <= high)
-    ]
-    return "; ".join(invalid)
+    found = []
+    for k, (name, value, unit) in enumerate(parts):
+        low, high = settings["environment"][k]
+        if math.isnan(value) and measured & 1 << k:
+            spread = settings["spreads"][k]
+            found.append(
+                f"{name} is no longer measured, and is taken as that of the calibration with the standard uncertainty "
+                f"{spread:g} {unit}; expected a measurement"
+            )
+        elif not (math.isnan(value) or low <= value <= high):
+            range_text = "a finite number or NaN" if (low, high) == ANY_FINITE else f"{low:g} to {high:g} {unit}"
+            found.append(f"{name} {value:g} {unit} is outside the calibration's range; expected {range_text}")
+    return "; ".join(found)

@@ -62,6 +62,14 @@ def unmeasured(settings: Any, scan: Any) -> int:
     return (1 if supply else 0) + (2 if temperature else 0)
 
 
+@inlined
+def missing(tracker: Any, scan: Any) -> int:
+    """Return which deviations are not measured although a scan before measured them: 1, 2 or 3; note those measured."""
+    absent = (1 if math.isnan(scan.supply_voltage) else 0) + (2 if math.isnan(scan.temperature) else 0)
+    tracker.measured |= 3 - absent
+    return int(tracker.measured & absent)
+
+
 @in_place
 def add_unmeasured(workspace: Any) -> None:
     """Add the covariance from an unmeasured supply or temperature to ``systematic_readings``."""

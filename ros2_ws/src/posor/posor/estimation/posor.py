@@ -212,7 +212,8 @@ class Posor:
     def acknowledge(self) -> bool:
         """Release the latch after a fault: the next scan starts anew, and a counted theta must be counted again.
 
-        Without a latch, a step of the stamps is accepted, which bounds the error of the stamps no longer.
+        Poses are DEGRADED (``Fault.ACKNOWLEDGED``) until a reference or home marks confirm theta. Without a latch, a
+        step of the stamps is accepted, which bounds the error of the stamps no longer.
 
         Returns:
             Whether there was a latch or a step; without one nothing changes.
@@ -222,10 +223,11 @@ class Posor:
             stepped = bool(self.tracker["clocks"]["step"])
             self.tracker["clocks"]["step"] = 0.0
             return stepped
-        kept = {name: self.tracker[name].copy() for name in ("theta", "last_raw", "repeats")}
+        kept = {name: self.tracker[name].copy() for name in ("theta", "last_raw", "repeats", "measured")}
         self.reset()
         for name, value in kept.items():
             self.tracker[name] = value
+        self.tracker["acknowledged"] = 1
         return True
 
     def confirm_theta(self, theta: float, sigma: float, stamp_ns: int | None = None) -> None:

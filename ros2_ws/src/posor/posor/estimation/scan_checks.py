@@ -198,12 +198,14 @@ def check_reference(workspace: Any, theta: float, estimate: Any, limit: float) -
 
 
 @in_place
-def use_confirmation(workspace: Any) -> None:
+def use_confirmation(workspace: Any, at_home: int) -> None:
     """Count theta where marks or a reference have confirmed it, and release a latch that is about theta only."""
     tracker, checks = workspace.tracker, workspace.checks
     if not checks.confirmed or not (checks.accepted or tracker.latch_about_theta):
         return
     tracker.counted = 1
+    if at_home != STATED_HOME:  # a statement is not independent of the operator
+        tracker.acknowledged = 0
     if tracker.latch_about_theta:
         tracker.latch &= RESIDUAL
         checks.faults &= ~(INNOVATION | COUNT)

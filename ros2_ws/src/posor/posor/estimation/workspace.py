@@ -105,8 +105,10 @@ TRACKER = np.dtype(  # what is known from the previous scans
         ("motion", MOTION),  # of scans that state the largest error of their stamps
         ("pose", POSE),
         ("start", POSE),
+        ("measured", "i8"),  # deviations that a scan has measured: 1 the supply, 2 the temperature, or their sum
         ("latch", "i8"),  # faults that keep the joint out
         ("latch_about_theta", "i8"),  # 1 where all of them are about theta only, which a reference can confirm
+        ("acknowledged", "i8"),  # 1 where an operator released a latch and no reference has confirmed theta since
         ("latch_interval", "f8"),  # one scan interval at the time of the latch [s]
         ("rejected_known", "i8"),  # 1 where a pose was rejected since the latch
         ("rejected_stamp", "f8"),

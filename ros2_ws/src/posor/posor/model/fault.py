@@ -36,3 +36,4 @@ class Fault(IntFlag):
     LATCHED = 4096
     ENCODER = 8192
     TIME = 16384
+    ACKNOWLEDGED = 32768

@@ -99,6 +99,17 @@ def test_what_is_not_measured_widens_the_covariance_as_one_deviation_of_all_prob
     assert unmeasured.covariance_systematic[2, 2] > measured.covariance_systematic[2, 2]
 
 
+@pytest.mark.parametrize("name", ["supply_voltage", "temperature"])
+def test_what_is_no_longer_measured_degrades(name: str) -> None:
+    posor = Posor(design("triad_light_ring"))
+    scans = resting(posor, 3)
+    assert posor.estimate(scans[0]).state is State.OK
+    missing = posor.estimate(replace(scans[1], **{name: math.nan}))  # type: ignore[arg-type]
+    assert (missing.state, missing.faults) == (State.DEGRADED, Fault.ENVIRONMENT)
+    assert "is no longer measured" in missing.reason
+    assert posor.estimate(scans[2]).state is State.OK
+
+
 @pytest.mark.parametrize("status", [PROBES_ESTIMATED, DIODES_ESTIMATED, SATURATED, SATURATED | 64])
 def test_flags_of_the_driver_degrade(status: int) -> None:
     posor = Posor(design("triad_diodes"))

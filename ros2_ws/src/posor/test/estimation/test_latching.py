@@ -103,9 +103,13 @@ def test_a_lasting_fault_is_acknowledged_by_the_operator() -> None:
     assert found.faults[299] == Fault.INNOVATION | Fault.LATCHED
     assert "or ~/acknowledge is called" in posor.estimate(scans[300]).reason
     assert posor.acknowledge()
-    assert posor.estimate(scans[301]).state is State.OK
+    released = posor.estimate(scans[301])
+    assert (released.state, released.faults) == (State.DEGRADED, Fault.ACKNOWLEDGED)
+    assert "~/acknowledge" in released.reason
     assert not posor.acknowledge()
-    assert posor.estimate(scans[302]).state is State.OK
+    assert posor.estimate(scans[302]).state is State.DEGRADED
+    posor.confirm_theta(float(posor.estimate(scans[303]).native[5]), 1e-3)
+    assert posor.estimate(scans[304]).state is State.OK
 
 
 def test_the_gate_does_not_widen_after_a_fault_nor_after_a_restart() -> None:

@@ -157,4 +157,4 @@ def test_an_acknowledgement_forgets_the_offset() -> None:
         posor.estimate(scan)
     assert posor.acknowledge()
     assert math.isnan(posor.time_offset[0])
-    assert posor.estimate(scans[500]).state is State.OK
+    assert posor.estimate(scans[500]).faults == Fault.ACKNOWLEDGED
