@@ -17,13 +17,13 @@ pytestmark = pytest.mark.usefixtures("ros_domain")
 def test_a_joint_answers(tmp_path: Path) -> None:
     with Program([*COMPOSE, str(write_composition(tmp_path, RIG))]) as rig:
         rig.wait_for_line("calibration")
-        with Program([*script(EXAMPLE), "/rig/joint1"]) as example:
+        with Program([*script(EXAMPLE), "/rig/joint1", "inspected"]) as example:
             assert (example.wait(), example.stdout) == (0, ["there is no latched fault"])
         assert rig.end() == 0
 
 
 def test_a_joint_that_is_not_there_is_named() -> None:
-    with Program([*script(EXAMPLE), "/rig/joint1"]) as example:
+    with Program([*script(EXAMPLE), "/rig/joint1", "inspected"]) as example:
         assert example.wait() == 1
         assert example.stderr == [
             "no service /rig/joint1/posor_node/acknowledge within 5 s; expected a posor_node with 'allow_changes'"

@@ -37,7 +37,7 @@ from posor.ros_names import (
 )
 from posor_msgs.msg import RawScan
 from posor_ros.message_classes import message_class, schema_of_class
-from posor_ros.qos import sensor_publisher_qos
+from posor_ros.qos import result_qos
 from rclpy.serialization import deserialize_message, serialize_message
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
@@ -99,7 +99,7 @@ def run_message_loop(arm: ArmFile, bag: Path, output: Path) -> float:
 
 
 def _add_topics(writer: BagWriter, arm: ArmFile) -> None:
-    types, qos = MessageTypes(), [sensor_publisher_qos(NodeParameters())]
+    types, qos = MessageTypes(), [result_qos(NodeParameters())]
     kinds = {f"{joint}/{TRANSFORM_TOPIC}": JOINT_TRANSFORM for joint in arm.calibrations} | ENDPOINT_TYPES
     for topic, kind in kinds.items():
         writer.add_topic(f"/{arm.name}/{topic}", kind, types.definition(kind), qos)

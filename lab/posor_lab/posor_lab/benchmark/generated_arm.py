@@ -24,7 +24,7 @@ from posor_bringup.arms import load_checked_arm
 from posor_drivers.message_builder import SimulatedMessages
 from posor_drivers.simulator.arm_simulation import ArmSimulation
 from posor_drivers.simulator.imperfections import Imperfections
-from posor_ros.qos import sensor_publisher_qos
+from posor_ros.qos import result_qos
 
 from posor_lab.instruments.simulated_readings import quantity
 
@@ -74,7 +74,7 @@ def record_scans(arm: ArmFile, path: Path, fault_interval: int = 0) -> None:
     """
     simulation, types = ArmSimulation(arm, SIMULATED), MessageTypes()
     make, ticks = SimulatedMessages(types, simulation), np.arange(1, TICKS + 1)
-    qos = [sensor_publisher_qos(NodeParameters())]
+    qos = [result_qos(NodeParameters())]
     with BagWriter(path) as bag:
         for number, joint in enumerate(simulation.joints):
             topic = f"/{arm.name}/{joint}/{RAW_TOPIC}"

@@ -17,7 +17,7 @@ from posor_msgs.msg import JointTransform, RawScan
 from posor_ros.intra_process import IntraProcessPublisher, IntraProcessSubscription
 from posor_ros.lifecycle_node import PosorNode
 from posor_ros.message_classes import schema_of_class
-from posor_ros.qos import result_qos, sensor_publisher_qos, sensor_subscription_qos
+from posor_ros.qos import input_qos, result_qos
 from pydantic import Field
 from sensor_msgs.msg import JointState
 
@@ -57,9 +57,9 @@ class PassThroughPosor(PosorNode[PassThroughPosorParameters]):
         """Open the topics."""
         message = JointTransform(child_frame_id=self.parameters.child)
         message.header.frame_id = self.parameters.parent
-        qos = sensor_publisher_qos(self.parameters)
+        qos = result_qos(self.parameters)
         self._transform = _PreparedMessage(self, message, TRANSFORM_TOPIC, qos)
-        qos = sensor_subscription_qos(self.parameters)
+        qos = input_qos(self.parameters)
         self.add_cleanup(IntraProcessSubscription(self, RawScan, RAW_TOPIC, qos, self._on_raw_scan).destroy)
 
     def _on_raw_scan(self, data: bytes) -> None:
@@ -82,7 +82,7 @@ class PassThroughChain(PosorNode[PassThroughChainParameters]):
     def configure(self) -> None:
         """Open the topics."""
         joints = self.parameters.joints
-        results, qos = result_qos(self.parameters), sensor_subscription_qos(self.parameters)
+        results, qos = result_qos(self.parameters), input_qos(self.parameters)
         pose, with_covariance = PoseStamped(), PoseWithCovarianceStamped()
         pose.header.frame_id = with_covariance.header.frame_id = self.parameters.frame
         states = JointState(name=list(joints), position=[0.0] * len(joints))

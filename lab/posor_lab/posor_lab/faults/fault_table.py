@@ -51,6 +51,7 @@ def write_fault_arm(
     ``faults``.
     """
     shutil.copytree(find_arm(name).parent, folder)
+    _allow_releases(folder / ARM_FILE)
     arm = load_arm_file(folder / ARM_FILE)
     joints = list(arm.calibrations)
     count = round(duration_s / waypoint_s)
@@ -71,6 +72,14 @@ def write_fault_arm(
         joint.pop("start", None)
     path.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
     return arm
+
+
+def _allow_releases(path: Path) -> None:
+    """Let the program release latches as often as its faults come."""
+    content = yaml.safe_load(path.read_text(encoding="utf-8"))
+    for joint in content["joints"].values():
+        joint["parameters"] = {**joint.get("parameters", {}), "acknowledge_interval": 0.0}
+    path.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
 
 
 FaultKind = Literal["off", "stuck", "garbage", "wrong", "slow", "clock", "network"]

@@ -19,8 +19,7 @@ from posor.ros_names import RAW_TOPIC
 from posor_bringup.arm_programs import arm_programs
 from posor_drivers.message_builder import SimulatedMessages
 from posor_msgs.msg import JointTransform, RawScan
-from rclpy.duration import Duration
-from rclpy.qos import LivelinessPolicy, QoSProfile
+from posor_ros.qos import RELIABLE_QOS
 from rclpy.serialization import deserialize_message
 
 from posor_lab.faults.fault_table import RATES
@@ -36,12 +35,6 @@ if TYPE_CHECKING:
 
 RATE = RATES["test_rig"]
 POLL_S = 0.002  # time between two looks for due ticks
-OFFERED_QOS = QoSProfile(  # strictest QoS that live drivers and posor_nodes offer, so that every subscription matches
-    depth=10,
-    deadline=Duration(seconds=0.2),
-    liveliness=LivelinessPolicy.AUTOMATIC,
-    liveliness_lease_duration=Duration(seconds=1.0),
-)
 SIGMA = 1e-6  # standard deviation of the played transforms [m], [rad]
 OPERATIONS: Mapping[str, Callable[[Any, Any], Any]] = {
     "set": lambda _old, value: value,
@@ -113,7 +106,7 @@ class MessageRun(InjectionRun):
 
     def _new_publisher(self) -> Any:
         kind = RawScan if self._topic == RAW_TOPIC else JointTransform
-        return self.receiver.create_publisher(kind, f"/{self.arm.name}/{self._joint}/{self._topic}", OFFERED_QOS)
+        return self.receiver.create_publisher(kind, f"/{self.arm.name}/{self._joint}/{self._topic}", RELIABLE_QOS)
 
     def _publish_due(self) -> None:
         while tick_stamp_ns(self._next, RATE) <= time.time_ns():

@@ -70,7 +70,8 @@ def posor_program(calibration: Calibration, folder: Path) -> ProgramCommand:
     """Return the program of the posor_node, whose calibration file is written to a folder."""
     path = folder / f"{calibration.name}.yaml"
     path.write_text(yaml.safe_dump(calibration.model_dump(mode="json", exclude_none=True)), encoding="utf-8")
-    parameters: dict[str, Any] = {"calibration": str(path), "lossless": True, **RECORDING}
+    parameters: dict[str, Any] = {"calibration": str(path), "lossless": True, "acknowledge_interval": 0.0}
+    parameters |= RECORDING
     return ProgramCommand("posor_node", "posor_estimator", "posor_node", (), NAMESPACE, parameters)
 
 

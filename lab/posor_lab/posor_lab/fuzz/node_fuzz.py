@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import time
 from abc import ABC, abstractmethod
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -138,6 +139,7 @@ class NodeScanFuzz(NodeFuzz):
         self._fuzz, self._cycle = ScanFuzz(simulation, joint, seed), -1
         programs = arm_programs(simulation.arm, drivers=False, parameters=LOSSLESS)
         program = next(each for each in programs if each.namespace == f"/{simulation.arm.name}/{joint}")
+        program = replace(program, parameters={**program.parameters, "acknowledge_interval": 0.0})
         super().__init__(program, self._fuzz, [(RawScan, RAW_TOPIC)], (JointTransform, TRANSFORM_TOPIC))
 
     def play(self, end: int, on_done: Callable[[int], None]) -> None:

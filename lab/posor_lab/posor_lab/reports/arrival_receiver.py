@@ -12,9 +12,9 @@ from posor.model.fault import USABLE_STATES, Fault, State
 from posor.numerics.stamps import NS
 from posor.ros_names import ENDPOINT_COVARIANCE_TOPIC, ENDPOINT_STATE_TOPIC, TRANSFORM_TOPIC
 from posor_msgs.msg import EndpointState, JointTransform
+from posor_msgs.srv import Acknowledge
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
-from std_srvs.srv import Trigger
 
 from posor_lab.reports.graph_receiver import GraphReceiver
 
@@ -49,7 +49,7 @@ class ArrivalReceiver(GraphReceiver):
             callback = partial(self._on_bytes, self._raw[topic])
             self.create_subscription(kind, f"/{arm}/{topic}", callback, QOS, raw=True)
         self._operators = {
-            joint: self.create_client(Trigger, f"/{arm}/{joint}/posor_node/acknowledge") for joint in joints
+            joint: self.create_client(Acknowledge, f"/{arm}/{joint}/posor_node/acknowledge") for joint in joints
         }
 
     def _on_bytes(self, store: list[tuple[int, bytes]], data: bytes) -> None:
@@ -80,7 +80,7 @@ class ArrivalReceiver(GraphReceiver):
         """Call ``~/acknowledge`` of a joint's posor_node, without waiting for the response."""
         client = self._operators[joint]
         if client.service_is_ready():
-            client.call_async(Trigger.Request())
+            client.call_async(Acknowledge.Request(caller="laboratory", reason="the fault has ended"))
 
     def acknowledge_latched(self) -> None:
         """Acknowledge every joint whose newest transform has a latched fault."""

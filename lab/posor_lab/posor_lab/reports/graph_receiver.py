@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING, Any, Self, TypeVar
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from posor.ros_names import DIAGNOSTICS_TOPIC
 from posor_bringup.supervisor import ProcessError, Supervisor
+from posor_msgs.srv import Acknowledge
 from posor_ros.lifecycle_node import LISTENERS_STATUS
 from posor_ros.node_program import SPIN_TIMEOUT_S
 from posor_ros.qos import KEEP_ALL_QOS
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.node import Node
-from std_srvs.srv import Trigger
 
 from posor_lab.harness.graph import RETRY_S
 from posor_lab.harness.message_conversion import stamp_ns
@@ -241,4 +241,5 @@ class NodePlayer(GraphReceiver):
 
     def acknowledge(self, watch: GraphWatch) -> None:
         """Release a latched fault, as an operator does."""
-        watch.call(Trigger, f"{self._node}/acknowledge", Trigger.Request())
+        request = Acknowledge.Request(caller="laboratory", reason="the fault has ended")
+        watch.call(Acknowledge, f"{self._node}/acknowledge", request)

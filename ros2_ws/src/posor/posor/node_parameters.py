@@ -51,11 +51,6 @@ class FreshnessParameters(ParameterGroup):
     max_future: Annotated[float, Field(gt=0.0, allow_inf_nan=True)] = Field(
         default=0.1, description="how far a stamp may be ahead of ROS time [s]; .inf: any, for a recording"
     )
-    deadline: Annotated[float, Field(ge=0.0, le=60.0)] = Field(
-        default=0.0,
-        description="DDS deadline of the sensor topics [s]: publishers offer and subscriptions request it, with "
-        "liveliness; set it at both ends, other publishers do not match; 0: none",
-    )
 
 
 class RealtimeParameters(ParameterGroup):
@@ -159,6 +154,9 @@ class PosorParameters(AlarmParameters):
     )
     zero_scans: Annotated[int, Field(ge=MIN_ZERO_SCANS, le=100_000)] = Field(
         default=100, description="number of most recent scans whose mean ~/zero uses"
+    )
+    acknowledge_interval: Annotated[float, Field(ge=0.0, le=86_400.0)] = Field(
+        default=10.0, description="least time between two releases of a latched fault by ~/acknowledge [s]; 0: any"
     )
     encoder: EncoderParameters = EncoderParameters()
 

@@ -22,7 +22,7 @@ from posor_ros.intra_process import IntraProcessPublisher
 from posor_ros.lifecycle_node import PosorNode
 from posor_ros.message_classes import message_class, schema_of_class
 from posor_ros.node_program import run_node
-from posor_ros.qos import RELIABLE_QOS, sensor_publisher_qos
+from posor_ros.qos import RELIABLE_QOS, result_qos
 
 from posor_drivers.conditioning import condition_scans
 from posor_drivers.driver_parameters import (
@@ -107,7 +107,7 @@ class DriverNode(PosorNode[DriverParameters]):
         self._status.report(Level.OK, "ready", {"source": name, "record": self._source.record})
 
     def _new_publisher(self, topic: str) -> IntraProcessPublisher:
-        qos = sensor_publisher_qos(self.parameters) if topic == RAW_TOPIC else RELIABLE_QOS
+        qos = result_qos(self.parameters) if topic == RAW_TOPIC else RELIABLE_QOS
         return IntraProcessPublisher(self, self._classes[topic], topic, qos, cancelled=self._is_stopping)
 
     def activate(self) -> None:

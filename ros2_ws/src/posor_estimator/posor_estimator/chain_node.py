@@ -48,7 +48,7 @@ from posor_ros.intra_process import IntraProcessPublisher, IntraProcessSubscript
 from posor_ros.lifecycle_node import PosorNode
 from posor_ros.message_classes import schema_of_class
 from posor_ros.node_program import run_node
-from posor_ros.qos import RELIABLE_QOS, result_qos, sensor_subscription_qos, state_qos
+from posor_ros.qos import RELIABLE_QOS, input_qos, result_qos
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from sensor_msgs.msg import JointState
@@ -140,7 +140,7 @@ class ChainNode(PosorNode[ChainParameters]):
         self._pose_with_covariance = self._create_publisher(PoseWithCovarianceStamped, ENDPOINT_COVARIANCE_TOPIC)
         self._joint_states = self._create_publisher(JointState, JOINT_STATES_TOPIC)
         self._endpoint_state = IntraProcessPublisher(
-            self, EndpointState, ENDPOINT_STATE_TOPIC, state_qos(self.parameters)
+            self, EndpointState, ENDPOINT_STATE_TOPIC, result_qos(self.parameters)
         )
         self.add_cleanup(self._inputs.clear)
         self._joint_of_topic: dict[str, str] = {}
@@ -155,7 +155,7 @@ class ChainNode(PosorNode[ChainParameters]):
         return IntraProcessPublisher(self, message_type, topic, result_qos(self.parameters), count_listeners=True)
 
     def _subscribe(self, joint: FreeJoint) -> None:
-        topic, qos = f"{joint.name}/{TRANSFORM_TOPIC}", sensor_subscription_qos(self.parameters)
+        topic, qos = f"{joint.name}/{TRANSFORM_TOPIC}", input_qos(self.parameters)
         callback = partial(self._on_transform, joint, self._kinds[joint.name])
         subscription = IntraProcessSubscription(self, JointTransform, topic, qos, callback)
         self._inputs.add(subscription)

@@ -4,8 +4,8 @@ Subscribes to ``raw`` (posor_msgs/RawScan) and publishes ``transform`` (posor_ms
 scan without a pose is published with the state LOST and NaN in every number; the diagnostics give the reason.
 
 Services (std_srvs/Trigger): ``~/reload`` reads the calibration file again; ``~/zero`` shifts the zero of the gap probes
-so that the present pose is home; ``~/home`` counts theta from its home mark; ``~/acknowledge`` ends a latched fault. A
-refused request changes nothing. With ``allow_changes: false`` these services do not exist.
+so that the present pose is home; ``~/home`` counts theta from its home mark. ``~/acknowledge`` (posor_msgs/Acknowledge)
+ends a latched fault. A refused request changes nothing. With ``allow_changes: false`` these services do not exist.
 
 With an encoder, ``encoder`` (sensor_msgs/JointState) confirms theta.
 """
@@ -13,6 +13,7 @@ With an encoder, ``encoder`` (sensor_msgs/JointState) confirms theta.
 from __future__ import annotations
 
 import math
+import time
 from collections import deque
 from functools import partial
 from pathlib import Path
@@ -31,6 +32,7 @@ from posor.node_parameters import PosorParameters
 from posor.ros_names import RAW_TOPIC, RELIABILITY_TOPIC, TRANSFORM_TOPIC
 from posor.uncertainty.reading_sensitivity import EstimateMatrices
 from posor_msgs.msg import JointReliability, JointTransform, RawScan
+from posor_msgs.srv import Acknowledge
 from posor_ros.diagnostics import Level
 from posor_ros.freshness import REPEATED, InputMonitor, ScanOrder
 from posor_ros.idle_scheduler import run_when_idle
@@ -38,11 +40,12 @@ from posor_ros.intra_process import IntraProcessPublisher, IntraProcessSubscript
 from posor_ros.lifecycle_node import PosorNode
 from posor_ros.message_classes import schema_of_class
 from posor_ros.node_program import run_node
-from posor_ros.qos import RELIABLE_QOS, sensor_publisher_qos, sensor_subscription_qos
+from posor_ros.qos import RELIABLE_QOS, input_qos, result_qos
 
 from posor_estimator.alarm_rate import AlarmRate
 from posor_estimator.encoder_subscription import subscribe_to_encoder
 from posor_estimator.endpoint_verdict import NOT_COUNTED, waits_to_be_counted
+from posor_estimator.fault_release import EncoderReading, FaultRelease, check_plausible
 from posor_estimator.reliability_message import has_reliability, reliability_fields
 
 if TYPE_CHECKING:
@@ -51,7 +54,6 @@ if TYPE_CHECKING:
     from posor.calibration.calibration_file import Calibration
     from posor.messages.message_stream import EstimatedScan
     from posor_ros.diagnostics import StatusText, Value
-    from std_srvs.srv import Trigger
 
 
 LOST = int(State.LOST)
@@ -78,6 +80,8 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
     _reported: tuple[int, int, bool] | None
     _alarms: AlarmRate
     _order: ScanOrder
+    _release: FaultRelease
+    _encoder: EncoderReading | None
 
     def __init__(self, **options: Any) -> None:
         super().__init__(**options)
@@ -94,29 +98,27 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
         self._recent_scans = deque(maxlen=self.parameters.zero_scans if self.parameters.home_pose else 0)
         self._source_changes = 0
         self._count_from_next = self._is_lost = False
-        self._reported = self._last_stream = None
+        self._reported = self._last_stream = self._encoder = None
+        self._release = FaultRelease(self.parameters.acknowledge_interval)
         self._alarms = AlarmRate(self.parameters.false_alarm, self.parameters.alarm_count)
         self._order = ScanOrder()
         self._apply_calibration(*self._load_calibration())
         self._status.report(Level.STALE, "no scan yet")
-        qos = sensor_publisher_qos(self.parameters)
+        qos = result_qos(self.parameters)
         self._publisher = IntraProcessPublisher(self, JointTransform, TRANSFORM_TOPIC, qos, count_listeners=True)
         self._reliability = IntraProcessPublisher(self, JointReliability, RELIABILITY_TOPIC, RELIABLE_QOS)
         self.add_cleanup(self._forget_scans)
         self.add_cleanup(self._inputs.clear)
-        qos = sensor_subscription_qos(self.parameters)
+        qos = input_qos(self.parameters)
         self._inputs.add(IntraProcessSubscription(self, RawScan, RAW_TOPIC, qos, self._on_raw_scan))
         if self.parameters.encoder.sigma:
             subscribe_to_encoder(self, self._inputs, self._confirm_theta)
-        services = {
-            "reload": self._reload_calibration,
-            "home": self._count_from_home,
-            "acknowledge": self._acknowledge_fault,
-        }
+        services = {"reload": self._reload_calibration, "home": self._count_from_home}
         if self.parameters.home_pose:
             services["zero"] = self._zero_gap_probes
         for name, action in services.items():
-            self.add_change_service(name, partial(self._on_request, action))
+            self.add_change_service(name, partial(self._on_request, lambda _, action=action: action()))
+        self.add_change_service("acknowledge", partial(self._on_request, self._acknowledge_fault), Acknowledge)
 
     def activate(self) -> None:
         """Expect scans with present stamps from now on."""
@@ -167,12 +169,10 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
             self._posor, self._calibration, self._stream = posor, calibration, None
             self._source_changes = 0  # the first scan of the new estimator discards the kept scans
 
-    def _on_request(
-        self, action: Callable[[], str], _request: Trigger.Request, response: Trigger.Response
-    ) -> Trigger.Response:
-        """Run the action of a service; a refusal changes nothing."""
+    def _on_request(self, action: Callable[[Any], str], request: Any, response: Any) -> Any:
+        """Run the action of a service with the request; a refusal changes nothing."""
         try:
-            response.message = action()
+            response.message = action(request)
         except PosorError as error:
             response.message = str(error)
             self.get_logger().error(response.message)
@@ -232,13 +232,25 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
         self.get_logger().info(text)
         return text
 
-    def _acknowledge_fault(self) -> str:
+    def _acknowledge_fault(self, request: Acknowledge.Request) -> str:
+        """Release the latched fault where the request and the last scan allow it."""
         with self._lock:
-            was_latched = self._posor.acknowledge()
-        return "the fault is released; the next scan starts anew" if was_latched else "there is no latched fault"
+            if not self._posor.has_latch:
+                return "there is no latched fault"
+            now_s = time.monotonic()
+            self._release.check(request.caller, request.reason, now_s)
+            last = None if self._stream is None else self._stream.last_scan()
+            check_plausible(self._calibration, None if last is None else scan_of(last.data), self._encoder)
+            self._posor.acknowledge()
+            self._release.note(now_s)
+        text = f"released by {request.caller}: {request.reason}"
+        self._status.update({"acknowledged": text})
+        self.get_logger().warning(text)
+        return "the fault is released; the next scan starts anew"
 
     def _confirm_theta(self, theta: float, stamp_ns: int) -> None:
         with self._lock:
+            self._encoder = EncoderReading(theta, self.parameters.encoder.sigma, stamp_ns)
             self._posor.confirm_theta(theta, self.parameters.encoder.sigma, stamp_ns)
 
     def _on_raw_scan(self, data: bytes) -> None:

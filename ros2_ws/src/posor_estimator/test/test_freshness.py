@@ -11,16 +11,16 @@ from typing import Any
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
-from posor.node_parameters import FreshnessParameters, NodeParameters
-from posor_lab.harness.graph import LOSSLESS, Graph, values_of, wait_for_value
+from posor.node_parameters import FreshnessParameters
+from posor_lab.harness.graph import Graph, values_of, wait_for_value
 from posor_lab.harness.program import Program, installed
 from posor_msgs.msg import JointTransform, RawScan
+from posor_msgs.srv import Acknowledge
 from posor_ros.freshness import ScanOrder, StampLimits
 from posor_ros.intra_process import InputWatch
-from posor_ros.qos import sensor_publisher_qos
 from posor_ros.ros_arguments import ros_arguments
+from rclpy.duration import Infinite
 from sensor_msgs.msg import JointState
-from std_srvs.srv import Trigger
 
 from .live_topics import PERIOD_S, POSOR, ScanSender
 
@@ -221,35 +221,20 @@ def test_two_publishers_are_an_error_and_their_scans_are_not_used(rig: Rig) -> N
     rig.wait_for_sound_scan()
 
 
-def test_a_deadline_is_requested_and_a_missed_one_is_reported() -> None:
-    parameters = NodeParameters(freshness=FreshnessParameters(deadline=0.1))
-    arguments = ros_arguments({**POSOR, "freshness.deadline": 0.1, "freshness.max_silence": math.inf})
-    with Program([*installed("posor_estimator", "posor_node"), *arguments]), Graph() as graph:
-        graph.watch_diagnostics()
-        without = graph.node.create_publisher(RawScan, "raw", LOSSLESS)
-        sender = ScanSender(graph, qos=sensor_publisher_qos(parameters))
-        assert without.get_subscription_count() == 0  # it does not offer the deadline
-
-        def send_late() -> None:
-            """Send again: a best-effort subscription may not have matched at the first scan."""
-            sender.send()
-            time.sleep(0.3)
-
-        graph.wait_until(
-            lambda: any("deadline missed on /raw" in s.message and s.level == WARN for s in graph.diagnostics),
-            "the missed deadline",
-            send_late,
-        )
-
-
-def test_a_deadline_is_not_requested_of_encoders() -> None:
-    arguments = ros_arguments({**POSOR, "freshness.deadline": 0.1, "encoder.sigma": 1e-3})
+def test_no_deadline_and_no_liveliness_is_requested() -> None:
+    """Their events block the executor for good (rmw_fastrtps 8.4.3)."""
+    arguments = ros_arguments({**POSOR, "encoder.sigma": 1e-3})
     with Program([*installed("posor_estimator", "posor_node"), *arguments]), Graph() as graph:
         publisher = graph.node.create_publisher(JointState, "encoder", 10)
-        graph.wait_until(lambda: publisher.get_subscription_count() == 1, "the match")
+        scans = graph.node.create_publisher(RawScan, "raw", 10)
+        graph.wait_until(lambda: publisher.get_subscription_count() == scans.get_subscription_count() == 1, "the match")
+        for topic in ("/raw", "/encoder"):
+            (found,) = graph.node.get_subscriptions_info_by_topic(topic)
+            assert found.qos_profile.deadline == Infinite
+            assert found.qos_profile.liveliness_lease_duration == Infinite
 
 
-def test_an_encoder_that_disagrees_latches_a_fault_until_it_is_acknowledged() -> None:
+def test_an_encoder_that_disagrees_latches_a_fault_until_it_agrees() -> None:
     parameters = {**POSOR, "lossless": True, "freshness.max_silence": math.inf}
     parameters |= {"encoder.sigma": 1e-3, "encoder.topic": "/arm/encoders"}
     command = [*installed("posor_estimator", "posor_node"), *ros_arguments(parameters)]
@@ -258,7 +243,8 @@ def test_an_encoder_that_disagrees_latches_a_fault_until_it_is_acknowledged() ->
         encoder = graph.publisher(JointState, "/arm/encoders")
 
         def acknowledge() -> str:
-            return str(graph.call(Trigger, "/posor_node/acknowledge", Trigger.Request()).message)
+            request = Acknowledge.Request(caller="a test", reason="the encoder was inspected")
+            return str(graph.call(Acknowledge, "/posor_node/acknowledge", request).message)
 
         rig.wait_for_sound_scan()
         assert acknowledge() == "there is no latched fault"
@@ -277,5 +263,7 @@ def test_an_encoder_that_disagrees_latches_a_fault_until_it_is_acknowledged() ->
             return any(transform.faults & JointTransform.FAULT_ENCODER for transform in rig.transforms)
 
         graph.wait_until(has_encoder_fault, "the disagreement", send_both)
-        assert acknowledge() == "the fault is released; the next scan starts anew"
+        assert "the last scan is not plausible" in acknowledge()
+        message.position = [rig.transforms[0].native[5]]
+        encoder.publish(message)
         rig.wait_for_sound_scan()

@@ -24,6 +24,7 @@ from posor_lab.harness.graph import Graph, scan_message, values_of, wait_for_val
 from posor_lab.harness.in_process_nodes import run_refused_node
 from posor_lab.harness.program import HAND_FED, Program, installed
 from posor_msgs.msg import JointTransform, RawScan
+from posor_msgs.srv import Acknowledge
 from posor_ros.ros_arguments import ros_arguments
 from std_srvs.srv import Trigger
 
@@ -50,9 +51,11 @@ def with_drift(calibration: Calibration) -> Calibration:
 class NodeRig:
     """A posor_node with a calibration file, and simulated scans of the instrument."""
 
-    def __init__(self, folder: Path, name: DesignName = "triad_diodes", **parameters: object) -> None:
+    def __init__(
+        self, folder: Path, name: DesignName = "triad_diodes", *, motion: bool = False, **parameters: object
+    ) -> None:
         self.file = folder / "posor.yaml"
-        self.calibration = design(name)
+        self.calibration = design(name, motion=motion)
         self.file.write_text(yaml_of(self.calibration), encoding="utf-8")
         self.stack = Posor(with_drift(self.calibration)).stack
         self.random = np.random.default_rng(1985)
@@ -95,6 +98,11 @@ class NodeRig:
 
     def call(self, service: str) -> tuple[bool, str]:
         response = self.graph.call(Trigger, f"/posor_node/{service}", Trigger.Request())
+        return response.success, response.message
+
+    def acknowledge(self, reason: str = "inspected") -> tuple[bool, str]:
+        request = Acknowledge.Request(caller="a test", reason=reason)
+        response = self.graph.call(Acknowledge, "/posor_node/acknowledge", request)
         return response.success, response.message
 
 
@@ -266,3 +274,41 @@ def test_home_starts_the_count_of_bumps_and_zero_needs_a_home_pose(tmp_path: Pat
         rig.graph.wait_until(
             lambda: any("the call of ~/home is void" in status.message for status in rig.graph.diagnostics), "the note"
         )
+
+
+def latched(rig: NodeRig) -> None:
+    """Let the gap jump by more than the motion limits allow."""
+    rig.send(3)
+    assert rig.send(3, (0.0, 0.0, 0.5e-3, 0.0, 0.0, 0.0))[-1].faults & JointTransform.FAULT_LATCHED
+
+
+def test_a_release_needs_a_reason_and_a_plausible_scan_and_degrades(tmp_path: Path) -> None:
+    with NodeRig(tmp_path, "triad_diodes", motion=True) as rig:
+        assert rig.acknowledge("") == (True, "there is no latched fault")
+        latched(rig)
+        assert rig.acknowledge(" ") == (
+            False,
+            "acknowledge: 'reason' is empty; expected who releases the joint, and why",
+        )
+        rig.send(1, gaps=math.nan)
+        success, message = rig.acknowledge()
+        assert not success
+        assert "the last scan is not plausible" in message
+        rig.send(1, (0.0, 0.0, 0.5e-3, 0.0, 0.0, 0.0))
+        assert rig.acknowledge()[0]
+        released = rig.send(3, (0.0, 0.0, 0.5e-3, 0.0, 0.0, 0.0))
+        assert {each.state for each in released} == {JointTransform.STATE_DEGRADED}
+        assert {each.faults for each in released} == {JointTransform.FAULT_ACKNOWLEDGED}
+        assert values_of(wait_for_value(rig.graph, "/posor_node: estimate", "acknowledged", "released by a test"))
+        rig.send(3)
+        success, message = rig.acknowledge()
+        assert not success
+        assert "'acknowledge_interval'" in message
+
+
+def test_releases_may_be_unlimited(tmp_path: Path) -> None:
+    with NodeRig(tmp_path, "triad_diodes", motion=True, acknowledge_interval=0.0) as rig:
+        for _ in range(2):
+            latched(rig)
+            rig.send(1)
+            assert rig.acknowledge()[0]

@@ -6,7 +6,7 @@ from posor_bringup.installed import calibration_path
 from posor_estimator.posor_node import PosorEstimatorNode
 from posor_lab.harness.graph import Graph
 from posor_lab.harness.in_process_nodes import NodeProcess, run_refused_node
-from posor_ros.qos import RELIABLE_QOS, result_qos, sensor_publisher_qos, sensor_subscription_qos
+from posor_ros.qos import RELIABLE_QOS, input_qos, result_qos
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.topic_endpoint_info import TopicEndpointInfo
@@ -21,7 +21,7 @@ def policies(qos: QoSProfile) -> tuple[ReliabilityPolicy, HistoryPolicy, int]:
 
 
 def test_sensor_topics_are_published_reliably_and_received_best_effort() -> None:
-    publisher, subscription = sensor_publisher_qos(NodeParameters()), sensor_subscription_qos(NodeParameters())
+    publisher, subscription = result_qos(NodeParameters()), input_qos(NodeParameters())
     assert policies(publisher) == (ReliabilityPolicy.RELIABLE, HistoryPolicy.KEEP_LAST, 10)
     assert policies(subscription) == (ReliabilityPolicy.BEST_EFFORT, HistoryPolicy.KEEP_LAST, 10)
     assert publisher.durability == subscription.durability == DurabilityPolicy.VOLATILE
@@ -29,7 +29,7 @@ def test_sensor_topics_are_published_reliably_and_received_best_effort() -> None
 
 def test_lossless_nodes_keep_all_messages_at_both_ends() -> None:
     lossless = NodeParameters(lossless=True)
-    for qos in (sensor_publisher_qos(lossless), sensor_subscription_qos(lossless), result_qos(lossless)):
+    for qos in (result_qos(lossless), input_qos(lossless)):
         assert (qos.reliability, qos.history) == (ReliabilityPolicy.RELIABLE, HistoryPolicy.KEEP_ALL)
     assert result_qos(NodeParameters()) == RELIABLE_QOS
 

@@ -121,7 +121,7 @@ class InputMonitor:
 
     def add(self, subscription: IntraProcessSubscription) -> None:
         """Watch a subscription until ``clear``."""
-        subscription.on_event, subscription.on_publishers = self.check, self._find_several
+        subscription.on_publishers = self._find_several
         self._subscriptions.append(subscription)
         self._watches.append(subscription.watch)
         self._find_several()
@@ -173,9 +173,6 @@ class InputMonitor:
             return
         now_s, limit_s = monotonic(), self._node.parameters.freshness.max_silence
         several = self._several_publishers()
-        missed = [each for each in self._subscriptions if each.take_missed_deadlines()]
-        if missed:
-            self.note("deadline", f"deadline missed on {', '.join(each.topic_name for each in missed)}")
         silent = [(watch.name, text) for watch in self._watches if (text := watch.silence(now_s, limit_s))]
         self.silent, self.silent_names = "; ".join(text for _, text in silent), [name for name, _ in silent]
         key = (several, *self.silent_names) if several or silent else ()

@@ -25,8 +25,8 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from weakref import WeakKeyDictionary
 
 from posor.errors import TopicError
-from rclpy.duration import Duration, Infinite
-from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
+from rclpy.duration import Duration
+from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.qos import HistoryPolicy
 
 if TYPE_CHECKING:
@@ -219,10 +219,8 @@ class IntraProcessSubscription:
     Attributes:
         topic_name: Full name of the topic.
         watch: Arrivals of messages.
-        publishers: Number of publishers of the topic, without those whose liveliness is lost; as of the last message or
-            call of ``find_publishers``.
+        publishers: Number of publishers of the topic; as of the last message or call of ``find_publishers``.
         on_publishers: Called when that number has changed.
-        on_event: Called when a deadline was missed or a liveliness has changed; only with a deadline in the profile.
 
     """
 
@@ -244,15 +242,13 @@ class IntraProcessSubscription:
         self.watch = InputWatch(self.topic_name)
         self.publishers = 0
         self.on_publishers: Callable[[], None] = lambda: None
-        self.on_event: Callable[[], None] = lambda: None
         self._node = node
         self._topic = topic
         self._qos = qos
         self._callback = callback
         self._dds_subscription: Any = None
         self._handle: Any = None
-        self._has_deadline = qos.deadline not in (Duration(), Infinite)
-        self._local = self._dead = self._deadlines_missed = 0
+        self._local = 0
         self._closed = False
         node.qos_overrides.options("subscription", self.topic_name)
         self._manager = IntraProcessManager.of(node.context)
@@ -270,17 +266,12 @@ class IntraProcessSubscription:
 
     def _count_matched(self) -> None:
         """Count the publishers over DDS; takes a microsecond."""
-        self._set_publishers(int(self._handle.get_publisher_count()) - self._dead)
+        self._set_publishers(int(self._handle.get_publisher_count()))
 
     def _set_publishers(self, count: int) -> None:
         if count != self.publishers:
             self.publishers = count
             self.on_publishers()
-
-    def take_missed_deadlines(self) -> int:
-        """Return how many deadlines DDS has reported as missed since the last call; needs a deadline in the profile."""
-        missed, self._deadlines_missed = self._deadlines_missed, 0
-        return missed
 
     def receive(self, data: bytes) -> None:
         """Handle a message of a publisher of this process."""
@@ -301,9 +292,8 @@ class IntraProcessSubscription:
 
     def _use_dds(self, *, needed: bool) -> None:
         if needed and self._handle is None:
-            self._dead = 0
             self._dds_subscription = self._node.create_subscription(
-                self.message_type, self._topic, self._on_message, self._qos, raw=True, event_callbacks=self._events()
+                self.message_type, self._topic, self._on_message, self._qos, raw=True
             )
             self._handle = self._dds_subscription.handle
             self._handle.__enter__()  # once, as for publishers
@@ -317,20 +307,6 @@ class IntraProcessSubscription:
             self._count_matched()
             self.watch.record(time.monotonic())
             self._callback(data)
-
-    def _events(self) -> SubscriptionEventCallbacks:
-        """Return the callbacks of a DDS subscription, which has events only with a deadline."""
-        if not self._has_deadline:
-            return SubscriptionEventCallbacks()
-        return SubscriptionEventCallbacks(liveliness=self._on_liveliness, deadline=self._on_deadline)
-
-    def _on_liveliness(self, event: Any) -> None:
-        self._dead = event.not_alive_count
-        self.on_event()
-
-    def _on_deadline(self, event: Any) -> None:
-        self._deadlines_missed += event.total_count_change
-        self.on_event()
 
     def destroy(self) -> None:
         """Receive nothing more, not even a message that is being published."""

@@ -228,13 +228,13 @@ class PosorNode(LifecycleNode, Generic[ParametersT]):
         for check in self._input_checks:
             check()
 
-    def add_change_service(self, name: str, callback: Callable[[Any, Any], Any]) -> None:
-        """Open the service ``~/name`` (std_srvs/Trigger), which changes state, until the clean-up.
+    def add_change_service(self, name: str, callback: Callable[[Any, Any], Any], kind: type[Any] = Trigger) -> None:
+        """Open the service ``~/name``, which changes state, until the clean-up; ``kind``: class of the service.
 
         Without the parameter ``allow_changes`` it is not opened.
         """
         if self.parameters.allow_changes:
-            self.add_cleanup(self.destroy_service, self.create_service(Trigger, f"~/{name}", callback))
+            self.add_cleanup(self.destroy_service, self.create_service(kind, f"~/{name}", callback))
 
     def report_listeners(self, topic: str, count: int) -> None:
         """Report the number of subscriptions of a topic of this node, in any process."""

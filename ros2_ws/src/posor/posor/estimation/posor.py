@@ -219,10 +219,11 @@ class Posor:
             Whether there was a latch or a step; without one nothing changes.
 
         """
+        if not self.has_latch:
+            return False
         if not self.tracker["latch"]:
-            stepped = bool(self.tracker["clocks"]["step"])
             self.tracker["clocks"]["step"] = 0.0
-            return stepped
+            return True
         kept = {name: self.tracker[name].copy() for name in ("theta", "last_raw", "repeats", "measured")}
         self.reset()
         for name, value in kept.items():
@@ -279,6 +280,11 @@ class Posor:
     def latched(self) -> Fault:
         """Faults that keep the joint out until the earlier motion is regained, confirmed or acknowledged."""
         return Fault(int(self.tracker["latch"]))
+
+    @property
+    def has_latch(self) -> bool:
+        """Whether ``acknowledge`` has anything to release: a latched fault, or a step of the stamps."""
+        return bool(self.tracker["latch"] or self.tracker["clocks"]["step"])
 
     def continue_from(self, other: Posor, last: Scan | None = None) -> None:
         """Start the next scan from the previous pose of another POSOR of the same kind, with its count and latch.
