@@ -288,7 +288,7 @@ def test_a_release_needs_a_reason_and_a_plausible_scan_and_degrades(tmp_path: Pa
         latched(rig)
         assert rig.acknowledge(" ") == (
             False,
-            "acknowledge: 'reason' is empty; expected who releases the joint, and why",
+            "acknowledge: 'reason' is empty; expected who releases the joint, and why.",
         )
         rig.send(1, gaps=math.nan)
         success, message = rig.acknowledge()
