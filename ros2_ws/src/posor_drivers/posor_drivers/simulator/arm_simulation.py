@@ -17,6 +17,7 @@ from posor_drivers.simulator.imperfections import Imperfections
 from posor_drivers.simulator.nominal_arm import NominalArm
 from posor_drivers.simulator.pose_array import poses_between
 from posor_drivers.simulator.scenario import load_scenario
+from posor_drivers.simulator.truth_model import load_truth
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -40,10 +41,13 @@ class ArmSimulation:
 
     """
 
-    def __init__(self, arm: ArmFile, imperfections: Imperfections | None = None, rate: int = 0) -> None:
+    def __init__(
+        self, arm: ArmFile, imperfections: Imperfections | None = None, rate: int = 0, truth: str = ""
+    ) -> None:
         """Read the arm's files and compute one cycle.
 
         Without ``imperfections`` all are simulated. ``rate`` is in ticks per second; 0: those of the scenario.
+        ``truth`` names the model of the readings, see ``truth_model``; empty: that of the scenario.
 
         Raises:
             ChainError: The URDF or the beams file is invalid.
@@ -62,17 +66,18 @@ class ArmSimulation:
         scenario, source = load_scenario(arm.scenario), str(arm.scenario)
         self.scenario = scenario.at_rate(rate) if rate else scenario
         self._cycle_ticks = self.scenario.cycle_ticks
-        nominal = NominalArm(self.chain)
+        model = load_truth(truth or scenario.truth, arm.path, "parameter truth" if truth else f"{source}, key truth")
+        nominal = NominalArm(self.chain, model)
         self.joints = nominal.joints
         if set(self.scenario.joints) != set(self.joints):
             found = ", ".join(self.scenario.joints)
             raise CalibrationError(f"joints {found}", where=f"{source}, key joints", expected=", ".join(self.joints))
         imperfections = imperfections or Imperfections()
         commanded = self.scenario.commanded_angles(nominal, source)
-        self._cycle = true_cycle(self.scenario, self.chain, nominal, commanded, imperfections)
+        self._cycle = true_cycle(self.scenario, self.chain, nominal, commanded, imperfections, model)
         self.calibrations = {joint: arm.calibration(joint) for joint in self.joints}
         self._electronics = {
-            joint: JointElectronics(self.scenario, joint, calibration, imperfections, source)
+            joint: JointElectronics(self.scenario, joint, calibration, imperfections, source, model)
             for joint, calibration in self.calibrations.items()
         }
         placed = [(f"{source}, key faults[{i}]", fault) for i, fault in enumerate(self.scenario.faults)]

@@ -13,7 +13,7 @@ plate at the end of beam i - 1; the first receiving plate is on the base.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -30,12 +30,16 @@ from posor_drivers.simulator.mechanics import (
 from posor_drivers.simulator.pose_array import ArmTruth, PoseArray
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from posor.chain.kinematic_chain import Chain, FixedLink
+    from posor.chain.measuring_beam import MeasuringBeam
     from posor.numerics.array_types import FloatArray
 
     from posor_drivers.simulator.imperfections import Imperfections
     from posor_drivers.simulator.nominal_arm import NominalArm
     from posor_drivers.simulator.scenario import Scenario
+    from posor_drivers.simulator.truth_model import TrueArm, TrueLink
 
 
 @dataclass(frozen=True)
@@ -50,22 +54,29 @@ class TrueBeam:
     end_gain: FloatArray  # the same for the plate at the end
 
     @classmethod
-    def draw(cls, link: FixedLink, seed: int, imperfections: Imperfections) -> TrueBeam:
-        """Return the true beam of a link; ``seed`` is that of the scenario."""
-        beam, zero = link.beam, np.zeros((6, 3))
+    def without_errors(cls, link: FixedLink, true_link: TrueLink | None) -> TrueBeam:
+        """Return the beam of a link as another model describes it; None: as ``link`` does."""
+        if true_link is not None:
+            return cls(true_link.before, true_link.end, true_link.after, true_link.start_gain, true_link.end_gain)
+        if link.beam is None:
+            return cls(link.before, pin.SE3.Identity(), link.after, np.zeros((6, 3)), np.zeros((6, 3)))
+        return cls(link.before, link.beam.T_start_end, link.after, link.beam.start_gain, link.beam.end_gain)
+
+    def draw(self, beam: MeasuringBeam | None, seed: int, imperfections: Imperfections) -> TrueBeam:
+        """Return the beam with errors; ``beam`` states their uncertainties, ``seed`` is that of the scenario."""
         if beam is None:
-            return cls(link.before, pin.SE3.Identity(), link.after, zero, zero)
+            return self
         random = RandomStream(seed, "beam", beam.name).generator()
         error = np.sqrt(np.diagonal(beam.covariance)) * random.normal(size=6)
         scale = 1.0 + beam.sag_sigma * float(random.normal())
         for name, value in zip(beam.shared_effects, shared_errors(seed, beam.shared_effects), strict=True):
             error += value * beam.shared_effects[name]
             scale += value * beam.shared_sags[name]
-        end = beam.T_start_end
+        end = self.end
         if imperfections.beam_errors:
             end = pin.SE3(pin.exp3(error[3:]) @ end.rotation, end.translation + error[:3])
         factor = (scale if imperfections.beam_errors else 1.0) if imperfections.sag else 0.0
-        return cls(link.before, end, link.after, factor * beam.start_gain, factor * beam.end_gain)
+        return replace(self, end=end, start_gain=factor * self.start_gain, end_gain=factor * self.end_gain)
 
     def plates(self, lines: PoseArray, specific_force: FloatArray) -> tuple[PoseArray, PoseArray]:
         """Return the target plate at the start and the receiving plate at the end.
@@ -81,12 +92,20 @@ class TrueBeam:
 
 
 def true_cycle(
-    scenario: Scenario, chain: Chain, arm: NominalArm, commanded: FloatArray, imperfections: Imperfections
+    scenario: Scenario,
+    chain: Chain,
+    arm: NominalArm,
+    commanded: FloatArray,
+    imperfections: Imperfections,
+    truth: TrueArm | None = None,
 ) -> ArmTruth:
     """Return the truth over one cycle of commanded angles [rad], (n, j), with the stage in its middle.
 
-    ``chain`` is the arm as its files describe it. Of the imperfections, those of the measuring beams have an effect.
+    ``chain`` is the arm as its files describe it; ``truth`` is another model of it, whose geometry, gravity and sag
+    hold then, and from which ``arm`` is made too. Of the imperfections, those of the measuring beams have an effect.
     """
+    gravity = chain.gravity if truth is None else truth.gravity
+    true_links = [None] * len(chain.links) if truth is None else truth.links
     settings = [scenario.joints[name] for name in arm.joints]
     encoder, angles = commanded.copy(), commanded.copy()
     for column, joint in enumerate(settings):
@@ -99,9 +118,10 @@ def true_cycle(
         LinkCompliance.from_structure(joint.structure, float(np.linalg.norm(span)))
         for joint, span in zip(settings, spans, strict=True)
     ]
-    bends = bend_links(arm.target_plates(angles), spans, compliances, scenario.payload.mass.number, chain.gravity)
-    beams = [TrueBeam.draw(link, scenario.seed, imperfections) for link in chain.links]
-    forces = _specific_forces(chain, arm, commanded, scenario.ticks_per_second, inertia=imperfections.inertia)
+    bends = bend_links(arm.target_plates(angles), spans, compliances, scenario.payload.mass.number, gravity)
+    exact = [TrueBeam.without_errors(link, true) for link, true in zip(chain.links, true_links, strict=True)]
+    beams = [beam.draw(link.beam, scenario.seed, imperfections) for beam, link in zip(exact, chain.links, strict=True)]
+    forces = _specific_forces(gravity, exact, arm, commanded, scenario.ticks_per_second, inertia=imperfections.inertia)
     base = PoseArray.repeat(pin.SE3.Identity(), len(commanded))
     structure = base @ arm.links[0]
     last_receiving = receiving = beams[0].plates(base, forces[0])[1]
@@ -134,17 +154,17 @@ def true_cycle(
 
 
 def _specific_forces(
-    chain: Chain, arm: NominalArm, commanded: FloatArray, rate: int, *, inertia: bool
+    gravity: FloatArray, beams: Sequence[TrueBeam], arm: NominalArm, commanded: FloatArray, rate: int, *, inertia: bool
 ) -> list[FloatArray]:
     """Return gravity minus the acceleration of the middle of each link's beam [m/s^2], (n, 3) or (3,), in the base.
 
     The acceleration is that of the commanded motion, which repeats with the cycle; backlash is neglected.
     """
-    forces: list[FloatArray] = [chain.gravity]
-    for target, link in zip(arm.target_plates(commanded), chain.links[1:], strict=True):
-        force = chain.gravity
-        if inertia and link.beam is not None:
-            centre = (target @ link.before @ pin.SE3(np.eye(3), 0.5 * link.beam.T_start_end.translation)).translations
+    forces: list[FloatArray] = [gravity]
+    for target, beam in zip(arm.target_plates(commanded), beams[1:], strict=True):
+        force = gravity
+        if inertia and beam.end_gain.any():
+            centre = (target @ beam.before @ pin.SE3(np.eye(3), 0.5 * beam.end.translation)).translations
             force = force - rate**2 * (np.roll(centre, -1, axis=0) - 2.0 * centre + np.roll(centre, 1, axis=0))
         forces.append(force)
     return forces

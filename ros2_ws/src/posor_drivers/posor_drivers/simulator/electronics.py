@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from posor.calibration.parameter_covariance import shared_effects
 from posor.errors import CalibrationError
-from posor.estimation.forward import scans_at
+from posor.estimation.forward import empty_scans, scans_at
 from posor.estimation.sensor_stack import Stack
 from posor.model.scan import HOME_BUMP, SATURATED, SIMULATED
 from posor.numerics.stamps import NS, tick_stamp_ns
@@ -16,6 +16,7 @@ from posor.numerics.vector import thetas_of, wrapped_angles
 from posor.sensors.base import RowSensor
 
 from posor_drivers.simulator.imperfections import RandomStream, shared_errors
+from posor_drivers.simulator.pose_array import PoseArray
 from posor_drivers.simulator.simulated_scans import (
     DIODE_FIELD,
     PROBE_FIELDS,
@@ -33,8 +34,8 @@ if TYPE_CHECKING:
 
     from posor_drivers.simulator.electronics_settings import ElectronicsSettings
     from posor_drivers.simulator.imperfections import Imperfections
-    from posor_drivers.simulator.pose_array import PoseArray
     from posor_drivers.simulator.scenario import Scenario
+    from posor_drivers.simulator.truth_model import TrueArm
 
 READ_IN_TURN = (*PROBE_FIELDS, DIODE_FIELD)
 """Readings in the order in which a multiplexer reads them."""
@@ -59,11 +60,18 @@ class JointElectronics:
     """Sensors and electronics of one joint. A scan depends on its tick and pose only, not on earlier scans."""
 
     def __init__(
-        self, scenario: Scenario, joint: str, calibration: Calibration, imperfections: Imperfections, source: str
+        self,
+        scenario: Scenario,
+        joint: str,
+        calibration: Calibration,
+        imperfections: Imperfections,
+        source: str,
+        truth: TrueArm | None = None,
     ) -> None:
         """Draw the errors that are constant in time.
 
-        ``scenario`` holds the magnitudes of the imperfections; ``source`` is its name in error messages.
+        ``scenario`` holds the magnitudes of the imperfections; ``source`` is its name in error messages; ``truth``
+        reads the sensors; None: the estimator's own model does.
 
         Raises:
             CalibrationError: A sensor cannot be simulated, or the scenario names a channel that does not exist.
@@ -73,6 +81,7 @@ class JointElectronics:
         self._steps, self._noise = imperfections.quantisation, imperfections.noise
         self._read_settings(scenario.electronics, imperfections)
         self._stack = Stack([sensor.build() for sensor in calibration.sensors])
+        errors = np.zeros(self._stack.parameters)
         if imperfections.calibration_errors:
             random = RandomStream(scenario.seed, "calibration", joint).generator()
             errors = self._stack.parameter_sigmas * random.normal(size=self._stack.parameters)
@@ -80,13 +89,15 @@ class JointElectronics:
                 common = shared_effects(calibration, calibration.session)
                 errors += common @ shared_errors(scenario.seed, calibration.shared)
             self._stack = self._stack.with_parameter_values(self._stack.parameter_values + errors)
+        by_name = dict(zip(self._stack.parameter_names, errors.tolist(), strict=True))
+        self._truth = None if truth is None else truth.joint(joint, by_name)
         self._sensors: list[RowSensor] = []
         for sensor in self._stack.sensors:
             if not isinstance(sensor, RowSensor):
                 what = f"a sensor of type {type(sensor).__name__} cannot be simulated"
                 raise CalibrationError(what, where=f"calibration '{calibration.name}'", expected="sensors with rows")
             self._sensors.append(sensor)
-        one = scans_at(self._stack, np.eye(3)[None], np.zeros((1, 3)), np.zeros(1, dtype=np.int64))
+        one = self._sound_scans(PoseArray(np.eye(3)[None], np.zeros((1, 3))), np.zeros(1, dtype=np.int64), None)
         self._channels = sum(getattr(one, name).size for name in READ_IN_TURN)
         self._readings = RandomStream(scenario.seed, "readings", joint)
         random = RandomStream(scenario.seed, "zero drift", joint).generator()
@@ -148,13 +159,7 @@ class JointElectronics:
         """
         poses = poses_at(0.0)
         supply = self._supply_voltages(ticks)
-        scans = scans_at(
-            self._stack,
-            np.ascontiguousarray(poses.rotations),
-            np.ascontiguousarray(poses.translations),
-            tick_stamp_ns(ticks, self._rate),
-            supply_voltages=supply,
-        )
+        scans = self._sound_scans(poses, tick_stamp_ns(ticks, self._rate), supply)
         out_of_range = {name: np.isnan(getattr(scans, name)) for name in (*PROBE_FIELDS, DIODE_FIELD)}
         home = self.is_at_home(poses.rotations)
         stated: dict[str, Any] = {"numbers": ticks, "at_home": home.astype(np.int64)}
@@ -174,6 +179,14 @@ class JointElectronics:
         sent = np.asarray(chances[:, 0] >= self._lost_share)
         return SimulatedScans(scans, statuses, sent, self._latencies_ns(chances[:, 1]))
 
+    def _sound_scans(self, poses: PoseArray, stamps_ns: IntArray, supply: FloatArray | None) -> Scans:
+        """Return the scans of poses without noise."""
+        rotations, translations = np.ascontiguousarray(poses.rotations), np.ascontiguousarray(poses.translations)
+        if self._truth is None:
+            return scans_at(self._stack, rotations, translations, stamps_ns, supply_voltages=supply)
+        stated = {} if supply is None else {"supply_voltages": supply}
+        return empty_scans(stamps_ns).with_fields(stated | self._truth.readings(rotations, translations, supply))
+
     def exposure_offsets(self, interval_s: float) -> FloatArray:
         """Return the offset of each channel from the stamp, read one after another at an interval [s], (c,)."""
         return np.asarray(interval_s * (np.arange(self._channels) - 0.5 * (self._channels - 1)))
@@ -187,16 +200,12 @@ class JointElectronics:
         a reading is out of range, it is zero.
         """
         stamps_ns, supply = tick_stamp_ns(ticks, self._rate), self._supply_voltages(ticks)
-
-        def read(poses: PoseArray) -> Scans:
-            rotations, translations = np.ascontiguousarray(poses.rotations), np.ascontiguousarray(poses.translations)
-            return scans_at(self._stack, rotations, translations, stamps_ns, supply_voltages=supply)
-
-        offsets_s, present = iter(self.exposure_offsets(interval_s).tolist()), read(poses_at(0.0))
+        offsets_s = iter(self.exposure_offsets(interval_s).tolist())
+        present = self._sound_scans(poses_at(0.0), stamps_ns, supply)
         changes = {name: np.zeros(getattr(present, name).shape) for name in READ_IN_TURN if getattr(present, name).size}
         for name, change in changes.items():
             for channel in np.ndindex(change.shape[1:]):
-                moved = read(poses_at(next(offsets_s)))
+                moved = self._sound_scans(poses_at(next(offsets_s)), stamps_ns, supply)
                 same = (moved.lit_sources == present.lit_sources).all(axis=1)
                 index = (slice(None), *channel)
                 found = getattr(moved, name)[index] - getattr(present, name)[index]

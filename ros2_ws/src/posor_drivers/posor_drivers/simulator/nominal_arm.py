@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from posor.chain.kinematic_chain import Chain
     from posor.numerics.array_types import FloatArray
 
+    from posor_drivers.simulator.truth_model import TrueArm
+
 _MAX_ITERATIONS = 200
 _CONVERGED_RAD = 1e-12
 _REACHED_M = 1e-9
@@ -34,11 +36,14 @@ class NominalArm:
 
     """
 
-    def __init__(self, chain: Chain) -> None:
-        """Read the fixed transforms of a chain."""
+    def __init__(self, chain: Chain, truth: TrueArm | None = None) -> None:
+        """Read the fixed transforms of a chain, or of a model of the same arm instead."""
         self.joints = tuple(joint.name for joint in chain.joints)
         self.origins: tuple[pin.SE3, ...] = tuple(joint.T_parent_joint for joint in chain.joints)
         self.links: tuple[pin.SE3, ...] = tuple(link.T_nominal for link in chain.links)
+        if truth is not None:
+            self.joints, self.origins = truth.joints, truth.origins
+            self.links = tuple(link.before * link.end * link.after for link in truth.links)
 
     def target_plates(self, angles: FloatArray) -> list[PoseArray]:
         """Return the target plate of each joint in the base, for angles [rad], (n, j)."""

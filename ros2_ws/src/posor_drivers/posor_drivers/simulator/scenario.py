@@ -3,7 +3,7 @@
 Versions of the format:
 
 1. First version: ``seed``, ``rate``, ``duration``, ``joints``, ``payload``, ``motion``, ``stage``, ``electronics``;
-   later ``faults``, which may be left out.
+   later ``faults`` and ``truth``, which may be left out.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from posor_drivers.quantity_limits import NOT_NEGATIVE, POSITIVE, Seconds, TickR
 from posor_drivers.simulator.electronics_settings import ElectronicsSettings
 from posor_drivers.simulator.faults import SimulatedFault
 from posor_drivers.simulator.motion_phases import Phase, Rest, Spline
+from posor_drivers.simulator.truth_model import SHARED
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -111,8 +112,8 @@ class StageSettings(FrozenModel):
 class Scenario(FrozenModel):
     """Contents of a scenario file; the scenario repeats after ``duration``.
 
-    ``joints`` are those of the arm. The first phase of ``motion`` starts, and the last one ends, where every joint has
-    its ``start`` angle.
+    ``joints`` are those of the arm. ``truth`` names the model of the readings, see ``truth_model``. The first phase of
+    ``motion`` starts, and the last one ends, where every joint has its ``start`` angle.
     """
 
     format: Literal["posor_scenario"]
@@ -127,6 +128,7 @@ class Scenario(FrozenModel):
     motion: Annotated[tuple[Phase, ...], Field(min_length=1)]
     stage: StageSettings | None = None
     electronics: ElectronicsSettings
+    truth: str = SHARED
     faults: tuple[SimulatedFault, ...] = ()
 
     @model_validator(mode="after")

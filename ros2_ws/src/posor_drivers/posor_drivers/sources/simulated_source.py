@@ -38,6 +38,10 @@ class SimulatedParameters(Imperfections, ParameterGroup):
     rate: Annotated[int, Field(ge=0, le=MAX_RATE_HZ)] = Field(
         default=0, description="scans per second, equal for all drivers of the arm [Hz]; 0: those of the scenario"
     )
+    truth: str = Field(
+        default="",
+        description='model of the readings: "shared", or one of another package; empty: that of the scenario',
+    )
     cycles: Annotated[int, Field(ge=0)] = Field(
         default=0,
         description="end after the rest of the present cycle of the scenario and this many whole cycles; 0: never",
@@ -63,7 +67,7 @@ class SimulatedSource(LiveSource[SimulatedParameters]):
     def open(self) -> Sequence[Topic]:
         """Read the arm's files and compute one cycle."""
         self._simulation = ArmSimulation(
-            load_arm_file(Path(self.parameters.arm)), self.parameters, self.parameters.rate
+            load_arm_file(Path(self.parameters.arm)), self.parameters, self.parameters.rate, self.parameters.truth
         )
         joints, joint = self._simulation.joints, self.parameters.joint
         if joint not in joints:

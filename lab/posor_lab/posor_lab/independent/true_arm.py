@@ -1,0 +1,144 @@
+"""Geometry of an arm by its files: the URDF by pinocchio, the sag of the beams by finite elements."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from posor_lab.independent.beam_elements import sag_gains
+from posor_lab.independent.file_values import read_file, si_values
+from posor_lab.independent.true_joint import TrueJoint
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+FloatArray = NDArray[np.float64]
+
+STANDARD_GRAVITY = (0.0, 0.0, -9.80665)  # [m/s^2], ISO 80000-3
+_SAG_STEPS = 3
+"""Steps to the direction of gravity in the line of the gimbals, from that in the plate: each gains a factor of 1e4."""
+
+
+@dataclass(frozen=True)
+class TrueLink:
+    """From the target plate of a joint (or the base) to the receiving plate of the next one (or the endpoint)."""
+
+    before: pin.SE3  # from that plate to the start of the beam
+    end: pin.SE3  # from the start of the beam to its end, without sag
+    after: pin.SE3  # from there to the next plate
+    start_gain: FloatArray  # motion of the plate at the start for 1 m/s^2 along each axis of the start, (6, 3)
+    end_gain: FloatArray  # the same of the plate at the end
+
+
+class TrueArm:
+    """An arm as its files describe it.
+
+    Attributes:
+        joints: Names of the floating joints, from the base to the endpoint.
+        origins: Pose of each in its receiving plate.
+        links: One more than joints.
+        gravity: In the base [m/s^2], (3,).
+
+    """
+
+    def __init__(self, path: Path | str) -> None:
+        """Read an arm file and the files that it names."""
+        arm = read_file(path)
+        folder = Path(path).resolve().parent
+        self._files = {
+            name: (folder / joint["calibration"], joint.get("session", "")) for name, joint in arm["joints"].items()
+        }
+        beams = read_file(folder / arm["beams"]) if arm.get("beams") else {"beams": []}
+        gravity = beams.get("gravity")
+        self.gravity = np.array(STANDARD_GRAVITY) if gravity is None else si_values(gravity, "m/s^2")
+        model = pin.buildModelFromUrdf(str(folder / arm["urdf"]))
+        data = model.createData()
+        pin.framesForwardKinematics(model, data, pin.neutral(model))
+        frames = model.frames
+
+        def place(frame: int) -> pin.SE3:
+            return data.oMf[frame]
+
+        def link_before(frame: int) -> int:
+            while frames[frame].type != pin.FrameType.BODY:
+                frame = frames[frame].parentFrame
+            return int(frame)
+
+        end = model.getFrameId(arm.get("endpoint_frame", "endpoint"), pin.FrameType.BODY)
+        sags = {beam["joint"]: beam.get("sag") for beam in beams["beams"]}
+        joints, origins, links = [], [], []
+        last, frame = end, end  # last: the plate at which the present link ends
+        beam: tuple[str, int, int] | None = None  # name, frame of its start, frame of its end
+        while frame > 0:
+            kind, name = frames[frame].type, frames[frame].name
+            if kind == pin.FrameType.FIXED_JOINT and name in sags:
+                beam = name, link_before(frames[frame].parentFrame), frame
+            elif kind == pin.FrameType.JOINT:
+                links.append(_link(place(frame), place(last), beam, place, sags))
+                last, beam = link_before(frames[frame].parentFrame), None
+                joints.append(name)
+                origins.append(place(last).actInv(place(frame)))
+            frame = frames[frame].parentFrame
+        links.append(_link(pin.SE3.Identity(), place(last), beam, place, sags))
+        self.joints: tuple[str, ...] = tuple(joints[::-1])
+        self.origins: tuple[pin.SE3, ...] = tuple(origins[::-1])
+        self.links: tuple[TrueLink, ...] = tuple(links[::-1])
+
+    def joint(self, name: str, errors: Mapping[str, float] | None = None) -> TrueJoint:
+        """Return a joint that differs from its calibration file by errors, see ``TrueJoint``."""
+        path, session = self._files[name]
+        return TrueJoint(read_file(path), session, errors)
+
+    def endpoints(self, rotations: FloatArray, translations: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the endpoint in the base, (n, 3, 3), (n, 3) [m], of n scans without errors.
+
+        ``rotations``, ``translations``: poses of the target plates in the receiving plates, (n, j, 3, 3), (n, j, 3)
+        [m]. A plate sags from the line through the gimbals of its beam, and gravity acts on that line: the line is
+        found from the plate by iteration.
+        """
+        count = len(rotations)
+        place = np.tile(np.eye(4), (count, 1, 1))
+        for i, link in enumerate(self.links):
+            start = place @ link.before.homogeneous
+            line = start
+            for _ in range(_SAG_STEPS):
+                sag = _motions(link.start_gain, self._field(line))
+                line = start @ np.linalg.inv(sag)
+            sagged = _motions(link.end_gain, self._field(line))
+            end = np.tile(link.end.homogeneous, (count, 1, 1))
+            end[:, :3, :3] = sagged[:, :3, :3] @ end[:, :3, :3]
+            end[:, :3, 3] += sagged[:, :3, 3]
+            place = line @ end @ link.after.homogeneous
+            if i < len(self.joints):
+                seen = np.tile(np.eye(4), (count, 1, 1))
+                seen[:, :3, :3], seen[:, :3, 3] = rotations[:, i], translations[:, i]
+                place = place @ seen
+        return place[:, :3, :3], place[:, :3, 3]
+
+    def _field(self, line: FloatArray) -> FloatArray:
+        """Return gravity in the axes of frames (n, 4, 4), (n, 3)."""
+        return np.asarray(np.einsum("nji,j->ni", line[:, :3, :3], self.gravity))
+
+
+def _motions(gain: FloatArray, field: FloatArray) -> FloatArray:
+    """Return the motions of a plate in fields (n, 3), (n, 4, 4)."""
+    motion = field @ gain.T
+    out = np.tile(np.eye(4), (len(field), 1, 1))
+    out[:, :3, :3], out[:, :3, 3] = Rotation.from_rotvec(motion[:, 3:]).as_matrix(), motion[:, :3]
+    return out
+
+
+def _link(begin: pin.SE3, end: pin.SE3, beam: tuple[str, int, int] | None, place: Any, sags: Any) -> TrueLink:
+    """Return the link between two places in the base, with all joints in their neutral position."""
+    if beam is None:
+        return TrueLink(begin.actInv(end), pin.SE3.Identity(), pin.SE3.Identity(), np.zeros((6, 3)), np.zeros((6, 3)))
+    name, first, last = beam
+    straight = place(first).actInv(place(last))
+    gains = (np.zeros((6, 3)),) * 2 if sags[name] is None else sag_gains(straight.translation, sags[name])
+    return TrueLink(begin.actInv(place(first)), straight, place(last).actInv(end), *gains)
