@@ -1,7 +1,7 @@
 # POSOR for ROS 2. Every target sets the workspace up first; this takes a fraction of a second if nothing has changed.
 
 .DEFAULT_GOAL := help
-.PHONY: help setup environment audit bounds demo arm calibrate-demo faults time fuzz instruments soak test test-long coverage accuracy budgets thesis bench bench-core data docs lint words lines rooms lock clean
+.PHONY: help setup environment audit bounds demo arm calibrate-demo faults time mutations fuzz instruments soak test test-long coverage accuracy budgets thesis bench bench-core data docs lint words lines rooms lock clean
 
 BAG ?= ymo
 CAL ?= printed
@@ -22,6 +22,7 @@ help:
 	@echo "make calibrate-demo [CAMPAIGNS=6] [POSOR=both]         calibrate simulated POSORs from bags, compare with the truth"
 	@echo "make faults [FAULTS='--quick ...']                     inject every fault, count wrong poses published as valid"
 	@echo "make time                                              the rows of make faults on time: clocks, late scans, multiplexed channels"
+	@echo "make mutations [MUTATIONS='--quick ...']               break the model on purpose, find the check that notices"
 	@echo "make fuzz [FUZZ='--scans 10000 ...']                   damage messages and files, count wrong poses"
 	@echo "make instruments [INSTRUMENTS='--trials TEXT ...']      try every kind of device against a server"
 	@echo "make soak [SOAK='--seconds 120 ...']                   run an arm for an hour, find losses and growth"
@@ -72,6 +73,9 @@ faults:
 
 time:
 	@./run posor_lab faults --rows 'time:' --output build/time.json $(FAULTS)
+
+mutations:
+	@./run posor_lab mutations $(MUTATIONS)
 
 fuzz:
 	@./run posor_lab fuzz $(FUZZ)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import sys
 from collections import Counter
 from graphlib import TopologicalSorter
 from pathlib import Path
@@ -89,6 +90,21 @@ def test_only_rooms_of_nodes_import_ros(graph: grimp.ImportGraph) -> None:
         if imported in ROS_LIBRARIES or room_of(imported) == "posor_ros"
     ]
     assert not wrong, "\n".join(wrong)
+
+
+def test_the_independent_truth_shares_no_code() -> None:
+    graph, inside = build_graph(for_type_checkers=True), "posor_lab.independent"
+    truth = [module for module in graph.modules if module.startswith(inside)]
+    assert len(truth) > 5
+    imported = {other for module in truth for other in graph.find_modules_directly_imported_by(module)}
+    others = {module for module in imported if not module.startswith(inside) and module != "posor_lab"}
+    assert {module.partition(".")[0] for module in others} <= {
+        "numpy",
+        "pinocchio",
+        "scipy",
+        "yaml",
+        *sys.stdlib_module_names,
+    }
 
 
 def test_file_names_are_unique() -> None:

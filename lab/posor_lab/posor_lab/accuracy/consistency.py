@@ -2,7 +2,8 @@
 
 Closure takes scans of known poses through the estimator and through the closed form of the thesis, equations 5.3 to 5.5
 and 5.32. The closed form holds for small angles without tilts, slanting rays and bump profile. Of more than three gap
-probes it takes the plane of least squares.
+probes it takes the plane of least squares. Closure is about the inversion alone, exact to the last digits, so its scans
+come from the estimator's own model. All other scans obey the independent truth.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from posor.numerics.vector import thetas_of
 from scipy.stats import chi2
 
 from posor_lab.harness.random_poses import errors_in_parent, readable_poses
+from posor_lab.true_scans import TruePosor
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -72,7 +74,9 @@ def nees(stack: DesignName, runs: int, seed: int) -> Nees:
     random = np.random.default_rng(seed)
     posor = Posor(design(stack), false_alarm=FALSE_ALARM)
     rotations, translations = readable_poses(posor, stack, runs, random)
-    scans = scans_at(posor.stack, rotations, translations, np.arange(runs, dtype=np.int64), noise=random)
+    scans = TruePosor(posor.calibration).scans_at(
+        posor.stack, rotations, translations, np.arange(runs, dtype=np.int64), noise=random
+    )
     found = posor.estimate_each(scans, thetas_of(rotations))
     known = np.isfinite(found.thetas)  # noise can push a reading at the rim out of its calibrated range
     errors = errors_in_parent(found.rotations[known], found.translations[known], rotations[known], translations[known])
@@ -100,7 +104,7 @@ class DrawnPosors:
 
     def __init__(self, posor: Posor, random: np.random.Generator) -> None:
         """Prepare the draws."""
-        self._stack, self._random = posor.stack, random
+        self._stack, self._random, self._truth = posor.stack, random, TruePosor(posor.calibration)
         environment = posor.calibration.environment or Environment()
         parts = [environment.supply, environment.temperature]
         self._middles = np.array([0.0 if part is None else np.mean(part.range.array) for part in parts])
@@ -115,7 +119,7 @@ class DrawnPosors:
         count = len(rotations)
         supply, temperature = np.repeat(self._middles + self._spreads * random.normal(size=2), count).reshape(2, count)
         stamps, unknown = np.zeros(count, dtype=np.int64), np.full(count, np.nan)
-        scans = scans_at(
+        scans = self._truth.scans_at(
             real, rotations, translations, stamps, supply_voltages=supply, temperatures=temperature, noise=noise
         )
         return scans.with_fields({"supply_voltages": unknown, "temperatures": unknown})
@@ -135,8 +139,12 @@ def monte_carlo(stack: DesignName, draws: int, seed: int) -> MonteCarlo:
     rotations, translations = np.repeat(rotation, draws, axis=0), np.repeat(translation, draws, axis=0)
     stamps = np.arange(draws, dtype=np.int64)
     thetas = thetas_of(rotations)
-    found = posor.estimate_each(scans_at(posor.stack, rotations, translations, stamps, noise=random), thetas)
-    errors = errors_in_parent(found.rotations, found.translations, rotations, translations)
+    real = TruePosor(posor.calibration)
+    found = posor.estimate_each(real.scans_at(posor.stack, rotations, translations, stamps, noise=random), thetas)
+    # What the area of the probes shifts in all scans alike is no noise.
+    quiet = posor.estimate_each(real.scans_at(posor.stack, rotation, translation, stamps[:1]), thetas[:1])
+    without_noise = np.repeat(quiet.rotations, draws, axis=0), np.repeat(quiet.translations, draws, axis=0)
+    errors = errors_in_parent(found.rotations, found.translations, *without_noise)
     random_ratio = _worst_ratio(errors, np.mean(np.diagonal(found.covariances_random, axis1=1, axis2=2), axis=0))
 
     posors, variances = DrawnPosors(posor, random), np.zeros(FREEDOMS)

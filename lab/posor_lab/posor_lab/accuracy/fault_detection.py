@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, cast
 import numpy as np
 import pinocchio as pin
 from posor.calibration.designs import DesignName, design
-from posor.estimation.forward import scans_at
 from posor.estimation.posor import Posor
 from posor.estimation.scan_checks import NOISE_ALLOWANCE
 from posor.model.fault import State
@@ -18,6 +17,7 @@ from posor.model.scan import STATED_HOME
 from posor.uncertainty.reading_sensitivity import sensitivity_at
 
 from posor_lab.harness.random_poses import TICK_NS
+from posor_lab.true_scans import TruePosor
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -52,7 +52,8 @@ def _sound_scans(posor: Posor, speed: float, count: int, random: np.random.Gener
     rotations = np.array([rotation_from_native(2e-5 * math.sin(t), 2e-5 * math.cos(t), t) for t in thetas])
     runout = 5e-6 * np.column_stack([np.cos(thetas), np.sin(thetas), np.sin(2.0 * thetas)])
     stamps = np.arange(1, count + 1, dtype=np.int64) * TICK_NS
-    scans = scans_at(posor.stack, rotations, np.array([0.0, 0.0, 0.7e-3]) + runout, stamps, noise=random)
+    places = np.array([0.0, 0.0, 0.7e-3]) + runout
+    scans = TruePosor(posor.calibration).scans_at(posor.stack, rotations, places, stamps, noise=random)
     at_home = np.zeros(count, dtype=np.int64)
     at_home[0] = STATED_HOME  # the ring is counted from the first scan on
     return scans.with_fields({"at_home": at_home})

@@ -45,7 +45,7 @@ _IDENTITY = {  # map of a diode whose spots [m] are its ratios
 
 
 @dataclass(frozen=True)
-class _Case:
+class Case:
     """One ray-traced case, for one stack of its sensors."""
 
     name: str  # ``case <number>``
@@ -55,7 +55,7 @@ class _Case:
     T_R_T: pin.SE3  # the pose
 
 
-def _read_cases(path: Path, stack: StackName) -> Iterator[_Case]:
+def read_cases(path: Path, stack: StackName) -> Iterator[Case]:
     """Read a file of cases for one of the stacks."""
     try:
         lines = path.read_text(encoding="utf-8").splitlines()
@@ -76,7 +76,7 @@ def _read_cases(path: Path, stack: StackName) -> Iterator[_Case]:
         raise DataFileError("holds no case", where=str(path), expected="one JSON case per line")
 
 
-def _case(case: dict[str, Any], stack: StackName) -> _Case:
+def _case(case: dict[str, Any], stack: StackName) -> Case:
     gaps, spots, ring_gaps = (np.array(case["readings"][name]) for name in ("gaps", "spots", "ring_gaps"))
     with_ring = stack == "triad_bumpy_ring"
     content = {
@@ -98,7 +98,7 @@ def _case(case: dict[str, Any], stack: StackName) -> _Case:
     )
     pose = pin.SE3(np.array(case["T_R_T"]["rotation"]), np.array(case["T_R_T"]["translation"]))
     expected = np.concatenate([gaps, ring_gaps if with_ring else spots.ravel()])
-    return _Case(calibration.name, calibration, scan, expected, pose)
+    return Case(calibration.name, calibration, scan, expected, pose)
 
 
 def _probes(kind: str, probes: list[dict[str, list[float]]]) -> list[dict[str, object]]:
@@ -164,7 +164,7 @@ def _bumpy_ring(case: dict[str, Any]) -> dict[str, object]:
     }
 
 
-def _case_errors(case: _Case) -> tuple[float, float, float]:
+def case_errors(case: Case) -> tuple[float, float, float]:
     """Return the largest error of the predicted readings [m], and of the recovered translation [m] and angle [rad]."""
     posor = Posor(case.calibration)
     predicted = posor.predict(case.scan, case.T_R_T)
@@ -190,7 +190,7 @@ def largest_errors(path: Path) -> dict[str, dict[str, float]]:
     """
     report = {}
     for stack in get_args(StackName):
-        largest = np.max([_case_errors(case) for case in _read_cases(path, stack)], axis=0)
+        largest = np.max([case_errors(case) for case in read_cases(path, stack)], axis=0)
         report[stack] = dict(zip(("prediction_m", "translation_m", "rotation_rad"), largest.tolist(), strict=True))
     return report
 

@@ -44,6 +44,7 @@ if TYPE_CHECKING:
 
 OUTPUTS = ("report.html",)
 BUDGET_DRAWS = 500
+TRUTH = "independent"  # model of the readings of the live run
 MIN_ARMS = 2  # number of arms with a standard deviation
 
 
@@ -120,7 +121,7 @@ def _checked_simulation(arm: ArmFile, options: Namespace) -> ArmSimulation:
         raise ParameterError(what, where=str(arm.path), expected="an arm with beams, or no --coverage-only")
     parameters = {name.removeprefix("simulated."): value for name, value in options.parameters}
     known = {name: bool(value) for name, value in parameters.items() if name in Imperfections.model_fields}
-    simulation = ArmSimulation(arm, Imperfections(**known))
+    simulation = ArmSimulation(arm, Imperfections(**known), truth=str(parameters.get("truth", TRUTH)))
     if options.controller is not None and simulation.scenario.stage is None:
         what = "the scenario has no stage, which a controller could move"
         raise ParameterError(what, where=str(arm.scenario), expected="no --controller")
@@ -142,7 +143,7 @@ def _run_nodes(
         ArmReceiver(arm.name, simulation.chain, stage=scenario.stage is not None) as receiver,
         ArmLiveTable(f"{arm.name}, simulated", console, live=not options.no_live) as table,
     ):
-        parameters = dict(options.parameters)
+        parameters = {"simulated.truth": TRUTH, **dict(options.parameters)}
         run = ArmRun(
             simulation, supervisor, receiver, table, driver_parameters=parameters, interrupted=lambda: stop.requested
         )

@@ -1,8 +1,8 @@
 """Coverage of the published uncertainty, and effect of the sag, over many simulated arms. No ROS.
 
 Each arm is drawn within the uncertainties of the files: all parameters of POSORs and measuring beams, sag, bearings,
-and the noise of every reading. At several poses of the scenario its raw scans go through estimators and chain as in the
-nodes, which know only the files.
+and the noise of every reading. Its geometry, sag and readings are those of the independent truth. At several poses of
+the scenario its raw scans go through estimators and chain as in the nodes, which know only the files.
 """
 
 from __future__ import annotations
@@ -29,6 +29,7 @@ from posor_drivers.simulator.scenario import load_scenario
 
 from posor_lab.accuracy.consistency import REGION_LIMIT, MeanEstimate, normalised_squares
 from posor_lab.arm_study.arm_record import pose_array, pose_errors, rms
+from posor_lab.independent.true_arm import TrueArm
 from posor_lab.reports.process_pool import ordered_map
 
 if TYPE_CHECKING:
@@ -142,7 +143,8 @@ class ArmSampler:
         urdf = arm.urdf.read_text(encoding="utf-8")
         self.straight = Chain(urdf, arm.endpoint_frame, straight)
         self._independent = Chain(urdf, arm.endpoint_frame, _independent_beams(beams, self.chain))
-        self._nominal = NominalArm(self.chain)
+        self._truth = TrueArm(arm.path)
+        self._nominal = NominalArm(self.chain, self._truth)
         self._posors = {joint: Posor(arm.calibration(joint), false_alarm=FALSE_ALARM) for joint in self._nominal.joints}
         self._terms = [tuple(posor.calibration.shared) for posor in self._posors.values()]
         cycle = self._scenario.cycle_ticks
@@ -158,7 +160,7 @@ class ArmSampler:
         independent = np.full((arms, poses), np.nan)
         for n, seed in enumerate(seeds):
             scenario = self._scenario.model_copy(update={"seed": seed})
-            truth = true_cycle(scenario, self.chain, self._nominal, self._commanded, IN_THE_BUDGET)
+            truth = true_cycle(scenario, self.chain, self._nominal, self._commanded, IN_THE_BUDGET, self._truth)
             found = {joint: self._estimate_joint(joint, scenario, seen) for joint, seen in truth.T_parent_child.items()}
             known = np.all([estimates.states != State.LOST for estimates in found.values()], axis=0)
             if not known.any():
@@ -195,7 +197,7 @@ class ArmSampler:
     def _estimate_joint(self, joint: str, scenario: Scenario, seen: PoseArray) -> Estimates:
         """Return the estimates of a joint's noisy scans at true poses; theta is taken from the counting ring."""
         posor = self._posors[joint]
-        electronics = JointElectronics(scenario, joint, posor.calibration, IN_THE_BUDGET, self._source)
+        electronics = JointElectronics(scenario, joint, posor.calibration, IN_THE_BUDGET, self._source, self._truth)
         thetas = thetas_of(seen.rotations)
         return posor.estimate_each(electronics.scans(self._ticks, lambda _: seen).scans, thetas)
 

@@ -21,6 +21,7 @@ from posor_drivers.simulator.nominal_arm import NominalArm
 from posor_drivers.simulator.scenario import load_scenario
 
 from posor_lab.accuracy.consistency import DrawnPosors
+from posor_lab.independent.true_arm import TrueArm
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -58,7 +59,8 @@ def filter_runs(arm: ArmFile, arms: int, poses: int, scans: int, seed: int = 0) 
     if arm.scenario is None:
         raise ParameterError("has no scenario", where=str(arm.path), expected="a simulated arm")
     scenario, chain = load_scenario(arm.scenario), arm.chain()
-    nominal = NominalArm(chain)
+    geometry = TrueArm(arm.path)
+    nominal = NominalArm(chain, geometry)
     posors = {joint: Posor(arm.calibration(joint), false_alarm=FALSE_ALARM) for joint in nominal.joints}
     cycle = scenario.commanded_angles(nominal, str(arm.scenario))
     starts = cycle[(np.arange(poses) * len(cycle)) // poses + len(cycle) // (2 * poses)]
@@ -68,7 +70,7 @@ def filter_runs(arm: ArmFile, arms: int, poses: int, scans: int, seed: int = 0) 
     stamps_ns = tick_stamp_ns(np.arange(len(commanded)), RATE)
     for own_seed in range(seed, seed + arms):
         drawn, random = scenario.model_copy(update={"seed": own_seed}), np.random.default_rng(own_seed)
-        truth = true_cycle(drawn, chain, nominal, commanded, DRAWN)
+        truth = true_cycle(drawn, chain, nominal, commanded, DRAWN, geometry)
         readings = {
             joint: _noisy_scans(posor, truth.T_parent_child[joint], random).with_fields({"stamps_ns": stamps_ns})
             for joint, posor in posors.items()

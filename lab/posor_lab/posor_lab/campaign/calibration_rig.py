@@ -6,19 +6,20 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from posor.bags.recording import Recording, Track
-from posor.estimation.forward import empty_scans, scans_at
-from posor.estimation.sensor_stack import Stack
+from posor.estimation.forward import empty_scans
 from posor.model.native_coordinates import native_from_rotation, rotation_from_native
-from posor.model.reading_rows import evaluate_poses
 from posor.model.scan import NO_SOURCE, SATURATED, SIMULATED
 from posor.numerics.vector import wrapped_angles
+from posor.sensors.diodes import Diodes
 from posor_drivers.simulator.electronics import HOME_MARK, convert_to_digital
 from scipy.spatial.transform import Rotation
 
 if TYPE_CHECKING:
+    from posor.estimation.sensor_stack import Stack
     from posor.model.scan import Scans
     from posor.numerics.array_types import FloatArray, IntArray
-    from posor.sensors.diodes import Diodes
+
+    from posor_lab.true_scans import TruePosor
 
 PERIOD_NS = 20_000_000  # from scan to scan
 BEGIN_NS = 1_795_000_000_000_000_000
@@ -47,47 +48,54 @@ def natives_of_poses(rotations: FloatArray, translations: FloatArray) -> FloatAr
 
 
 def simulate_scans(
-    stack: Stack, natives: FloatArray, random: np.random.Generator, supply_voltages: FloatArray | None = None
+    real: TruePosor,
+    stack: Stack,
+    natives: FloatArray,
+    random: np.random.Generator,
+    supply_voltages: FloatArray | None = None,
 ) -> Scans:
-    """Return the scans of a target at native coordinates x, y, gap [m], alpha, beta, theta [rad], (n, 6)."""
+    """Return the scans of a target at native coordinates x, y, gap [m], alpha, beta, theta [rad], (n, 6).
+
+    ``real`` reads the sensors, ``stack`` holds their true parameters.
+    """
     count, stamps = len(natives), scan_stamps(len(natives))
     if supply_voltages is None:
         supply_voltages = SUPPLY + RIPPLE * np.sin(np.linspace(0.0, 5.0, count))
     rotations, translations = rotations_of_natives(natives), np.ascontiguousarray(natives[:, :3])
-    scans = scans_at(stack, rotations, translations, stamps, supply_voltages=supply_voltages, noise=random)
+    scans = real.scans_at(stack, rotations, translations, stamps, supply_voltages=supply_voltages, noise=random)
     measured = supply_voltages + SUPPLY_NOISE * random.normal(size=count)
     home = _home_marks(stack, natives[:, 5])
     return scans.with_fields({"supply_voltages": measured}).with_fields({"at_home": home})
 
 
 def simulate_single_source_scans(
-    sensor: Diodes, translations: FloatArray, source: int, random: np.random.Generator
+    real: TruePosor, stack: Stack, translations: FloatArray, source: int, random: np.random.Generator
 ) -> Scans:
     """Return the scans of diodes over which one light source of a level target is moved, translations (n, 3)."""
-    count, diodes = len(translations), len(sensor.reading_names) // 2
-    scans = empty_scans(scan_stamps(count)).with_fields({"lit_sources": np.full((count, diodes), source)})
-    light = {"diode_currents": np.full((count, diodes, 4), 2.5e-5)}
-    rows = Stack([sensor]).linearise(scans.with_fields(light)).selected
-    level = np.tile(np.eye(3), (count, 1, 1))
-    spots = evaluate_poses(sensor.rows, rows, level, np.ascontiguousarray(translations))
-    return _with_currents(sensor, spots, scans, random)
+    count, diodes = len(translations), len(_diodes(stack).reading_names) // 2
+    level, lit = np.tile(np.eye(3), (count, 1, 1)), np.full((count, diodes), source)
+    readings = real.joint(stack).readings(level, translations, lit_sources=lit)
+    return _noisy_currents(stack, readings["diode_currents"], lit, random)
 
 
-def simulate_spot_scans(sensor: Diodes, diode: int, spots: FloatArray, random: np.random.Generator) -> Scans:
+def simulate_spot_scans(
+    real: TruePosor, stack: Stack, diode: int, spots: FloatArray, random: np.random.Generator
+) -> Scans:
     """Return the scans of one diode with its light at spots (n, 2) [m]; the other diodes are dark."""
-    count, diodes = len(spots), len(sensor.reading_names) // 2
-    lit = np.full((count, diodes), NO_SOURCE, dtype=np.int64)
-    lit[:, diode] = diode
-    scans = empty_scans(scan_stamps(count)).with_fields({"lit_sources": lit})
-    all_spots = np.full((count, 2 * diodes), np.nan)
-    all_spots[:, 2 * diode : 2 * diode + 2] = spots
-    return _with_currents(sensor, all_spots, scans, random)
+    count, diodes = len(spots), len(_diodes(stack).reading_names) // 2
+    lit, currents = np.full((count, diodes), NO_SOURCE), np.full((count, diodes, 4), np.nan)
+    lit[:, diode], currents[:, diode] = diode, real.joint(stack).spot_currents(diode, spots)
+    return _noisy_currents(stack, currents, lit, random)
 
 
-def _with_currents(sensor: Diodes, spots: FloatArray, scans: Scans, random: np.random.Generator) -> Scans:
-    """Return scans with the noisy currents of spots (n, 2 diodes)."""
-    scans = scans.with_fields(sensor.encode(spots, scans))
-    return scans.with_fields(sensor.disturbed(scans, random))
+def _diodes(stack: Stack) -> Diodes:
+    return next(sensor for sensor in stack.sensors if isinstance(sensor, Diodes))
+
+
+def _noisy_currents(stack: Stack, currents: FloatArray, lit: IntArray, random: np.random.Generator) -> Scans:
+    """Return scans with noisy currents (n, d, 4) of the diodes alone."""
+    scans = empty_scans(scan_stamps(len(lit))).with_fields({"lit_sources": lit, "diode_currents": currents})
+    return scans.with_fields(_diodes(stack).disturbed(scans, random))
 
 
 def _home_marks(stack: Stack, thetas: FloatArray) -> IntArray:

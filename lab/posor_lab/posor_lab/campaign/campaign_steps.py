@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from posor.calibration.designs import STANDOFF, THETA_OF_TWO_SOURCES
-from posor.estimation.forward import scans_at
 from posor.estimation.posor import Posor
 
 from posor_lab.campaign.calibration_rig import (
@@ -98,7 +97,7 @@ def _gap_linearisation(truth: GroundTruth) -> Recording:
     natives = np.zeros((len(path), 6))
     natives[:, 2] = path[:, 0]
     natives[:, 3:5] = LEVEL
-    scans = simulate_scans(truth.first_day, natives, random)
+    scans = simulate_scans(truth.real, truth.first_day, natives, random)
     return record_scans(scans, reference_track(path[:, 1:], np.array([INTERFEROMETER])))
 
 
@@ -107,7 +106,7 @@ def _supply_sensitivity(truth: GroundTruth) -> Recording:
     random = truth.random("supply")
     levels = dwell_path(np.linspace(14.4, 15.6, 9)[:, None], 40)
     natives = np.tile([0.0, 0.0, STANDOFF, 0.0, 0.0, 0.0], (len(levels), 1))
-    return record_scans(simulate_scans(truth.first_day, natives, random, levels[:, 0]), None)
+    return record_scans(simulate_scans(truth.real, truth.first_day, natives, random, levels[:, 0]), None)
 
 
 def _probe_spacing(truth: GroundTruth) -> Recording:
@@ -121,7 +120,7 @@ def _probe_spacing(truth: GroundTruth) -> Recording:
     natives, measured = np.zeros((2, len(path), 6))
     natives[:, 2:5] = path[:, [2, 0, 1]]
     measured[:, 2], measured[:, 3:5] = STANDOFF, path[:, 3:]
-    scans = simulate_scans(truth.first_day, natives, random)
+    scans = simulate_scans(truth.real, truth.first_day, natives, random)
     return record_scans(scans, pose_reference_track(measured, 1e-3, AUTOCOLLIMATOR))
 
 
@@ -137,8 +136,7 @@ def _diode_map(diode: int, truth: GroundTruth) -> Recording:
     grid = _meander(GRID, 11)
     path = dwell_path(np.hstack([grid + CROSS_TABLE * random.normal(size=grid.shape), grid]), 12, 2)
     measured = np.column_stack([path[:, 2:], np.zeros(len(path))])
-    sensor: Any = truth.first_day.sensors[1]
-    scans = simulate_spot_scans(sensor, diode, path[:, :2], random)
+    scans = simulate_spot_scans(truth.real, truth.first_day, diode, path[:, :2], random)
     return record_scans(scans, reference_track(measured, np.full(3, CROSS_TABLE)))
 
 
@@ -151,8 +149,7 @@ def _diode_axes(truth: GroundTruth) -> Recording:
     heading, offset = 2e-3 * random.normal(), 2e-4 * random.normal(size=2)
     turn = rotations_of_natives(np.array([[0.0, 0.0, 0.0, 0.0, 0.0, heading]]))[0]
     path = dwell_path(np.hstack([true @ turn.T + [*offset, STANDOFF], dwells]), 12, 2)
-    sensor: Any = truth.first_day.sensors[1]
-    scans = simulate_single_source_scans(sensor, path[:, :3], 0, random)
+    scans = simulate_single_source_scans(truth.real, truth.first_day, path[:, :3], 0, random)
     return record_scans(scans, reference_track(path[:, 3:], np.full(3, CROSS_TABLE)))
 
 
@@ -168,7 +165,7 @@ def _light_sources(truth: GroundTruth) -> Recording:
     true[:, :2] += np.repeat(100e-6 * random.normal(size=(2, 2)), len(heights), axis=0) + measured[:, 2:3] * lean
     true[:, :2] += CROSS_TABLE * random.normal(size=(len(measured), 2))
     path = dwell_path(np.hstack([true, measured]), 15, 2)
-    scans = simulate_scans(truth.first_day, path[:, :6], random)
+    scans = simulate_scans(truth.real, truth.first_day, path[:, :6], random)
     scans = scans.with_fields({"gap_voltages": np.empty((len(scans), 0))})  # the target is beyond the gap probes
     return record_scans(scans, pose_reference_track(path[:, 6:], CROSS_TABLE, 1e-4))
 
@@ -184,7 +181,7 @@ def _ring_profile(truth: GroundTruth) -> Recording:
     natives[:, 3:5] = harmonics @ (5e-6 * random.normal(size=(4, 2)))
     natives[:, 5] = thetas
     measured = thetas + INDEX_TABLE * random.normal(size=len(thetas))
-    scans = simulate_scans(truth.first_day, natives, random)
+    scans = simulate_scans(truth.real, truth.first_day, natives, random)
     return record_scans(scans, reference_track(measured[:, None], np.array([INDEX_TABLE])))
 
 
@@ -199,7 +196,7 @@ def _target_plane(truth: GroundTruth) -> Recording:
     natives[:, 2] = STANDOFF
     natives[:, 3:5] = 1e-3 * random.normal(size=2) + WOBBLE * random.normal(size=(len(thetas), 2))
     natives[:, 5] = thetas
-    return record_scans(simulate_scans(truth.first_day, natives, random), None)
+    return record_scans(simulate_scans(truth.real, truth.first_day, natives, random), None)
 
 
 def _zero_drift(truth: GroundTruth) -> Recording:
@@ -213,7 +210,7 @@ def _zero_drift(truth: GroundTruth) -> Recording:
     measured[:, 3:] += AUTOCOLLIMATOR * random.normal(size=(len(phase), 3))
     measured[:, :3] += 1e-6 * random.normal(size=(len(phase), 3))
     return record_scans(
-        simulate_scans(truth.later, natives, random), pose_reference_track(measured, 1e-6, AUTOCOLLIMATOR)
+        simulate_scans(truth.real, truth.later, natives, random), pose_reference_track(measured, 1e-6, AUTOCOLLIMATOR)
     )
 
 
@@ -225,7 +222,7 @@ def _bundle(truth: GroundTruth) -> Recording:
     measured[:, :3] += MACHINE[0] * random.normal(size=(POSES, 3))
     measured[:, 3:] += MACHINE[1] * random.normal(size=(POSES, 3))
     path = dwell_path(np.hstack([poses, measured]), 10, 2)
-    scans = simulate_scans(truth.later, path[:, :6], random)
+    scans = simulate_scans(truth.real, truth.later, path[:, :6], random)
     return record_scans(scans, pose_reference_track(path[:, 6:], *MACHINE))
 
 
@@ -238,8 +235,8 @@ def draw_native_poses(truth: GroundTruth, count: int, random: np.random.Generato
         rotations, translations = draw_poses(truth.name, count, random)
         usable: BoolArray = np.ones(count, dtype=bool)
         for stack in (truth.later, as_built):
-            usable &= readable(scans_at(stack, rotations, translations, stamps))
-        volts = scans_at(truth.first_day, rotations, translations, stamps).gap_voltages
+            usable &= readable(truth.real.scans_at(stack, rotations, translations, stamps))
+        volts = truth.real.scans_at(truth.first_day, rotations, translations, stamps).gap_voltages
         usable &= np.all(np.abs(volts) < USABLE_VOLTS, axis=1)
         poses = np.concatenate([poses, natives_of_poses(rotations[usable], translations[usable])])
     return poses[:count]

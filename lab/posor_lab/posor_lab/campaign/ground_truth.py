@@ -15,6 +15,8 @@ from posor.estimation.posor import Posor
 from posor_calibration.calibration_parameters import FreeParameters
 from posor_drivers.simulator.imperfections import RandomStream
 
+from posor_lab.true_scans import TruePosor
+
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
@@ -57,6 +59,7 @@ class GroundTruth:
     name: PosorName  # name of its design
     seed: int  # seed of the draw
     as_built: Calibration  # calibration of the POSOR as built
+    real: TruePosor  # reads the sensors, by the independent truth
     first_day: Stack  # its true sensors on the day on which its probes are linearised
     later: Stack  # the same after the drift of the probes' zeros
 
@@ -72,7 +75,7 @@ class GroundTruth:
         drifted = values.copy()
         drifted[shifts] += DRIFT * random.normal(size=3)
         first_day, later = (stack.with_parameter_values(each) for each in (values, drifted))
-        return GroundTruth(name, seed, calibration, first_day, later)
+        return GroundTruth(name, seed, calibration, TruePosor(calibration), first_day, later)
 
     def random(self, step: str) -> np.random.Generator:
         """Return the random numbers of one step."""

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pinocchio as pin
 from posor.calibration.parameter_covariance import stated_covariance
-from posor.estimation.forward import scans_at
 from posor.estimation.posor import Posor
 from posor.model.fault import State
 from posor.numerics.vector import wrapped_angles
@@ -72,9 +71,10 @@ def validate_calibration(truth: GroundTruth, calibration: Calibration, count: in
     """Move the true POSOR to new random poses, and estimate these with a calibration."""
     random = truth.random("fresh")
     poses = draw_native_poses(truth, count, random)
-    scans = record_scans(simulate_scans(truth.later, poses, random), None).scans
+    scans = record_scans(simulate_scans(truth.real, truth.later, poses, random), None).scans
     stamps, supply = scan_stamps(count), np.full(count, SUPPLY)
-    quiet = scans_at(truth.later, rotations_of_natives(poses), poses[:, :3], stamps, supply_voltages=supply)
+    rotations = rotations_of_natives(poses)
+    quiet = truth.real.scans_at(truth.later, rotations, poses[:, :3], stamps, supply_voltages=supply)
     posor = Posor(calibration, false_alarm=0.0)
     errors, rotations, translations = _estimate_errors(posor, scans, poses)
     sigmas, calibration_sigmas = np.full((2, count, 6), np.nan)

@@ -67,6 +67,7 @@ def write_fault_arm(
         "duration": quantity(duration_s, "s"),
         "motion": [{**spline, "through": {"value": waypoints.tolist(), "unit": "rad"}}],
         "faults": list(faults),
+        "truth": "independent",
     }
     for joint in content["joints"].values():
         joint.pop("start", None)

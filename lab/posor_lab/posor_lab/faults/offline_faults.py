@@ -16,7 +16,6 @@ import pinocchio as pin
 from posor.calibration.designs import sized_design
 from posor.chain.arm_file import load_arm_file
 from posor.errors import PosorError
-from posor.estimation.forward import scans_at
 from posor.estimation.posor import Posor
 from posor.model.fault import USABLE_STATES, Fault, State
 from posor.numerics.stamps import NS
@@ -30,6 +29,8 @@ from posor_drivers.simulator.pose_array import PoseArray
 from posor_lab.faults.fault_table import RowResult
 from posor_lab.faults.pose_judge import SIGMAS, estimated_poses, small_errors, wrong_poses
 from posor_lab.faults.storm import draw_sensors
+from posor_lab.independent.true_arm import TrueArm
+from posor_lab.true_scans import TruePosor
 
 if TYPE_CHECKING:
     from posor.numerics.array_types import FloatArray
@@ -66,6 +67,7 @@ def _probe_cases(
 ) -> tuple[int, tuple[FloatArray, FloatArray, FloatArray]]:
     """Return the number of cases without a pose; errors, protection levels and standard deviations of the others."""
     posor = Posor(load_arm_file(find_arm(row.arm)).calibration(JOINT))
+    real = TruePosor(posor.calibration)
     truth = draw_joint_poses(cases, random)
     gap_sensor: Any = posor.calibration.sensors[0]
     slopes = [abs(float(probe.volts_to_gap.array[1])) for probe in gap_sensor.probes]
@@ -74,7 +76,7 @@ def _probe_cases(
     for n in range(cases):
         stack = draw_sensors(posor, random)
         true = truth.select(np.array([n]))
-        scan = scans_at(stack, true.rotations, true.translations, np.zeros(1, dtype=np.int64), noise=random)
+        scan = real.scans_at(stack, true.rotations, true.translations, np.zeros(1, dtype=np.int64), noise=random)
         reliability = joint_reliability(posor, scan[0], true[0])
         channel = int(random.integers(len(slopes)))
         detectable = row.inject.get("detectable", 0.0) * reliability.biases[channel] / slopes[channel]
@@ -108,13 +110,15 @@ def _warm_beam_cases(
     arm = load_arm_file(find_arm("six_axis"))
     chain = arm.chain()
     posors = {joint.name: Posor(arm.calibration(joint.name)) for joint in chain.joints}
-    scale = 1.0 + EXPANSION * kelvin
+    scale, links = 1.0 + EXPANSION * kelvin, [each.before * each.end * each.after for each in TrueArm(arm.path).links]
+    reals = {joint: TruePosor(posor.calibration) for joint, posor in posors.items()}
     errors, levels, sigmas = np.zeros((3, cases, 6))
     for n in range(cases):
         poses, shifts, joints = {}, [], []
         for joint, posor in posors.items():
             pose = draw_joint_poses(1, random)
-            scan = scans_at(posor.stack, pose.rotations, pose.translations, np.zeros(1, dtype=np.int64))
+            stamps = np.zeros(1, dtype=np.int64)
+            scan = reals[joint].scans_at(posor.stack, pose.rotations, pose.translations, stamps)
             found = posor.estimate_each(scan)
             if found.states[0] != State.OK:
                 raise PosorError(f"joint {joint} has no pose in a simulated case", where="offline_faults")
@@ -128,10 +132,10 @@ def _warm_beam_cases(
         expansions = expansion_shifts(chain, poses)
         levels[n] = endpoint_protection_level(shifts, [effects[name] for name in poses], covariance, expansions)
         sigmas[n] = np.sqrt(np.diagonal(covariance))
-        warm = cold = chain.links[0].T_nominal
-        for pose, link in zip(poses.values(), chain.links[1:], strict=True):
-            longer = pin.SE3(link.T_nominal.rotation, scale * link.T_nominal.translation)
-            warm, cold = warm * pose * longer, cold * pose * link.T_nominal
+        warm = cold = links[0]
+        for pose, link in zip(poses.values(), links[1:], strict=True):
+            longer = pin.SE3(link.rotation, scale * link.translation)
+            warm, cold = warm * pose * longer, cold * pose * link
         errors[n, :3] = np.abs(warm.translation - cold.translation)
     return errors, levels, sigmas
 
@@ -152,6 +156,7 @@ def run_slips(row: FaultRow, seed: int, positions: int = 12) -> RowResult:
     """Return the result of slips of a coded ring at random angles: by every number, on both diodes, early and late."""
     calibration = sized_design("quad_light_ring", 0.2032, frames=("receiving", "target"), title="slips")
     posor = Posor(calibration)
+    real = TruePosor(calibration)
     sources = next(len(each.light_sources) for each in calibration.sensors if isinstance(each, DiodesCalibration))
     random = np.random.default_rng(seed)
     wrong, namings = 0, list[int]()
@@ -160,7 +165,7 @@ def run_slips(row: FaultRow, seed: int, positions: int = 12) -> RowResult:
         truth = PoseArray(truth.rotations, truth.translations + GAP)
         stack = draw_sensors(posor, random)
         stamps = np.arange(1, SLIP_SCANS + 1, dtype=np.int64) * (NS // SLIP_RATE)
-        sound = scans_at(stack, truth.rotations, truth.translations, stamps, noise=random)
+        sound = real.scans_at(stack, truth.rotations, truth.translations, stamps, noise=random)
         for begin in (0, LATER):
             for slip in range(1, sources):
                 lit = sound.lit_sources.copy()

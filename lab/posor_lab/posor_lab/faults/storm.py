@@ -1,10 +1,11 @@
 """A storm of faults through the estimator: many scans of which nearly a third is faulty, all kinds mixed.
 
-Three stacks with a fourth gap probe: light ring, bumpy ring, fixed diodes. The true parameters of the sensors are drawn
-within the uncertainties of their calibration. Faults come at random and last for 1 to 200 scans. A probe is off by at
-least twice its minimal detectable bias; smaller errors are in ``offline_faults``. A stuck reading begins to differ
-by less than that, zero or garbage may be near the true reading, and a pose of sound readings may exceed 5 standard
-deviations by chance. These count as wrong only beyond the protection level, and are counted separately.
+Three stacks with a fourth gap probe: light ring, bumpy ring, fixed diodes. The scans obey the independent truth, with
+parameters that are drawn within the uncertainties of their calibration. Faults come at random and last for 1 to 200
+scans. A probe is off by at least twice its minimal detectable bias; smaller errors are in ``offline_faults``. A stuck
+reading begins to differ by less than that, zero or garbage may be near the true reading, and a pose of sound readings
+may exceed 5 standard deviations by chance. These count as wrong only beyond the protection level, and are counted
+separately.
 
 Once readings have been sound for ``OPERATOR_SCANS``, an operator acknowledges a latched joint, and its encoder confirms
 theta. Nobody acknowledges during a fault.
@@ -35,6 +36,7 @@ from posor_drivers.simulator.simulated_scans import DIODE_FIELD
 
 from posor_lab.faults.pose_judge import estimated_poses, small_errors, wrong_poses
 from posor_lab.faults.storm_faults import RANGES, Episode, field_of, storm_faults
+from posor_lab.true_scans import TruePosor
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -89,7 +91,7 @@ class StormMaker:
 
     def __init__(self, calibration: Calibration) -> None:
         """Compute the largest minimal detectable biases over the motion."""
-        self.calibration, self.posor = calibration, Posor(calibration)
+        self.calibration, self.posor, self._truth = calibration, Posor(calibration), TruePosor(calibration)
         self._faults = storm_faults(calibration)
         self.names = tuple(self._faults)
         poses = _motion(np.linspace(0.0, SWING_S / 2.0, PHASES), 0.0)
@@ -131,7 +133,7 @@ class StormMaker:
         """Return the fields of sound scans as arrays that may be changed, and which are sent."""
         stack, count = draw_sensors(self.posor, random), len(truth)
         stamps = np.arange(1, count + 1, dtype=np.int64) * (NS // RATE)
-        scans = scans_at(stack, truth.rotations, truth.translations, stamps, noise=random)
+        scans = self._truth.scans_at(stack, truth.rotations, truth.translations, stamps, noise=random)
         arrays: dict[str, Any] = {"stamps_ns": stamps, "numbers": np.arange(count, dtype=np.uint64)}
         converter = cast("Converter", self.calibration.converter)
         for name, limits in RANGES.items():

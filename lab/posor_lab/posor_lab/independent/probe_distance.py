@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
+from scipy.interpolate import CubicHermiteSpline
 from scipy.spatial.transform import Rotation
 
 FloatArray = NDArray[np.float64]
@@ -22,7 +22,7 @@ _HEXAGON = AREA_RADIUS / np.sqrt(2.0) * np.exp(1j * np.pi / 3.0 * np.arange(6))
 """Points of the area with the mean square of its coordinates; exact for surfaces up to the third degree."""
 _STEPS = 30
 _CONVERGED_M = 1e-13
-_SAMPLES_PER_WAVE = 64
+_SAMPLES_PER_WAVE = 32
 
 
 def to_target(rotations: FloatArray, translations: FloatArray, points: FloatArray) -> FloatArray:
@@ -72,10 +72,11 @@ class RingProfile:
         spectrum = np.zeros(count // 2 + 1, dtype=complex)
         spectrum[0] = mean_radius * count
         spectrum[orders.astype(int)] = 0.5 * count * (cosines - 1j * sines)
-        radii = np.fft.irfft(spectrum, count)
+        rates = 1j * np.arange(len(spectrum)) * spectrum
         azimuths = 2.0 * np.pi * np.arange(count + 1) / count
+        radii, slopes = (np.pad(np.fft.irfft(each, count), (0, 1), mode="wrap") for each in (spectrum, rates))
         self.mean_radius = mean_radius
-        self._radius = CubicSpline(azimuths, np.append(radii, radii[0]), bc_type="periodic")
+        self._radius = CubicHermiteSpline(azimuths, radii, slopes, extrapolate="periodic")
         self._slope = self._radius.derivative()
 
     def distances(self, starts: FloatArray, axes: FloatArray) -> FloatArray:

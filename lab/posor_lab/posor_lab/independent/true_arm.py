@@ -11,8 +11,8 @@ import pinocchio as pin
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from posor_lab.independent.beam_elements import sag_gains
 from posor_lab.independent.file_values import read_file, si_values
+from posor_lab.independent.finite_elements import sag_gains
 from posor_lab.independent.true_joint import TrueJoint
 
 if TYPE_CHECKING:
@@ -54,6 +54,7 @@ class TrueArm:
         self._files = {
             name: (folder / joint["calibration"], joint.get("session", "")) for name, joint in arm["joints"].items()
         }
+        self._known: dict[str, TrueJoint] = {}
         beams = read_file(folder / arm["beams"]) if arm.get("beams") else {"beams": []}
         gravity = beams.get("gravity")
         self.gravity = np.array(STANDARD_GRAVITY) if gravity is None else si_values(gravity, "m/s^2")
@@ -91,9 +92,11 @@ class TrueArm:
         self.links: tuple[TrueLink, ...] = tuple(links[::-1])
 
     def joint(self, name: str, errors: Mapping[str, float] | None = None) -> TrueJoint:
-        """Return a joint that differs from its calibration file by errors, see ``TrueJoint``."""
-        path, session = self._files[name]
-        return TrueJoint(read_file(path), session, errors)
+        """Return a joint that differs from its calibration file by errors, see ``TrueJoint.with_errors``."""
+        if name not in self._known:
+            path, session = self._files[name]
+            self._known[name] = TrueJoint(read_file(path), session)
+        return self._known[name].with_errors(errors or {})
 
     def endpoints(self, rotations: FloatArray, translations: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the endpoint in the base, (n, 3, 3), (n, 3) [m], of n scans without errors.

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import copy
 import re
-from typing import TYPE_CHECKING, Any
+from abc import ABC, abstractmethod
+from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,20 +24,13 @@ FloatArray = NDArray[np.float64]
 _ERROR_NAME = re.compile(r"(\w+)\.(\w+)\[([\d,]*)\]")
 _MOST_PARAMETERS = 2 * 32 * 32
 """Of the map of a diode."""
-_SECTIONS = {"GapProbes": "gap_probes", "BumpyRing": "bumpy_ring", "Diodes": "diodes"}
-"""Types of sensors in the file, by the first part of the name of an error."""
 
 
 class TrueJoint:
     """A POSOR as it is: its calibration file, and how the real parts differ from it."""
 
-    def __init__(
-        self, content: Mapping[str, Any], session: str = "", errors: Mapping[str, float] | None = None
-    ) -> None:
-        """Read the sensors.
-
-        ``content``: of the calibration file; ``session``: its applied session; ``errors``: real value minus that of
-        the file [SI], by names such as ``GapProbes.tips[0,2]``.
+    def __init__(self, content: Mapping[str, Any], session: str = "") -> None:
+        """Read the sensors from the content of a calibration file, with a session applied.
 
         Raises ValueError: the file has another unit, or a kind of sensor or of tilt that this model does not know.
         """
@@ -43,22 +38,37 @@ class TrueJoint:
             what = "the tilt of the previous scan is a habit of 1985, no geometry; expected 'this_scan'"
             raise ValueError(what)
         replaced = content["sessions"][session] if session else {}
-        by_section: dict[str, dict[tuple[str, tuple[int, ...]], float]] = {name: {} for name in _SECTIONS.values()}
-        for name, error in (errors or {}).items():
+        self._sensors: list[_Sensor] = []
+        for entry in content["sensors"]:
+            kind = next((each for each in _SENSORS.values() if entry["type"] == each.TYPE), None)
+            if kind is None:
+                known = ", ".join(each.TYPE for each in _SENSORS.values())
+                what = f"sensor of type '{entry['type']}'; expected one of {known}"
+                raise ValueError(what)
+            self._sensors.append(kind(entry, replaced))
+
+    def with_errors(self, errors: Mapping[str, float]) -> Self:
+        """Return a POSOR whose parts differ from the file.
+
+        ``errors``: real value minus that of the file [SI], by names such as ``GapProbes.tips[0,2]``.
+
+        Raises ValueError: a name is unknown.
+        """
+        by_kind: dict[type[_Sensor], dict[tuple[str, tuple[int, ...]], float]] = {
+            kind: {} for kind in _SENSORS.values()
+        }
+        for name, error in errors.items():
             match = _ERROR_NAME.fullmatch(name)
-            if match is None or match[1] not in _SECTIONS:
+            if match is None or match[1] not in _SENSORS:
                 what = f"error of '{name}'; expected a name such as GapProbes.tips[0,2]"
                 raise ValueError(what)
-            index = tuple(int(each) for each in match[3].split(",") if each)
-            by_section[_SECTIONS[match[1]]][match[2], index] = error
-        self._sensors: list[_Probes | _Diodes] = []
-        for entry in content["sensors"]:
-            kind = entry["type"]
-            if kind not in by_section:
-                what = f"sensor of type '{kind}'; expected one of {', '.join(by_section)}"
-                raise ValueError(what)
-            sensor = _Diodes if kind == "diodes" else _GapProbes if kind == "gap_probes" else _RingProbes
-            self._sensors.append(sensor(entry, replaced, by_section[kind]))
+            if error:  # a padded coefficient does not exist, and has no error
+                by_kind[_SENSORS[match[1]]][match[2], tuple(int(i) for i in match[3].split(",") if i)] = error
+        other = copy.copy(self)
+        other._sensors = [  # noqa: SLF001  a copy of the same class
+            sensor.with_errors(by_kind[type(sensor)]) for sensor in self._sensors
+        ]
+        return other
 
     def readings(
         self,
@@ -66,81 +76,115 @@ class TrueJoint:
         translations: FloatArray,
         supply_voltages: FloatArray | None = None,
         temperatures: FloatArray | None = None,
+        lit_sources: NDArray[np.int64] | None = None,
     ) -> dict[str, NDArray[Any]]:
         """Return the raw readings at poses of the target in the receiving plate, (n, 3, 3), (n, 3) [m], by field.
 
         Fields: ``gap_voltages``, ``ring_voltages`` (n, p) [V], ``diode_currents`` (n, d, 4) [A], ``lit_sources``
         (n, d). A reading outside its calibrated range is NaN. ``supply_voltages``, ``temperatures``: (n,) [V], [K];
-        None: at the reference of each probe.
+        None: at the reference of each probe. ``lit_sources``: (n, d); None: for each diode the source that is nearest
+        to its middle.
         """
         unknown = np.full(len(rotations), np.nan)
         supplies = unknown if supply_voltages is None else supply_voltages
         warmth = unknown if temperatures is None else temperatures
         fields: dict[str, NDArray[Any]] = {}
         for sensor in self._sensors:
-            fields |= sensor.readings(rotations, translations, supplies, warmth)
+            fields |= sensor.readings(rotations, translations, _Surroundings(supplies, warmth, lit_sources))
         return fields
 
+    def spot_currents(self, diode: int, spots: FloatArray) -> FloatArray:
+        """Return the contact currents (n, 4) [A] of a diode with its light at spots (n, 2) [m]."""
+        diodes = next(sensor for sensor in self._sensors if isinstance(sensor, _Diodes))
+        return diodes.spot_currents(diode, spots)
 
-def _add_errors(values: dict[str, FloatArray], errors: Mapping[tuple[str, tuple[int, ...]], float]) -> None:
-    """Add errors to named arrays."""
-    for (name, index), error in errors.items():
-        if error:  # a padded coefficient does not exist, and has no error
+
+class _Surroundings(NamedTuple):
+    """Conditions of n scans; see ``TrueJoint.readings``."""
+
+    supplies: FloatArray  # NaN: at the reference
+    temperatures: FloatArray
+    lit_sources: NDArray[np.int64] | None
+
+
+class _Sensor(ABC):
+    """One sensor: named arrays of its parameters, and what follows from them."""
+
+    TYPE: str  # in the file
+
+    def __init__(self, entry: Mapping[str, Any], replaced: Mapping[str, Any]) -> None:
+        self._entry, self._replaced = entry, replaced
+        self._values = self._read()
+        self._prepare()
+
+    @abstractmethod
+    def _read(self) -> dict[str, FloatArray]:
+        """Return the parameters of the file."""
+
+    @abstractmethod
+    def _prepare(self) -> None:
+        """Compute what follows from the parameters."""
+
+    @abstractmethod
+    def readings(
+        self, rotations: FloatArray, translations: FloatArray, surroundings: _Surroundings
+    ) -> dict[str, NDArray[Any]]:
+        """Return the raw readings, see ``TrueJoint.readings``."""
+
+    def with_errors(self, errors: Mapping[tuple[str, tuple[int, ...]], float]) -> Self:
+        """Return the sensor with other parameters."""
+        other, values = copy.copy(self), {name: value.copy() for name, value in self._values.items()}
+        for (name, index), error in errors.items():
             values[name][index] += error
+        other._values = values  # noqa: SLF001  a copy of the same class
+        other._prepare()  # noqa: SLF001
+        return other
 
 
-class _Probes:
+class _Probes(_Sensor):
     """Probes of any surface."""
 
-    FIELD = ""
+    FIELD: str
 
-    def __init__(
-        self, entry: Mapping[str, Any], replaced: Mapping[str, Any], errors: Mapping[tuple[str, tuple[int, ...]], float]
-    ) -> None:
-        probes = entry["probes"]
+    def _read(self) -> dict[str, FloatArray]:
+        probes = self._entry["probes"]
         longest = max(len(probe["volts_to_gap"]["value"]) for probe in probes)
 
         def pair(probe: Mapping[str, Any], name: str, unit: str) -> list[float]:
             part = probe.get(name)
             if part is None:
                 return [0.0, 0.0]
-            sensitivity, reference = si_values(part["sensitivity"], f"m/{unit}"), si_values(part["reference"], unit)
-            return [float(sensitivity), float(reference)]
+            return [float(si_values(part["sensitivity"], f"m/{unit}")), float(si_values(part["reference"], unit))]
 
         def curve(probe: Mapping[str, Any]) -> FloatArray:
             coefficients = si_values(probe["volts_to_gap"], "m/V^k")
             return np.append(coefficients, np.zeros(longest - len(coefficients)))
 
-        values = {
+        return {
             "tips": np.array([si_values(probe["tip"], "m") for probe in probes]),
             "axes": np.array([si_values(probe["axis"], "1") for probe in probes]),
             "volts_to_gap": np.array([curve(probe) for probe in probes]),
             "zero_shifts": np.array([float(si_values(probe["zero_shift"], "V")) for probe in probes]),
             "supply": np.array([pair(probe, "supply", "V") for probe in probes]),
             "temperature": np.array([pair(probe, "temperature", "K") for probe in probes]),
-            **self._surface(entry),
         }
-        if self.FIELD == "gap_voltages" and replaced.get("zero_shifts") is not None:
-            values["zero_shifts"] = si_values(replaced["zero_shifts"], "V")
-        _add_errors(values, errors)
-        self._values = values
-        spans = [si_values(probe["range"], "V") for probe in probes]
+
+    def _prepare(self) -> None:
+        names = ("volts_to_gap", "zero_shifts", "supply", "temperature")
         self._curves = [
-            ProbeCurve(values["volts_to_gap"][i], values["zero_shifts"][i], span, values["supply"][i], temperature)
-            for i, (span, temperature) in enumerate(zip(spans, values["temperature"], strict=True))
+            ProbeCurve(si_values(probe["range"], "V"), *(self._values[name][i] for name in names))
+            for i, probe in enumerate(self._entry["probes"])
         ]
 
-    def _surface(self, entry: Mapping[str, Any]) -> dict[str, FloatArray]:
-        raise NotImplementedError
-
+    @abstractmethod
     def _distances(self, rotations: FloatArray, translations: FloatArray) -> FloatArray:
-        raise NotImplementedError
+        """Return the distances that the probes measure, (n, p) [m]."""
 
     def readings(
-        self, rotations: FloatArray, translations: FloatArray, supplies: FloatArray, temperatures: FloatArray
+        self, rotations: FloatArray, translations: FloatArray, surroundings: _Surroundings
     ) -> dict[str, NDArray[Any]]:
-        """Return the voltages, see ``TrueJoint.readings``."""
         gaps = self._distances(rotations, translations)
+        supplies, temperatures, _ = surroundings
         volts = [c.voltages(each, supplies, temperatures) for c, each in zip(self._curves, gaps.T, strict=True)]
         return {self.FIELD: np.column_stack(volts)}
 
@@ -148,34 +192,35 @@ class _Probes:
 class _GapProbes(_Probes):
     """Probes of the target plane."""
 
-    FIELD = "gap_voltages"
+    TYPE, FIELD = "gap_probes", "gap_voltages"
 
-    def _surface(self, entry: Mapping[str, Any]) -> dict[str, FloatArray]:
-        plane = entry["target_plane"]
-        return {"plane_point": si_values(plane["point"], "m"), "plane_tilt": si_values(plane["tilt"], "rad")}
+    def _read(self) -> dict[str, FloatArray]:
+        values, plane = super()._read(), self._entry["target_plane"]
+        if self._replaced.get("zero_shifts") is not None:
+            values["zero_shifts"] = si_values(self._replaced["zero_shifts"], "V")
+        return values | {"plane_point": si_values(plane["point"], "m"), "plane_tilt": si_values(plane["tilt"], "rad")}
 
     def _distances(self, rotations: FloatArray, translations: FloatArray) -> FloatArray:
         names = ("tips", "axes", "plane_point", "plane_tilt")
         return plane_distances(rotations, translations, *(self._values[name] for name in names))
 
 
-class _RingProbes(_Probes):
+class _BumpyRing(_Probes):
     """Probes of the bumpy ring."""
 
-    FIELD = "ring_voltages"
-    _profile: RingProfile | None = None
+    TYPE, FIELD = "bumpy_ring", "ring_voltages"
 
-    def _surface(self, entry: Mapping[str, Any]) -> dict[str, FloatArray]:
-        ring = entry["ring"]
-        self._orders = np.array(ring["orders"], dtype=float)
-        return {name: si_values(ring[name], "m") for name in ("mean_radius", "cos", "sin")}
+    def _read(self) -> dict[str, FloatArray]:
+        ring = self._entry["ring"]
+        return super()._read() | {name: si_values(ring[name], "m") for name in ("mean_radius", "cos", "sin")}
+
+    def _prepare(self) -> None:
+        super()._prepare()
+        radius, orders = float(self._values["mean_radius"]), np.array(self._entry["ring"]["orders"])
+        self._profile = RingProfile(radius, orders, self._values["cos"], self._values["sin"])
 
     def _distances(self, rotations: FloatArray, translations: FloatArray) -> FloatArray:
-        values = self._values
-        if self._profile is None:
-            radius = float(values["mean_radius"])
-            self._profile = RingProfile(radius, self._orders, values["cos"], values["sin"])
-        return ring_distances(rotations, translations, values["tips"], values["axes"], self._profile)
+        return ring_distances(rotations, translations, self._values["tips"], self._values["axes"], self._profile)
 
 
 def _sum_of(diode: Mapping[str, Any], name: str) -> float:
@@ -183,43 +228,51 @@ def _sum_of(diode: Mapping[str, Any], name: str) -> float:
     return float(si_values(diode[name], "A")) if diode.get(name) else np.inf
 
 
-class _Diodes:
-    """Diodes and their light sources."""
+class _Diodes(_Sensor):
+    """Diodes and their light sources. ``maps`` holds the errors of the maps alone, in the order of their parameters."""
 
-    def __init__(
-        self, entry: Mapping[str, Any], replaced: Mapping[str, Any], errors: Mapping[tuple[str, tuple[int, ...]], float]
-    ) -> None:
-        diodes, sources = entry["diodes"], entry["light_sources"]
-        maps = entry["maps"][replaced.get("diode_map") or entry["map"]]
+    TYPE = "diodes"
+
+    def _read(self) -> dict[str, FloatArray]:
+        diodes, sources = self._entry["diodes"], self._entry["light_sources"]
+        self._map_entries = self._entry["maps"][self._replaced.get("diode_map") or self._entry["map"]]
+        self._sums = [(_sum_of(each, "minimum_sum"), _sum_of(each, "maximum_sum")) for each in diodes]
 
         def of(entries: list[dict[str, Any]], name: str, unit: str) -> FloatArray:
             return np.array([si_values(each[name], unit) for each in entries])
 
-        values = {
+        return {
             "origins": of(diodes, "origin", "m"),
             "x_axes": of(diodes, "x_axis", "1"),
             "y_axes": of(diodes, "y_axis", "1"),
-            "maps": np.zeros((len(maps), _MOST_PARAMETERS)),
+            "maps": np.zeros((len(diodes), _MOST_PARAMETERS)),
             "source_origins": of(sources, "origin", "m"),
             "source_directions": of(sources, "direction", "1"),
         }
-        _add_errors(values, errors)
-        self._sources = values["source_origins"], values["source_directions"]
-        self._planes = [
-            DiodePlane(*(values[name][i] for name in ("origins", "x_axes", "y_axes"))) for i in range(len(maps))
-        ]
-        self._maps = [read_map(each, wrong) for each, wrong in zip(maps, values["maps"], strict=True)]
+
+    def _prepare(self) -> None:
+        values = self._values
+        diodes = zip(values["origins"], values["x_axes"], values["y_axes"], strict=True)
+        self._planes = [DiodePlane(*diode) for diode in diodes]
+        self._maps = [read_map(each, wrong) for each, wrong in zip(self._map_entries, values["maps"], strict=True)]
         self._middles = [each.positions(np.mean(each.domain, axis=1)[None])[0] for each in self._maps]
-        self._sums = [(_sum_of(each, "minimum_sum"), _sum_of(each, "maximum_sum")) for each in diodes]
 
     def readings(
-        self, rotations: FloatArray, translations: FloatArray, _supplies: FloatArray, _temperatures: FloatArray
+        self, rotations: FloatArray, translations: FloatArray, surroundings: _Surroundings
     ) -> dict[str, NDArray[Any]]:
-        """Return currents and lit sources, see ``TrueJoint.readings``."""
-        currents, lit = [], []
-        for plane, diode_map, middle, sums in zip(self._planes, self._maps, self._middles, self._sums, strict=True):
-            spots = plane.hits(rotations, translations, *self._sources)
-            lit.append(nearest_sources(spots, middle))
-            ratios = diode_map.ratios(spots[np.arange(len(spots)), lit[-1]])
-            currents.append(contact_currents(ratios, diode_map.domain, sums))
+        sources = self._values["source_origins"], self._values["source_directions"]
+        currents, lit, given = [], [], surroundings.lit_sources
+        for i, (plane, middle) in enumerate(zip(self._planes, self._middles, strict=True)):
+            spots = plane.hits(rotations, translations, *sources)
+            lit.append(nearest_sources(spots, middle) if given is None else given[:, i])
+            currents.append(self.spot_currents(i, spots[np.arange(len(spots)), lit[-1]]))
         return {"diode_currents": np.stack(currents, axis=1), "lit_sources": np.stack(lit, axis=1)}
+
+    def spot_currents(self, diode: int, spots: FloatArray) -> FloatArray:
+        """Return the contact currents of one diode, see ``TrueJoint.spot_currents``."""
+        ratios = self._maps[diode].ratios(spots)
+        return contact_currents(ratios, self._maps[diode].domain, self._sums[diode])
+
+
+_SENSORS: Mapping[str, type[_Sensor]] = {"GapProbes": _GapProbes, "BumpyRing": _BumpyRing, "Diodes": _Diodes}
+"""Kinds of sensors by the first part of the name of an error."""

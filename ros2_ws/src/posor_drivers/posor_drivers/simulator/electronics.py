@@ -90,7 +90,10 @@ class JointElectronics:
                 errors += common @ shared_errors(scenario.seed, calibration.shared)
             self._stack = self._stack.with_parameter_values(self._stack.parameter_values + errors)
         by_name = dict(zip(self._stack.parameter_names, errors.tolist(), strict=True))
-        self._truth = None if truth is None else truth.joint(joint, by_name)
+        try:
+            self._truth = None if truth is None else truth.joint(joint, by_name)
+        except ValueError as error:
+            raise CalibrationError(f"{error}", where=f"calibration '{calibration.name}'") from error
         self._sensors: list[RowSensor] = []
         for sensor in self._stack.sensors:
             if not isinstance(sensor, RowSensor):
