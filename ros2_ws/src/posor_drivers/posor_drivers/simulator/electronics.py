@@ -16,7 +16,6 @@ from posor.numerics.vector import thetas_of, wrapped_angles
 from posor.sensors.base import RowSensor
 
 from posor_drivers.simulator.imperfections import RandomStream, shared_errors
-from posor_drivers.simulator.pose_array import PoseArray
 from posor_drivers.simulator.simulated_scans import (
     DIODE_FIELD,
     PROBE_FIELDS,
@@ -34,6 +33,7 @@ if TYPE_CHECKING:
 
     from posor_drivers.simulator.electronics_settings import ElectronicsSettings
     from posor_drivers.simulator.imperfections import Imperfections
+    from posor_drivers.simulator.pose_array import PoseArray
     from posor_drivers.simulator.scenario import Scenario
     from posor_drivers.simulator.truth_model import TrueArm
 
@@ -100,7 +100,7 @@ class JointElectronics:
                 what = f"a sensor of type {type(sensor).__name__} cannot be simulated"
                 raise CalibrationError(what, where=f"calibration '{calibration.name}'", expected="sensors with rows")
             self._sensors.append(sensor)
-        one = self._sound_scans(PoseArray(np.eye(3)[None], np.zeros((1, 3))), np.zeros(1, dtype=np.int64), None)
+        one = scans_at(self._stack, np.eye(3)[None], np.zeros((1, 3)), np.zeros(1, dtype=np.int64))
         self._channels = sum(getattr(one, name).size for name in READ_IN_TURN)
         self._readings = RandomStream(scenario.seed, "readings", joint)
         random = RandomStream(scenario.seed, "zero drift", joint).generator()
