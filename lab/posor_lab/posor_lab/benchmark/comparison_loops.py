@@ -168,6 +168,8 @@ def _scans_from_messages(messages: Sequence[Any]) -> Scans:
         lit_sources=np.array([message.lit_sources for message in messages], dtype=np.int64),
         supply_voltages=np.array([message.supply_voltage for message in messages]),
         temperatures=np.array([message.temperature for message in messages]),
+        reference_voltages=np.array([message.reference_voltage for message in messages]),
+        statuses=np.array([message.status for message in messages], dtype=np.int64),
         at_home=np.array([message.status & RawScan.STATUS_HOME_BUMP != 0 for message in messages], dtype=np.int64),
     )
 

@@ -37,7 +37,9 @@ NAME = "bench"
 RATE = 2000  # rate of the bag [Hz]
 TICKS = 1000  # scans of each joint in the bag; the source plays every second one forwards, the others backwards
 SPEED = 0.2  # mean speed of every joint while it moves, as recorded; the source plays it twice as fast [rad/s]
-SIMULATED = Imperfections(dropouts=False, calibration_errors=False, beam_errors=False, inertia=False)
+SIMULATED = Imperfections(
+    ambient_light=False, dropouts=False, calibration_errors=False, beam_errors=False, inertia=False
+)
 """Imperfections that would make scans unusable are off: an arm of sixteen joints overloads its POSORs."""
 PROVENANCE = {"source": "assumed", "method": f"made of the parts of {PARTS} by the benchmark", "date": "none"}
 

@@ -273,7 +273,7 @@ def changed_readings(before: bytes, after: bytes) -> set[str]:
         if values.size:
             differs = (values != others).reshape(len(values), -1).any(axis=1)
             changed |= {f"{name}[{i}]" for i in np.flatnonzero(differs)}
-    first, second = ((each.supply_voltage, each.temperature) for each in (one, other))
+    first, second = ((each.supply_voltage, each.temperature, each.reference_voltage) for each in (one, other))
     if not np.array_equal(first, second, equal_nan=True):
         changed.add(ENVIRONMENT)
     return changed

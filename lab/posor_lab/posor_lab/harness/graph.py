@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Self
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from lifecycle_msgs.srv import ChangeState, GetState
+from posor.model.scan import DARK_SUBTRACTED
 from posor.numerics.stamps import NS
 from posor.ros_names import DIAGNOSTICS_TOPIC
 from posor_msgs.msg import RawScan
@@ -153,7 +154,9 @@ def wait_for_value(graph: Graph, name: str, key: str, text: str) -> DiagnosticSt
 
 def scan_message(scan: Scan, frame: str = "receiving") -> Any:
     """Return a scan of one sample as its message."""
-    message = RawScan(scan=scan.number, samples=1, supply_voltage=scan.supply_voltage, temperature=scan.temperature)
+    message = RawScan(scan=scan.number, samples=1, status=scan.status & DARK_SUBTRACTED)
+    for name in ("supply_voltage", "temperature", "reference_voltage"):
+        setattr(message, name, getattr(scan, name))
     message.header.stamp.sec, message.header.stamp.nanosec = divmod(scan.stamp_ns, NS)
     message.header.frame_id = frame
     message.gap_voltages, message.ring_voltages = scan.gap_voltages, scan.ring_voltages

@@ -30,6 +30,7 @@ def scan_from_message(message: RawScan) -> Scan:
         lit_sources=tuple(message.lit_sources),
         supply_voltage=message.supply_voltage,
         temperature=message.temperature,
+        reference_voltage=message.reference_voltage,
         at_home=bool(message.status & RawScan.STATUS_HOME_BUMP),
         status=message.status,
     )

@@ -23,6 +23,7 @@ from posor.calibration.fit_record import Instrument
 from posor.calibration.save import save_calibration
 from posor.calibration.yaml_document import read_text
 from posor.errors import BagError, ParameterError, ShapeError, check_type, checked_path, similar_name
+from posor.estimation.corrected_scans import corrected_scans
 from posor.model.scan import Scans
 from posor.numerics.array_types import freeze_arrays
 from pydantic import ValidationError
@@ -279,7 +280,8 @@ def read_recording(
             where=found.source,
             expected=f"'{calibration.frames.parent}', that of calibration '{calibration.name}': see the option --topic",
         )
-    return recording, instruments
+    scans = corrected_scans(recording.scans, calibration)
+    return replace(recording, scans=scans, statuses=scans.statuses), instruments
 
 
 def _with_uncertainties(

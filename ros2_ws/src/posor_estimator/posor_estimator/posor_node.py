@@ -223,7 +223,8 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
                 f"{len(recent)} sound scans so far", where="zero", expected=f"{self.parameters.zero_scans}"
             )
         gap, alpha, beta = self.parameters.home_pose
-        zero = find_digital_zero(self._calibration, Scans.of([scan_of(data) for data in recent]), (gap, alpha, beta))
+        scans, dark = Scans.of([scan_of(data) for data in recent]), self._posor.dark_currents
+        zero = find_digital_zero(self._calibration, scans, (gap, alpha, beta), dark)
         self._use_calibration(zero.calibration)
         values, sigmas = _format_numbers(zero.shifts.array), _format_numbers(zero.shifts.sigmas)
         shifts = f"zero_shifts: {{value: {values}, sigma: {sigmas}, unit: V}}"

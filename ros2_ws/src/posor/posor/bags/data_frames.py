@@ -69,6 +69,7 @@ def scan_columns(scans: Scans) -> dict[str, Any]:
     columns |= _split(names, scans.diode_currents.reshape(len(scans), diodes * contacts))
     columns |= _split([f"lit_source_{n}" for n in range(scans.lit_sources.shape[1])], scans.lit_sources)
     columns |= {"supply_voltage": scans.supply_voltages, "temperature": scans.temperatures}
+    columns |= {"reference_voltage": scans.reference_voltages}
     return columns | {"at_home": scans.at_home.astype(np.bool_)}
 
 

@@ -182,6 +182,14 @@ class Calibration(FrozenModel):
         return self
 
     @model_validator(mode="after")
+    def _check_dark_scans(self) -> Self:
+        for i, sensor in enumerate(self.sensors):
+            if getattr(sensor, "ambient", None) is not None and self.motion is None:
+                expected = "the key motion, which bounds the pose of a dark scan"
+                raise EntryError("ambient without motion", key=("sensors", i, "ambient"), expected=expected)
+        return self
+
+    @model_validator(mode="after")
     def _check_shared(self) -> Self:
         if self.shared:
             known: dict[str, SharedQuantity] = {}
@@ -210,6 +218,10 @@ class Calibration(FrozenModel):
         for key in ("fits", "environment", "converter", "shared"):
             if not content[key]:
                 del content[key]
+        for sensor in content["sensors"]:
+            for key in ("ambient", "reference"):
+                if key in sensor and sensor[key] is None:
+                    del sensor[key]
         text = json.dumps(content, sort_keys=True, separators=(",", ":"))
         return hashlib.sha256(text.encode()).hexdigest()
 

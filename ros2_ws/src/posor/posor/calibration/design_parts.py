@@ -35,6 +35,8 @@ _LIT_PITCHES = 1.2
 """Largest difference between the angle of two lit sources and that of the diodes, in the largest pitch."""
 _SAME_SLIP_WEIGHT = 0.5
 """Weight of the margin against equal slips: it is to be twice the margin against all wrong pairs."""
+TARGET_TILT = (8e-4, -1.1e-3)
+"""Deliberate tilt of the target plane about X and Y of T [rad]: its run-out with theta shows exchanged gap probes."""
 CHORD_MIDDLE = -0.25 * math.pi  # azimuth in the middle between the two diodes of a coded ring [rad]
 
 
@@ -105,13 +107,35 @@ def probe(name: str, kind: ProbeKind, tip: Sequence[float], axis: Sequence[float
     }
 
 
-def gap_probes(kind: ProbeKind, tips: Sequence[Sequence[float]], tilt_sigma: float) -> Part:
-    """Return probes along Z of R and their target plane; ``tilt_sigma`` [rad]: uncertainty of its tilt."""
+def reference_voltage() -> Part:
+    """Return a known voltage of the probes' converter: a reference of 2 ppm, read with the noise of 10 ppm."""
+    return {
+        "voltage": quantity_entry(5.0, "V", 1e-5),
+        "noise": quantity_entry(5e-5, "V"),
+        "limit": quantity_entry(0.02, "1"),
+        "spread": quantity_entry(1e-3, "1"),
+    }
+
+
+def ambient_light() -> Part:
+    """Return how ambient light is removed from diode currents by dark scans."""
+    return {
+        "noise": quantity_entry(1e-9, "A"),
+        "drift": quantity_entry(1e-9, "A/s^0.5"),
+        "max_age": quantity_entry(30.0, "s"),
+        "remaining": quantity_entry(1e-4, "1"),
+    }
+
+
+def gap_probes(
+    kind: ProbeKind, tips: Sequence[Sequence[float]], tilt_sigma: float, target_tilt: tuple[float, float] = TARGET_TILT
+) -> Part:
+    """Return probes along Z of R and their target plane, with its tilt and the uncertainty of the tilt [rad]."""
     return {
         "type": "gap_probes",
         "target_plane": {
             "point": quantity_entry([0.0, 0.0, 0.0], "m"),
-            "tilt": quantity_entry([8e-4, -1.1e-3], "rad", tilt_sigma),
+            "tilt": quantity_entry(list(target_tilt), "rad", tilt_sigma),
         },
         "probes": [probe(f"gap_{i + 1}", kind, tip, [0.0, 0.0, 1.0]) for i, tip in enumerate(tips)],
     }
@@ -222,14 +246,24 @@ def coded_places(count: int) -> tuple[float, ...]:
     return tuple(CHORD_MIDDLE + (i - 0.5) * DIODE_ANGLE for i in range(count))
 
 
+def ring_azimuths(bumps: int, probes: int) -> list[float]:
+    """Return the azimuths of the probes of a bumpy ring [rad]: evenly spaced, moved to well-spread phases of the bumps.
+
+    A multiple of four probes: opposite ones in phase, the pairs spread over half a bump. Any other number n: probe i
+    has the phase i k / n, k half of n rounded down. With k = 1, five or more probes would see theta as a displacement.
+    The phases hold for every number of bumps: a probe is moved to the nearest one of its phase.
+    """
+    bump, half = 2.0 * math.pi / bumps, probes // 2
+    phases = [i % half / probes if probes % 4 == 0 else i * ((probes - 1) // 2) / probes % 1.0 for i in range(probes)]
+    return [
+        2.0 * math.pi * i / probes + bump * (phase + round(bumps * i / probes) - bumps * i / probes)
+        for i, phase in enumerate(phases)
+    ]
+
+
 def bumpy_ring(kind: ProbeKind, shape: RingShape, probes: int) -> Part:
-    """Return a bumpy ring and its probes, three or more."""
-    bump = 2.0 * math.pi / shape.bumps
-    if probes % 4 == 0:  # opposite probes in phase, the pairs spread over half a bump
-        half = probes // 2
-        azimuths = [2.0 * math.pi * i / probes + bump * (i % half) / probes for i in range(probes)]
-    else:  # evenly spaced, offset by fractions of a bump, as the thesis draws three
-        azimuths = [2.0 * math.pi * i / probes + bump * i / probes for i in range(probes)]
+    """Return a bumpy ring and its probes, three or more (``ring_azimuths``)."""
+    azimuths = ring_azimuths(shape.bumps, probes)
     orders = [1, 2, shape.bumps, 2 * shape.bumps, 3 * shape.bumps]
     sigmas = [shape.amplitude_sigma] * len(orders)
     return {

@@ -20,11 +20,13 @@ from posor.calibration.design_parts import (
     Part,
     ProbeKind,
     RingShape,
+    ambient_light,
     bumpy_ring,
     diodes,
     gap_probes,
     light_ring,
     quantity_entry,
+    reference_voltage,
 )
 from posor.calibration.yaml_document import parse_yaml
 from posor.errors import CalibrationError
@@ -32,7 +34,14 @@ from posor.errors import CalibrationError
 DesignName = Literal[
     "triad_diodes", "triad_light_ring", "triad_bumpy_ring", "quad_diodes", "quad_light_ring", "quad_bumpy_ring"
 ]
-SizedDesignName = Literal["triad_light_ring", "triad_bumpy_ring", "quad_light_ring", "quad_bumpy_ring"]
+SizedDesignName = Literal[
+    "triad_light_ring",
+    "triad_bumpy_ring",
+    "quad_light_ring",
+    "quad_bumpy_ring",
+    "checked_light_ring",
+    "checked_bumpy_ring",
+]
 
 THETA_OF_TWO_SOURCES = 0.1  # largest theta [rad] with two fixed sources on their diodes, at a runout of 1 mm
 SOURCES = 36
@@ -132,7 +141,7 @@ def design_calibration(
 
 
 def _with_fourth_probe(name: str) -> bool:
-    return name.startswith("quad_")
+    return name.startswith(("quad_", "checked_"))
 
 
 def design(
@@ -171,9 +180,10 @@ def sized_design(name: SizedDesignName, outside_diameter: float, *, frames: tupl
     """Return the calibration of a POSOR of an outside diameter D.
 
     Gap probes on a circle of D - 1 in: ``triad_``, the three of section 9.3.1 in an equilateral triangle, whose
-    altitude .75 (D - 1 in) is the lever of that section; ``quad_``, recommended, four in a square. A bumpy ring with
-    four probes, or a ring of light sources, of D - 2 in. Limits of velocity: 20 mm/s, 0.02 rad/s of lean, 3 rad/s of
-    theta.
+    altitude .75 (D - 1 in) is the lever of that section; ``quad_``, four in a square. A bumpy ring with four probes, or
+    a ring of light sources with two diodes, of D - 2 in. ``checked_``, recommended: as ``quad_`` with five ring probes
+    or three diodes, dark scans and a reference voltage, so that the readings show more causes of wrong poses. Limits of
+    velocity: 20 mm/s, 0.02 rad/s of lean, 3 rad/s of theta.
 
     ``name``: which stack. ``outside_diameter``: [m]. ``frames``: names of receiving and target plate. ``title``: the
     calibration's name. Raises CalibrationError: the diameter is too small.
@@ -194,15 +204,24 @@ def sized_design(name: SizedDesignName, outside_diameter: float, *, frames: tupl
     if _with_fourth_probe(name):
         tips = [[-circle, 0.0, 0.0], [0.0, circle, 0.0], [circle, 0.0, 0.0], [0.0, -circle, 0.0]]
         notes.append("assumed: a fourth gap probe, so that the others check each of them")
+    checked = name.startswith("checked_")
     sensors = [gap_probes(SIZED_GAP_PROBE, tips, SIZED_TILT_SIGMA)]
+    if checked:
+        sensors[0]["reference"] = reference_voltage()
+        notes.append("assumed: a reference of 5 V that the converter of the probes reads in each scan")
     if name.endswith("_light_ring"):
-        radius = 0.5 * outside_diameter - inch
+        radius, number = 0.5 * outside_diameter - inch, "three" if checked else "two"
         sources = 4 * math.ceil(2.0 * math.pi * radius / SOURCE_PITCH / 4.0)
-        sensors.append(light_ring(SIZED_DIODE, radius, sources))
-        notes.append("assumed: light sources 7.7 mm apart on average, two diodes of 5.5 mm half width, their noise")
+        sensors.append(light_ring(SIZED_DIODE, radius, sources, 3 if checked else 2))
+        notes.append(
+            f"assumed: light sources 7.7 mm apart on average, {number} diodes of 5.5 mm half width, their noise"
+        )
         notes.append("assumed: the pitch of the sources grows around the ring, so that two lit ones tell which")
+        if checked:
+            sensors[1]["ambient"] = ambient_light()
+            notes.append("assumed: ambient light removed by dark scans, its drift 1 nA in a second")
     else:
-        sensors.append(bumpy_ring(SIZED_RING_PROBE, _sized_ring(outside_diameter), 4))
+        sensors.append(bumpy_ring(SIZED_RING_PROBE, _sized_ring(outside_diameter), 5 if checked else 4))
         notes.append("assumed: bumps of 0.4 mm every 3.32 mm, ring probes of 1.5 times the range of the others")
     source = f"assumed design of {outside_diameter / inch:g} in outside diameter"
     environment = environment_ranges(SIZED_GAP_PROBE.supply_sigma)

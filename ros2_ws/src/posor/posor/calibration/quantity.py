@@ -182,6 +182,18 @@ def check_unit_vector(name: str, quantity: Quantity) -> None:
         raise EntryError(what, key=(name,), expected="a unit vector")
 
 
+def check_positive(name: str, quantity: Quantity, *, below: float = math.inf, or_zero: bool = False) -> None:
+    """Check that a number is above zero, or zero where allowed, and below a bound.
+
+    Raises EntryError: it is not; ``name`` is the key of the number.
+    """
+    value = quantity.number
+    if not (0.0 < value < below or (or_zero and value == 0.0)):
+        least = "zero or more" if or_zero else "more than 0"
+        expected = least if math.isinf(below) else f"{least}, less than {below:g}"
+        raise EntryError(f"{name} {value:g} {quantity.unit}", key=(name,), expected=expected)
+
+
 def measured(unit: str, *shape: int) -> AfterValidator:
     """Return the annotation that requires a unit and a shape; ``ANY`` allows any length."""
     check: Callable[[Quantity], Quantity] = _UnitAndShape(unit, shape)

@@ -138,7 +138,8 @@ def find_contributions(model: Model) -> None:  # noqa: C901  loops over plain nu
             if block.first_reading <= r <= block.last_reading:
                 workspace.first_correlated[r] = min(workspace.first_correlated[r], block.first_reading)
                 workspace.end_correlated[r] = max(workspace.end_correlated[r], block.last_reading + 1)
-        if workspace.unmeasured != 0 or model.shared_readings.shape[1] > 0:  # see estimation.linearise
+        everywhere = workspace.unmeasured != 0 or workspace.has_common_effects == 1
+        if everywhere or model.shared_readings.shape[1] > 0:  # see estimation.linearise, estimation.ambient
             workspace.first_correlated[r], workspace.end_correlated[r] = 0, m
 
 

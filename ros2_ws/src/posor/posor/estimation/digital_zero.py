@@ -17,9 +17,10 @@ from posor.calibration.fit_record import FitRecord, RecordedData
 from posor.calibration.quantity import Quantity
 from posor.calibration.session import Session
 from posor.errors import FitError
+from posor.estimation.corrected_scans import corrected_scans
 from posor.estimation.posor import Posor
 from posor.model.native_coordinates import rotation_from_native
-from posor.model.scan import Scan, Scans
+from posor.model.scan import DARK_SUBTRACTED, Scan, Scans
 from posor.sensors.base import RowSensor
 from posor.sensors.gap_probes import GapProbesCalibration
 
@@ -41,16 +42,18 @@ class DigitalZero:
     changes: FloatArray  # new less old [V], (probes,)
 
 
-def find_digital_zero(calibration: Calibration, scans: Scans, home: tuple[float, float, float]) -> DigitalZero:
+def find_digital_zero(
+    calibration: Calibration, scans: Scans, home: tuple[float, float, float], dark_currents: FloatArray | None = None
+) -> DigitalZero:
     """Return the calibration whose gap probes see the target at home in the given scans.
 
     ``calibration``: the calibration in force; ``scans``: taken while the target rested at home; ``home``: gap [m],
-    alpha and beta [rad] there. Raises FitError: the POSOR has no gap probes, there are too few scans, the target moved,
-    or home is out of range.
+    alpha and beta [rad] there; ``dark_currents``: see ``corrected_scans``. Raises FitError: the POSOR has no gap
+    probes, there are too few scans, the target moved, or home is out of range.
     """
     where, probes = find_sensor(calibration, GapProbesCalibration, NAME)
     names = [probe.name for probe in probes.probes]
-    mean, sigmas = _average_at_rest(scans, names)
+    mean, sigmas = _average_at_rest(corrected_scans(scans, calibration, dark_currents), names)
     posor = Posor(calibration)
     sensor, first = posor.stack.sensors[where], posor.stack.first_readings[where]
     if not isinstance(sensor, RowSensor) or any(not isinstance(other, RowSensor) for other in posor.stack.sensors):
@@ -122,5 +125,7 @@ def _average_at_rest(scans: Scans, names: list[str]) -> tuple[Scan, FloatArray]:
         lit_sources=last.lit_sources,
         supply_voltage=float(scans.supply_voltages.mean()),
         temperature=float(scans.temperatures.mean()),
+        reference_voltage=float(scans.reference_voltages.mean()),
+        status=last.status & DARK_SUBTRACTED,
     )
     return mean, volts.std(axis=0, ddof=1) / np.sqrt(len(scans))

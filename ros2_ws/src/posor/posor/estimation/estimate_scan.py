@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any
 
+from posor.estimation.ambient import NO_DARK_SCAN, NO_POSE, add_common_effects, follow_ambient
 from posor.estimation.clocks import IN_ORDER, elapsed_at, follow_clocks, motion_allowance, stamp_sigma
 from posor.estimation.covariance import (
     add_shared_terms,
@@ -65,6 +66,7 @@ from the previous pose failed, so a start in closed form is missing."""
 OK, DEGRADED, LOST, UNCOUNTED = (int(state) for state in (State.OK, State.DEGRADED, State.LOST, State.UNCOUNTED))
 BAD_READING_FAULT, NOT_CONVERGED_FAULT = int(Fault.BAD_READING), int(Fault.NOT_CONVERGED)
 ILL_CONDITIONED_FAULT = int(Fault.ILL_CONDITIONED)
+AMBIENT_FAULT = int(Fault.AMBIENT)
 SOURCE_FAULT, FROZEN_FAULT, ENVIRONMENT_FAULT = int(Fault.SOURCE), int(Fault.FROZEN), int(Fault.ENVIRONMENT)
 FLAGGED_FAULT, LATCHED_FAULT, ACKNOWLEDGED_FAULT = int(Fault.FLAGGED), int(Fault.LATCHED), int(Fault.ACKNOWLEDGED)
 
@@ -118,7 +120,7 @@ def begin_scan_estimate(model: Model, scan: Any, estimate: Any, linearised: bool
         order = follow_clocks(model, scan)
         if order != IN_ORDER:
             estimate.faults, estimate.code = BAD_READING_FAULT, order
-        elif not _needs_acknowledgement(tracker):
+        elif _can_be_solved(workspace, scan, estimate):
             return True
     tracker.reference_sigma = 0.0
     faults, latched = estimate.faults, tracker.latch
@@ -126,6 +128,23 @@ def begin_scan_estimate(model: Model, scan: Any, estimate: Any, linearised: bool
         latch(tracker, faults, 1 if faults == SOURCE_FAULT else 0, elapsed_at(tracker, scan))
     estimate.residual = math.nan
     write_lost(estimate, _with_latch(faults, latched) | _flagged(scan))
+    return False
+
+
+@inlined
+def _can_be_solved(workspace: Any, scan: Any, estimate: Any) -> bool:
+    """Return whether a scan in order can be solved; a dark scan only from a pose, but its ambient light is followed."""
+    tracker = workspace.tracker
+    if workspace.ambient_unknown:
+        estimate.faults, estimate.code = AMBIENT_FAULT, NO_DARK_SCAN
+        return False
+    if not workspace.is_dark:
+        return not _needs_acknowledgement(tracker)
+    if not workspace.is_retry:
+        follow_ambient(workspace, scan)
+    if tracker.initialised and not tracker.start_given and not tracker.latch:
+        return True
+    estimate.faults, estimate.code = AMBIENT_FAULT, NO_POSE
     return False
 
 
@@ -195,7 +214,8 @@ def _solve(model: Model, extrapolate: bool) -> tuple[int, int]:  # noqa: FBT001 
     """
     workspace = model.workspace[0]
     settings, tracker = workspace.settings, workspace.tracker
-    m, elapsed, faults = workspace.reading_count, tracker.time - tracker.stamp, 0
+    m, elapsed = workspace.reading_count, tracker.time - tracker.stamp
+    faults = AMBIENT_FAULT if workspace.is_dark or workspace.ambient_old else 0
     tracked = tracker.initialised and not tracker.start_given  # a start may be anywhere
     copy_pose(workspace.pose, workspace.start_pose)
     lag_theta = math.nan
@@ -203,9 +223,11 @@ def _solve(model: Model, extrapolate: bool) -> tuple[int, int]:  # noqa: FBT001 
         if settings.tilt_lags:
             lag_theta = theta_in_kernel(tracker.pose.rotation)
         predict(settings, tracker, elapsed, workspace.pose)
+    if workspace.is_dark:
+        copy_pose(workspace.pose, workspace.start_pose)
     write_twist(workspace, elapsed)
     if workspace.is_skewed and move_to_stamp(workspace):
-        faults = TIME
+        faults |= TIME
     for r in range(m):
         workspace.weights[r] = 1.0 / workspace.variances[r]
     bridging = tracked and settings.max_velocity < math.inf
@@ -235,6 +257,7 @@ def solve_and_check(
     workspace = model.workspace[0]
     settings, tracker, pose, checks = workspace.settings, workspace.tracker, workspace.pose, workspace.checks
     may_retry = tracker.initialised and not tracker.start_given and settings.bump_angle == 0.0
+    may_retry = may_retry and not workspace.is_dark
     latched = tracker.latch
     estimate.residual = math.nan
     begin_checks(workspace)
@@ -247,7 +270,7 @@ def solve_and_check(
         and count_theta(workspace, theta_in_kernel(pose.rotation), scan.at_home)
     ):
         turn_about_z(pose.rotation, -checks.marks_off * settings.bump_angle)
-        bridged, checks.faults = False, checks.faults & TIME
+        bridged, checks.faults = False, checks.faults & ~ILL_CONDITIONED_FAULT
         outcome = solve_pose(workspace, workspace.reading_count, SINGULAR, math.nan)
     if outcome != CONVERGED:
         if may_retry and outcome != ILL_CONDITIONED:
@@ -267,6 +290,8 @@ def solve_and_check(
     if checks.contradictory and may_retry:
         return RETRY
     theta = theta_in_kernel(pose.rotation)
+    if workspace.is_dark:
+        return _write_dark(workspace, scan, theta, estimate)
     check_residuals(workspace)
     check_motion(workspace, theta, estimate)
     check_count(workspace, theta)
@@ -287,6 +312,17 @@ def solve_and_check(
     return DONE
 
 
+@in_place
+def _write_dark(workspace: Any, scan: Any, theta: float, estimate: Any) -> int:
+    """Write the pose of a dark scan, which is DEGRADED and leaves the tracker as it is; return DONE."""
+    tracker, checks = workspace.tracker, workspace.checks
+    tracker.reference_sigma = 0.0
+    _bound_stamp_shift(workspace, max(scan.stamp_limit, tracker.clocks.step), theta, estimate)
+    _write_pose(workspace, tracker.theta + wrapped(theta - tracker.theta), estimate)
+    estimate.state, estimate.faults = DEGRADED, checks.faults | _flagged(scan)
+    return DONE
+
+
 @inlined
 def _write_covariances(model: Model, estimate: Any) -> None:
     """Write both covariances of the solution, and the effects of shared terms."""
@@ -294,6 +330,8 @@ def _write_covariances(model: Model, estimate: Any) -> None:
     add_systematic_covariance(model)
     if workspace.unmeasured != 0:
         add_unmeasured(workspace)
+    if workspace.has_common_effects:
+        add_common_effects(workspace)
     if has_terms:
         add_shared_terms(model)
     write_covariances(workspace, estimate.random, estimate.systematic)

@@ -5,12 +5,14 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any
 
+from posor.estimation.ambient import NO_DARK_SCAN, NO_POSE
 from posor.estimation.clocks import CONTRADICTORY, LATE, SCATTERED
 from posor.estimation.estimate import NO_STAMP, OTHER_FRAME
 from posor.estimation.exposure import INVALID_EXPOSURE, LONGEST_OFFSET_S
 from posor.estimation.frozen import ALL
 from posor.estimation.linearise import ANY_FINITE
 from posor.model.fault import Fault
+from posor.model.scan import NO_SOURCE
 from posor.numerics.stamps import NO_TIME
 
 if TYPE_CHECKING:
@@ -40,6 +42,8 @@ def fault_sentence(stack: Stack, settings: Any, tracker: Any, scan: Scan, estima
         OTHER_FRAME: "comes from another frame than that of the calibration",
         LATE: "its number does not come after that of a scan before; expected scans in the order of their numbers",
         CONTRADICTORY: "its stamp contradicts its number, given the scans before; expected the time of exposure",
+        NO_DARK_SCAN: "the ambient light is unknown; expected a dark scan before, or STATUS_DARK_SUBTRACTED",
+        NO_POSE: "no light source is lit (a dark scan) while no pose is known; expected lit scans around it",
         INVALID_EXPOSURE: "its exposures or its stamp's uncertainty are invalid; expected no offset or one for each "
         f"channel, at most {LONGEST_OFFSET_S:g} s or NaN, and times that are not negative",
     }
@@ -61,6 +65,7 @@ def fault_sentence(stack: Stack, settings: Any, tracker: Any, scan: Scan, estima
         Fault.ACKNOWLEDGED: "a latch was released by ~/acknowledge; expected an encoder or home marks to confirm it",
         Fault.TIME: "the target moves while the times of the readings are uncertain; expected stated exposures and "
         "stamps at the time of exposure",
+        Fault.AMBIENT: _ambient_sentence(settings, scan),
     }
     found = [sentence for fault, sentence in sentences.items() if faults & fault]
     if faults & Fault.LATCHED:
@@ -81,6 +86,15 @@ def fault_sentence(stack: Stack, settings: Any, tracker: Any, scan: Scan, estima
     return f"scan {scan.number}: {'; '.join(found)}." if found else ""
 
 
+def _ambient_sentence(settings: Any, scan: Scan) -> str:
+    if all(lit == NO_SOURCE for lit in scan.lit_sources):
+        return "no light source is lit (a dark scan), so x, y and theta are extrapolated"
+    return (
+        "the ambient light may have changed since the last dark scan; expected one at least every "
+        f"{settings['dark_age']:g} s, or STATUS_DARK_SUBTRACTED"
+    )
+
+
 def _environment_sentence(settings: Any, measured: int, scan: Scan) -> str:
     parts = (("supply voltage", scan.supply_voltage, "V"), ("temperature", scan.temperature, "K"))
     found = []
@@ -95,4 +109,10 @@ def _environment_sentence(settings: Any, measured: int, scan: Scan) -> str:
         elif not (math.isnan(value) or low <= value <= high):
             range_text = "a finite number or NaN" if (low, high) == ANY_FINITE else f"{low:g} to {high:g} {unit}"
             found.append(f"{name} {value:g} {unit} is outside the calibration's range; expected {range_text}")
+    known, most = float(settings["reference_voltage"]), float(settings["gain_limit"])
+    if known > 0.0 and abs(scan.reference_voltage - known) > most * known:
+        found.append(
+            f"reference voltage {scan.reference_voltage:g} V is outside the calibration's range; expected "
+            f"{known * (1.0 - most):g} to {known * (1.0 + most):g} V"
+        )
     return "; ".join(found)

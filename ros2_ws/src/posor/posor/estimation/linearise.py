@@ -12,6 +12,14 @@ import math
 import sys
 from typing import TYPE_CHECKING, Any
 
+from posor.estimation.ambient import (
+    check_dark_currents,
+    converter_gain,
+    gain_is_valid,
+    is_dark,
+    subtract_ambient,
+    write_ambient_effects,
+)
 from posor.estimation.exposure import INVALID_EXPOSURE, begin_exposures, write_spot_offsets, write_voltage_offset
 from posor.model.diode import CODES, OUTSIDE_X, find_ratios
 from posor.model.fault import Fault
@@ -46,11 +54,13 @@ ANY_FINITE = (-sys.float_info.max, sys.float_info.max)  # range of a calibration
 
 @inlined
 def environment_is_valid(settings: Any, scan: Any) -> bool:
-    """Return whether supply and temperature are each in their range, or not measured (NaN)."""
+    """Return whether supply, temperature and gain are each in their range, or not measured (NaN)."""
     limits = settings.environment
     supply, temperature = scan.supply_voltage, scan.temperature
-    return (math.isnan(supply) or limits[SUPPLY, 0] <= supply <= limits[SUPPLY, 1]) and (
-        math.isnan(temperature) or limits[TEMPERATURE, 0] <= temperature <= limits[TEMPERATURE, 1]
+    return (
+        (math.isnan(supply) or limits[SUPPLY, 0] <= supply <= limits[SUPPLY, 1])
+        and (math.isnan(temperature) or limits[TEMPERATURE, 0] <= temperature <= limits[TEMPERATURE, 1])
+        and gain_is_valid(settings, scan)
     )
 
 
@@ -100,15 +110,18 @@ def _linearise_voltages(model: Model, sensor: Any, scan: Any) -> int:
     code = _select_probe_rows(model, sensor, scan)
     if code != VALID:
         return code
+    gain, gain_sigma = converter_gain(workspace.settings, scan)
     for i in range(sensor.count):
         r, channel = sensor.first_reading + i, model.channels[sensor.first_channel + i]
-        volt = (scan.gap_voltages[i] if is_gap else scan.ring_voltages[i]) + channel.zero_shift
+        measured = (scan.gap_voltages[i] if is_gap else scan.ring_voltages[i]) / gain
+        volt = measured + channel.zero_shift
         code = voltage_code(channel, volt)
         if code != VALID:
             return code + 2 * i
         workspace.values[r], workspace.variances[r] = linearise_voltage(
             channel, volt, scan.supply_voltage, scan.temperature, model.by_channel[r]
         )
+        workspace.gain_effects[r] = measured * model.by_channel[r].zero_shift * gain_sigma
         if workspace.is_skewed:
             write_voltage_offset(workspace, scan, r, i if is_gap else scan.gap_count + i)
     return VALID
@@ -123,7 +136,7 @@ def _select_spot_rows(model: Model, sensor: Any, scan: Any) -> int:
     if scan.lit_count != sensor.count:
         return WRONG_SOURCES
     for i in range(sensor.count):
-        lit = scan.lit_sources[i]
+        lit = 0 if workspace.is_dark else scan.lit_sources[i]
         if lit < 0 or lit >= sensor.light_sources:
             return WRONG_SOURCE - i
         for axis in range(2):
@@ -139,11 +152,13 @@ def _linearise_spots(model: Model, sensor: Any, scan: Any) -> int:
     if code != VALID:
         return code
     workspace = model.workspace[0]
-    spot = workspace.spot
+    if workspace.is_dark:
+        return _linearise_dark(model, sensor, scan)
+    spot, ambient_sigma = workspace.spot, subtract_ambient(workspace, scan)
     for i in range(sensor.count):
         d, r = sensor.first_channel + i, sensor.first_reading + 2 * i
         diode = model.diodes[d]
-        code = find_ratios(scan.diode_currents, i, diode, spot)
+        code = find_ratios(workspace.lit_currents, i, diode, spot)
         if code != VALID:
             return code + CODES * i
         outcome = spot_position(diode, model.map_parameters[d], spot, model.by_map, r)
@@ -153,9 +168,24 @@ def _linearise_spots(model: Model, sensor: Any, scan: Any) -> int:
             workspace.values[r + axis] = spot.position[axis]
             by_x, by_y = spot.slope[axis, 0] * diode.noise[0], spot.slope[axis, 1] * diode.noise[1]
             workspace.variances[r + axis] = square(by_x) + square(by_y)
+        if workspace.has_common_effects:
+            write_ambient_effects(workspace, r, i, ambient_sigma)
         if workspace.is_skewed:
             write_spot_offsets(workspace, scan, r, i)
     return VALID
+
+
+@inlined
+def _linearise_dark(model: Model, sensor: Any, scan: Any) -> int:
+    """Make the spots of a dark scan state nothing; return VALID or a code."""
+    workspace = model.workspace[0]
+    for i in range(2 * sensor.count):
+        r = sensor.first_reading + i
+        workspace.values[r], workspace.variances[r] = 0.0, math.inf
+        workspace.ambient_effects[r, 0] = workspace.ambient_effects[r, 1] = 0.0
+        if workspace.active_rows[r] >= 0:
+            workspace.selected_rows[r] = workspace.active_rows[r]
+    return int(check_dark_currents(model, sensor, scan))
 
 
 @inlined
@@ -167,6 +197,9 @@ def linearise_scan(model: Model, scan: Any, estimate: Any) -> bool:
     """
     estimate.sensor = -1
     estimate.code = VALID
+    workspace = model.workspace[0]
+    workspace.is_dark = 1 if is_dark(workspace.settings, scan) else 0
+    workspace.ambient_unknown = workspace.ambient_old = 0
     if not begin_exposures(model, scan):
         estimate.code, estimate.faults = INVALID_EXPOSURE, BAD_READING
         return False

@@ -26,9 +26,11 @@ from posor.estimation.start_poses import start_poses
 from posor.model.fault import Fault
 from posor.model.native_coordinates import native_from_rotation
 from posor.model.readings import DIODE_CURRENTS, PYTHON
-from posor.model.scan import Scan, ScanBuffer, Scans
+from posor.model.scan import CONTACTS, Scan, ScanBuffer, Scans
 from posor.numerics.compiled import compile_for, record_view
 from posor.numerics.vector import wrapped
+from posor.sensors.diodes import DiodesCalibration
+from posor.sensors.gap_probes import GapProbesCalibration
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -110,6 +112,7 @@ class Posor:
         settings["period"] = settings["bump_angle"] or self._slip_angle
         self._prepare_environment(settings)
         self._prepare_frozen(settings)
+        self._prepare_common_effects(settings)
         settings["tilt_lags"] = self.calibration.tilt_angle is TiltAngle.PREVIOUS_SCAN
 
     def _prepare_environment(self, settings: Any) -> None:
@@ -124,6 +127,27 @@ class Posor:
                 for k, name in enumerate(("supply_sensitivity", "temperature_sensitivity")):
                     by = channels[name][channel : channel + count]
                     workspace["sensitivities"][reading : reading + count, k] = by
+
+    def _prepare_common_effects(self, settings: Any) -> None:
+        """Write what dark scans and the reference voltage need; none without them in the calibration."""
+        workspace = self.model.workspace[0]
+        for sensor in self.calibration.sensors:
+            if isinstance(sensor, DiodesCalibration) and sensor.ambient is not None:
+                ambient = sensor.ambient
+                settings["dark_age"], settings["dark_noise"] = ambient.max_age.number, ambient.noise.number
+                settings["dark_drift"] = ambient.drift.number
+            elif isinstance(sensor, GapProbesCalibration) and sensor.reference is not None:
+                reference = sensor.reference
+                settings["reference_voltage"] = reference.voltage.number
+                settings["reference_sigma"] = reference.relative_sigma
+                settings["gain_spread"], settings["gain_limit"] = reference.spread.number, reference.limit.number
+        workspace["has_common_effects"] = settings["dark_age"] > 0.0 or settings["reference_voltage"] > 0.0
+        partners = workspace["spot_partners"]
+        partners[:] = np.arange(len(partners))
+        for sensor in self.model.sensors:
+            if sensor["source"] == DIODE_CURRENTS:
+                first, end = int(sensor["first_reading"]), int(sensor["first_reading"] + 2 * sensor["count"])
+                partners[first:end] = partners[first:end].reshape(-1, 2)[:, ::-1].ravel()
 
     def _prepare_frozen(self, settings: Any) -> None:
         """Write the evidence of each reading's repetition; none without the converter's steps."""
@@ -205,9 +229,10 @@ class Posor:
 
     def reset(self) -> None:
         """Forget the previous pose and the count; the next scan starts from a closed form."""
-        epoch_known, epoch_ns = self.tracker["epoch_known"], self.tracker["epoch_ns"]
+        kept = {name: self.tracker[name].copy() for name in ("epoch_known", "epoch_ns", "ambient")}
         self.model.workspace["tracker"] = np.zeros((), dtype=self.model.workspace["tracker"].dtype)
-        self.tracker["epoch_known"], self.tracker["epoch_ns"] = epoch_known, epoch_ns
+        for name, value in kept.items():
+            self.tracker[name] = value
 
     def acknowledge(self) -> bool:
         """Release the latch after a fault: the next scan starts anew, and a counted theta must be counted again.
@@ -275,6 +300,13 @@ class Posor:
         """
         offset = self.tracker["offset"]
         return (float(offset["seconds"]), math.sqrt(offset["variance"])) if offset["known"] else (math.nan, math.nan)
+
+    @property
+    def dark_currents(self) -> FloatArray | None:
+        """Diode currents of the ambient light by the dark scans, (diodes, 4) [A]; None: unknown, or not needed."""
+        if not (self.settings["dark_age"] > 0.0 and self.tracker["ambient"]["known"]):
+            return None
+        return np.asarray(self.tracker["ambient"]["currents"].reshape(-1, CONTACTS)[: len(self.model.diodes)].copy())
 
     @property
     def latched(self) -> Fault:

@@ -13,7 +13,7 @@ import numpy as np
 from posor.estimation.estimate import ESTIMATE
 from posor.model.diode import SPOT_POSITION
 from posor.model.reading_rows import POSE, ROW
-from posor.model.scan import MAX_DIODES, MAX_GAP_PROBES, MAX_RING_PROBES, SCAN
+from posor.model.scan import CONTACTS, MAX_DIODES, MAX_GAP_PROBES, MAX_RING_PROBES, SCAN
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -37,6 +37,13 @@ SETTINGS = np.dtype(  # settings of the tracker and of the tests
         ("environment", "f8", (2, 2)),  # lowest and highest supply voltage [V] and temperature [K]
         ("spreads", "f8", (2,)),  # standard uncertainty of both where they are not measured
         ("all_evidence", "f8"),  # that one repetition of all readings is a frozen device, see estimation.frozen
+        ("dark_age", "f8"),  # largest age of a dark reading [s]; zero: the diodes need none (``estimation.ambient``)
+        ("dark_noise", "f8"),  # standard deviation of a contact's current in a dark scan [A]
+        ("dark_drift", "f8"),  # of the ambient light [A/s^.5]
+        ("reference_voltage", "f8"),  # known voltage that the probes' converter reads [V]; zero: none
+        ("reference_sigma", "f8"),  # relative standard uncertainty of the gain where it is read
+        ("gain_spread", "f8"),  # the same where it is not
+        ("gain_limit", "f8"),  # largest deviation of the gain from one
         ("tilt_lags", "i8"),  # 1: the tilts are turned by the theta of the previous scan (program of 1985)
     ],
     align=True,
@@ -86,6 +93,16 @@ TIME_OFFSET = np.dtype(  # between the scans and an encoder (``estimation.time_o
     align=True,
 )
 
+AMBIENT = np.dtype(  # ambient light (``estimation.ambient``)
+    [
+        ("known", "i8"),  # 1 after a dark scan
+        ("stamp_ns", "i8"),  # of the last one [ns]
+        ("variance", "f8"),  # of the currents then [A^2]
+        ("currents", "f8", (CONTACTS * MAX_DIODES,)),  # of the contacts [A]
+    ],
+    align=True,
+)
+
 TRACKER = np.dtype(  # what is known from the previous scans
     [
         ("initialised", "i8"),  # 1 where there is a previous pose
@@ -120,6 +137,7 @@ TRACKER = np.dtype(  # what is known from the previous scans
         ("reference_sigma", "f8"),  # its standard uncertainty [rad]; zero: there is none
         ("reference_stamp_ns", "i8"),  # its time [ns]; zero: that of the next scan
         ("offset", TIME_OFFSET),
+        ("ambient", AMBIENT),
         ("last_raw", "f8", (READINGS, 2)),  # raw readings of the scan before, two of each diode axis [V], [A]
         ("repeats", "i8", (READINGS,)),  # how often each has repeated without a break
         ("signatures", "f8", (LONGEST_LOOP,)),  # of all raw readings of the last scans, by number modulo LONGEST_LOOP
@@ -159,6 +177,14 @@ WORKSPACE = np.dtype(  # memory of fixed capacity for one POSOR
         ("redundant_count", "i8"),
         ("is_retry", "i8"),  # 1: the scan is estimated once more, from a start
         ("unmeasured", "i8"),  # see estimation.linearise
+        ("is_dark", "i8"),  # 1: no light source is lit, and the calibration has dark scans
+        ("ambient_unknown", "i8"),  # 1: the diode currents hold ambient light, and there was no dark scan
+        ("ambient_old", "i8"),  # 1: the last dark scan was too long ago
+        ("has_common_effects", "i8"),  # 1: the calibration has dark scans or a reference voltage
+        ("lit_currents", "f8", (CONTACTS * MAX_DIODES,)),  # diode currents without the ambient light [A]
+        ("ambient_effects", "f8", (READINGS, 2)),  # of its uncertainty, along both axes of a diode [m]
+        ("spot_partners", "i8", (READINGS,)),  # the other coordinate of the same spot, else the reading itself
+        ("gain_effects", "f8", (READINGS,)),  # of the uncertainty of the converter's gain [m]
         # Exposure of each reading (``estimation.exposure``)
         ("is_skewed", "i8"),  # 1: not all channels were read at the stamp
         ("offsets", "f8", (READINGS,)),  # [s]

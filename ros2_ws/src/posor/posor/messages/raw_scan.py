@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import struct
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
@@ -39,8 +40,9 @@ FIELDS = {  # fields that are read, and their ``struct`` codes
     "temperature": "d",
     "header.frame_id": "s",
 }
-TIMES = ("exposure_offsets", "exposure_span", "stamp_uncertainty", "stamp_limit")
-"""Fields that an older recording lacks: its channels were read at one time, and nothing is stated on its stamps."""
+LATER_FIELDS = ("exposure_offsets", "exposure_span", "stamp_uncertainty", "stamp_limit", "reference_voltage")
+"""Fields that an older recording lacks: its channels were read at one time, nothing is stated on its stamps, and no
+reference voltage was read."""
 COUNTS = {  # sequences of readings, and the names of their lengths in SCAN and RAW_SCAN_LAYOUT
     "gap_voltages": "gap_count",
     "ring_voltages": "ring_count",
@@ -59,7 +61,7 @@ RAW_SCAN_LAYOUT = np.dtype(
             *COUNTS.values(),
             "supply_voltage",
             "temperature",
-            *TIMES[1:],
+            *LATER_FIELDS[1:],
         )
     ]
 )
@@ -82,7 +84,7 @@ def raw_scan_layout(raw: TableLayout) -> NDArray[np.void]:
     layout = np.zeros(1, dtype=RAW_SCAN_LAYOUT)
     paths = {"stamp": "header.stamp.sec", "number": "scan"}
     fields: Any = raw.dtype.fields
-    paths |= {name: name for name in ("status", "supply_voltage", "temperature", *TIMES[1:]) if name in fields}
+    paths |= {name: name for name in ("status", "supply_voltage", "temperature", *LATER_FIELDS[1:]) if name in fields}
     for name, path in paths.items():
         layout[name] = LEAD + raw.offset(path)
     for name, count in COUNTS.items():
@@ -124,6 +126,7 @@ def unpack_scan(rows: MessageRows, n: int, layout: Any, scan: Any) -> None:
     scan.stamp_limit = floats[n, layout.stamp_limit // 8] if layout.stamp_limit else 0.0
     scan.supply_voltage = floats[n, layout.supply_voltage // 8]
     scan.temperature = floats[n, layout.temperature // 8]
+    scan.reference_voltage = floats[n, layout.reference_voltage // 8] if layout.reference_voltage else math.nan
 
 
 @in_place
@@ -186,9 +189,9 @@ def check_raw_scan_schema(schema: Schema, where: str) -> None:
 
     Raises BagError: a field is missing, or has another type.
     """
-    for path, code in {**FIELDS, **dict.fromkeys(TIMES, "d")}.items():
+    for path, code in {**FIELDS, **dict.fromkeys(LATER_FIELDS, "d")}.items():
         field = schema.by_path.get(path)
-        if field is None and path in TIMES:
+        if field is None and path in LATER_FIELDS:
             continue
         if field is None or field.code != code:
             what = "is missing" if field is None else f"is of type '{field.code}'"

@@ -37,3 +37,4 @@ class Fault(IntFlag):
     ENCODER = 8192
     TIME = 16384
     ACKNOWLEDGED = 32768
+    AMBIENT = 65536

@@ -20,9 +20,9 @@ if TYPE_CHECKING:
 NO_SOURCE = 255
 CONTACTS = 4  # contact currents A, B, C, D of a diode
 
-PROBES_ESTIMATED, DIODES_ESTIMATED, SATURATED, SIMULATED, HOME_BUMP = 1, 2, 16, 64, 128
-"""Flags of ``posor_msgs/RawScan.status``: readings substituted by the driver, a saturated channel, a simulated scan,
-the home mark seen."""
+PROBES_ESTIMATED, DIODES_ESTIMATED, DARK_SUBTRACTED, SATURATED, SIMULATED, HOME_BUMP = 1, 2, 8, 16, 64, 128
+"""Flags of ``posor_msgs/RawScan.status``: readings substituted by the driver, diode currents without the ambient light,
+a saturated channel, a simulated scan, the home mark seen."""
 STATED_HOME = 2  # ``at_home`` where an operator states that the joint is within half a period of the home mark
 
 MAX_GAP_PROBES, MAX_RING_PROBES, MAX_DIODES = 8, 8, 4  # bounds of the sequences of ``posor_msgs/RawScan``
@@ -43,6 +43,7 @@ SCAN = np.dtype(
         ("stamp_limit", "f8"),
         ("supply_voltage", "f8"),
         ("temperature", "f8"),
+        ("reference_voltage", "f8"),
         ("at_home", "i8"),
         ("status", "i8"),
         ("gap_count", "i8"),
@@ -67,6 +68,7 @@ _SCALARS = {
     "stamps_ns": "stamp_ns",
     "supply_voltages": "supply_voltage",
     "temperatures": "temperature",
+    "reference_voltages": "reference_voltage",
     "stamp_uncertainties": "stamp_uncertainty",
     "stamp_limits": "stamp_limit",
     "exposure_spans": "exposure_span",
@@ -98,9 +100,10 @@ class Scan:
         gap_voltages: Gap probe outputs [V], shape (probes,), at most 8.
         ring_voltages: Ring probe outputs [V], shape (probes,), at most 8.
         diode_currents: Contact currents A, B, C, D of each diode [A], shape (diodes, 4), at most 4 diodes.
-        lit_sources: Index of the light source lit for each diode, NO_SOURCE for none.
+        lit_sources: Index of the light source lit for each diode, NO_SOURCE for none; all NO_SOURCE: a dark scan.
         supply_voltage: Supply of the probe electronics [V], NaN when not measured.
         temperature: Temperature of the receiving plate [K], NaN when not measured.
+        reference_voltage: Reading of the known voltage of the probes' converter [V], NaN when not measured.
         exposure_offsets: Middle of each channel's exposure minus the stamp [s], in the order gap probes, ring probes,
             contact currents, shape (channels,); empty: all at one time; NaN: unknown.
         exposure_span: Time from the first to the last exposure [s]; 0: not stated.
@@ -119,6 +122,7 @@ class Scan:
     lit_sources: tuple[int, ...] = ()
     supply_voltage: float = float("nan")
     temperature: float = float("nan")
+    reference_voltage: float = float("nan")
     exposure_offsets: FloatArray = field(default_factory=_empty)
     exposure_span: float = 0.0
     stamp_uncertainty: float = 0.0
@@ -147,6 +151,8 @@ class Scans:
         lit_sources: Index of the light source lit for each diode, shape (n, diodes).
         supply_voltages: Supply of the probe electronics [V], shape (n,), NaN when not measured.
         temperatures: Temperature of the receiving plate [K], shape (n,), NaN when not measured.
+        reference_voltages: Readings of the known voltage of the probes' converter [V], shape (n,), NaN when not
+            measured.
         exposure_offsets: Middle of each channel's exposure minus the stamp [s], see ``Scan``, shape (n, channels).
         exposure_spans: Time from the first to the last exposure [s], shape (n,); 0: not stated.
         stamp_uncertainties: Standard uncertainty of each stamp [s], shape (n,); 0: not stated.
@@ -164,6 +170,7 @@ class Scans:
     lit_sources: IntArray
     supply_voltages: FloatArray
     temperatures: FloatArray
+    reference_voltages: FloatArray
     exposure_offsets: FloatArray
     exposure_spans: FloatArray
     stamp_uncertainties: FloatArray
@@ -180,7 +187,8 @@ class Scans:
     def from_fields(**arrays: NDArray[Any]) -> Scans:
         """Return scans with the given attributes; see the class. ``stamps_ns`` is required.
 
-        An attribute that is left out is 0, or NaN for supply voltage and temperature, or has no readings.
+        An attribute that is left out is 0, or NaN for supply voltage, temperature and reference voltage, or has no
+        readings.
 
         Raises ParameterError: an attribute is unknown, ``stamps_ns`` is missing, or an array holds other than real
         numbers, or whole numbers where the attribute has them.
@@ -193,7 +201,7 @@ class Scans:
         except ValueError:
             count = 0  # sequences of different lengths: refused below
         records = np.zeros(count, dtype=SCAN)
-        records["supply_voltage"] = records["temperature"] = np.nan
+        records["supply_voltage"] = records["temperature"] = records["reference_voltage"] = np.nan
         scans = Scans(records)
         scans._write(arrays)
         return scans
@@ -276,6 +284,12 @@ class Scans:
             raise AttributeError(f"'Scans' has no attribute '{name}'", name=name, obj=self)
         view.flags.writeable = self._editable and view.flags.writeable
         return view
+
+    @property
+    def dark(self) -> BoolArray:
+        """Which scans are dark, with diodes and no light source lit, shape (n,)."""
+        lit = self.lit_sources
+        return np.asarray((lit.shape[1] > 0) & (lit == NO_SOURCE).all(axis=1))
 
     def __dir__(self) -> list[str]:
         """Return the names of attributes and methods."""

@@ -4,7 +4,8 @@ Source: thesis 3.2.2, the alternative to diodes. The source draws three probes. 
 readings to (x, y, theta) vanishes at least twice in every bump, whatever the profile, since its determinant is a
 continuous function of the bump phase with zero mean. Four probes, opposite ones in phase and the two pairs in
 quadrature, are equally well conditioned at every phase, with one redundant reading for the health check: so four are
-the default. ``observability`` shows it for any arrangement.
+the default. Five with the phases of ``design_parts.ring_azimuths`` check each other at every angle. ``observability``
+shows it for any arrangement.
 """
 
 from __future__ import annotations
@@ -27,6 +28,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from posor.numerics.array_types import FloatArray
+
+
+IN_PHASE = 0.95  # least resultant of the probes' phases, doubled, at which they are in phase
 
 
 class RingSurfaceCalibration(FrozenModel):
@@ -64,6 +68,22 @@ class BumpyRingCalibration(SensorCalibration):
     ring: RingSurfaceCalibration
     home: Annotated[Quantity, measured("rad")]
     probes: Annotated[list[ProbeCalibration], Field(min_length=3, max_length=8)]
+
+    @model_validator(mode="after")
+    def _check_phases(self) -> Self:
+        # The slopes of all bumps vanish at one theta where the phases agree modulo half a bump.
+        if abs(np.mean(np.exp(4j * math.pi * self.phases))) > IN_PHASE:
+            listed = ", ".join(f"{phase:.2f}" for phase in self.phases)
+            what = f"with {self.ring.bumps} bumps, the probes are at the phases {listed} of a bump: all in phase"
+            expected = "phases spread over half a bump, so that some probe sees a slope at every theta"
+            raise EntryError(what, key=("probes",), expected=expected)
+        return self
+
+    @property
+    def phases(self) -> FloatArray:
+        """Phase of each probe at theta = 0 in bumps, 0 to 1, shape (probes,)."""
+        tips = np.array([probe.tip.array[:2] for probe in self.probes])
+        return np.asarray(np.mod(np.arctan2(tips[:, 1], tips[:, 0]) * self.ring.bumps / (2.0 * math.pi) + 1e-9, 1.0))
 
     def build(self) -> BumpyRing:
         """Return the sensor."""

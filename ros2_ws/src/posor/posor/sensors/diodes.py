@@ -15,14 +15,14 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from posor.calibration.file_model import EntryError, FrozenModel
-from posor.calibration.quantity import Quantity, check_unit_vector, measured
+from posor.calibration.quantity import Quantity, check_positive, check_unit_vector, measured
 from posor.errors import CalibrationError, ScanError
 from posor.model import diode as codes
 from posor.model.diode import DIODE, SPOT_POSITION
 from posor.model.fault import Fault
 from posor.model.reading_rows import ROW, SPOT_X, evaluate_poses
 from posor.model.readings import DIODE_CURRENTS, WRONG_COUNT, WRONG_SOURCE, WRONG_SOURCES, fault_of_code
-from posor.model.scan import NO_SOURCE
+from posor.model.scan import DARK_SUBTRACTED, NO_SOURCE
 from posor.model.spot_map import CURVES, position_of_ratios, ratios_of_positions
 from posor.numerics.compiled import record_view
 from posor.sensors.base import ReadingSource, RowSensor, SensorCalibration, no_parameters
@@ -88,6 +88,29 @@ class LightSourceCalibration(FrozenModel):
         return self
 
 
+class AmbientLight(FrozenModel):
+    """How ambient light is removed from the diode currents: by dark scans, or by a device that demodulates.
+
+    A scan flagged STATUS_DARK_SUBTRACTED holds no ambient light. Any other needs a dark scan, in which no source is
+    lit, at most ``max_age`` ago. ``noise`` is the standard deviation of a contact's current in a dark scan; ``drift``
+    that of the change of the ambient light within a second (it grows with the root of time); ``remaining`` the largest
+    ambient current that is left, as a share of ``minimum_sum``.
+    """
+
+    noise: Annotated[Quantity, measured("A")]
+    drift: Annotated[Quantity, measured("A/s^0.5")]
+    max_age: Annotated[Quantity, measured("s")]
+    remaining: Annotated[Quantity, measured("1")]
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        check_positive("noise", self.noise)
+        check_positive("drift", self.drift, or_zero=True)
+        check_positive("max_age", self.max_age)
+        check_positive("remaining", self.remaining, below=1.0)
+        return self
+
+
 CONTRADICTION = 10.0
 """Standard deviations by which the distance of two spots must contradict light sources that have slipped."""
 
@@ -131,13 +154,17 @@ def _sources_seen(diodes: FloatArray, sources: FloatArray) -> IntArray:
 
 
 class DiodesCalibration(SensorCalibration):
-    """Diodes, the sources they see, and named sets of maps (one map for each diode in each set)."""
+    """Diodes, the sources they see, and named sets of maps (one map for each diode in each set).
+
+    ``ambient``: how ambient light is removed; missing: the currents are used as they are.
+    """
 
     type: Literal["diodes"]
     diodes: Annotated[list[DiodeCalibration], Field(min_length=1, max_length=4)]
     light_sources: Annotated[list[LightSourceCalibration], Field(min_length=1, max_length=NO_SOURCE)]
     map: str
     maps: dict[str, list[SpotMap]]
+    ambient: AmbientLight | None = None
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -184,7 +211,7 @@ class Diodes(RowSensor):
         """Take the parameters out of a validated calibration."""
         diodes, sources, maps = calibration.diodes, calibration.light_sources, calibration.maps[calibration.map]
         self._names = tuple(diode.name for diode in diodes)
-        self._sources = len(sources)
+        self._sources, self._ambient = len(sources), calibration.ambient
         self._diodes = np.zeros(len(diodes), dtype=DIODE)
         for record, diode, spot_map in zip(self._diodes, diodes, maps, strict=True):
             record["least_sum"], record["greatest_sum"] = diode.sums
@@ -274,12 +301,12 @@ class Diodes(RowSensor):
         else:
             diode, what_code = divmod(code, codes.CODES)
             where = f"{where}, diode {self._names[diode]}"
-            what, expected = self._explain_currents(scan.diode_currents[diode].tolist(), diode, what_code)
+            what, expected = self._explain_currents(scan, diode, what_code)
         return ScanError(what, fault=fault, where=where, expected=expected)
 
-    def _explain_currents(self, currents: list[float], diode: int, code: int) -> tuple[str, str]:
+    def _explain_currents(self, scan: Scan, diode: int, code: int) -> tuple[str, str]:
         """Return what is wrong with the contact currents of a diode, and what is expected."""
-        a, b, c, d = currents
+        (a, b, c, d), lit = scan.diode_currents[diode].tolist(), scan.lit_sources[diode]
         least, greatest = self._diodes[diode][["least_sum", "greatest_sum"]].tolist()
         sums = f"A + C = {a + c:.3g} A, B + D = {b + d:.3g} A"
         if code == codes.NOT_FINITE:
@@ -287,6 +314,8 @@ class Diodes(RowSensor):
         if code == codes.DARK:
             return f"too dark, {sums}", f"at least {least:.3g} A"
         if code == codes.BRIGHT:
+            if lit == NO_SOURCE:
+                return f"light in a dark scan, {sums}", f"less than {least:.3g} A"
             return f"too bright for one light source, {sums}", f"at most {greatest:.3g} A"
         axis = code - codes.OUTSIDE_X
         ratio = ((a - c) / (a + c), (b - d) / (b + d))[axis]
@@ -294,8 +323,10 @@ class Diodes(RowSensor):
         return f"{'xy'[axis]} ratio {ratio:.6g} is outside the calibrated map", f"{low:g} to {high:g}"
 
     def encode(self, readings: FloatArray, scans: Scans) -> dict[str, FloatArray]:
-        """Return the contact currents of spot positions, their sums in the middle of the diode's range."""
-        del scans
+        """Return the contact currents of spot positions, their sums in the middle of the diode's range.
+
+        They hold no ambient light: where the calibration removes it, the scans are flagged so.
+        """
         currents = np.empty((len(readings), len(self._names), 4))
         for i, parameters in enumerate(self._array("maps")):
             spots = np.zeros(len(readings), dtype=SPOT_POSITION)
@@ -308,7 +339,8 @@ class Diodes(RowSensor):
             total = 0.5 * (least + greatest) if math.isfinite(greatest) else 2.0 * least
             currents[:, i, :2] = 0.5 * total * (1.0 + spots["ratios"])
             currents[:, i, 2:] = 0.5 * total * (1.0 - spots["ratios"])
-        return {"diode_currents": currents}
+        fields: dict[str, FloatArray] = {"diode_currents": currents}
+        return fields if self._ambient is None else fields | {"statuses": scans.statuses | DARK_SUBTRACTED}
 
     def disturbed(self, scans: Scans, noise: np.random.Generator) -> dict[str, FloatArray]:
         """Return the currents with the ratios' noise, their sums unchanged."""

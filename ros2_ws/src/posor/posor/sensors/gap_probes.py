@@ -5,13 +5,14 @@ Source: thesis 5.3.1; voltage to gap, table 7.10; the tilt of the target plane, 
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Annotated, Literal, Self
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from posor.calibration.file_model import FrozenModel
-from posor.calibration.quantity import Quantity, measured
+from posor.calibration.quantity import Quantity, check_positive, measured
 from posor.errors import CalibrationError
 from posor.model.reading_rows import GAP, ROW
 from posor.model.readings import GAP_VOLTAGES
@@ -37,12 +38,43 @@ class TargetPlaneCalibration(FrozenModel):
     tilt: Annotated[Quantity, measured("rad", 2)]
 
 
+class ReferenceVoltage(FrozenModel):
+    """A known voltage that the converter of the probes reads in each scan, so that its gain is corrected.
+
+    ``voltage`` with its standard uncertainty; ``noise`` of a reading; ``limit``: largest deviation of the gain from one
+    that is corrected, beyond it there is no pose; ``spread``: standard uncertainty of the gain in scans without a
+    reading.
+    """
+
+    voltage: Annotated[Quantity, measured("V")]
+    noise: Annotated[Quantity, measured("V")]
+    limit: Annotated[Quantity, measured("1")]
+    spread: Annotated[Quantity, measured("1")]
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        check_positive("voltage", self.voltage)
+        check_positive("noise", self.noise, or_zero=True)
+        check_positive("limit", self.limit, below=1.0)
+        check_positive("spread", self.spread, or_zero=True)
+        return self
+
+    @property
+    def relative_sigma(self) -> float:
+        """Relative standard uncertainty of the gain by one reading."""
+        return math.hypot(float(self.voltage.sigmas), self.noise.number) / self.voltage.number
+
+
 class GapProbesCalibration(SensorCalibration):
-    """Any number of probes that look at one target plane."""
+    """Any number of probes that look at one target plane.
+
+    ``reference``: known voltage of the converter that reads all probes, gap and ring; missing: the converter has none.
+    """
 
     type: Literal["gap_probes"]
     target_plane: TargetPlaneCalibration
     probes: Annotated[list[ProbeCalibration], Field(min_length=1, max_length=8)]
+    reference: ReferenceVoltage | None = None
 
     def build(self) -> GapProbes:
         """Return the sensor."""
@@ -73,7 +105,7 @@ class GapProbes(ProbeSensor):
 
     def __init__(self, calibration: GapProbesCalibration) -> None:
         """Take the parameters out of a validated calibration."""
-        plane = calibration.target_plane
+        plane, self._reference = calibration.target_plane, calibration.reference
         super().__init__(
             calibration.probes,
             {"plane_point": plane.point.array, "plane_tilt": plane.tilt.array},
@@ -88,6 +120,21 @@ class GapProbes(ProbeSensor):
         of_row["plane_point"], of_row["tilt"] = self.parameter_ids("plane_point"), self.parameter_ids("plane_tilt")
         self.row_parameters = of_row["parameters"]
         return rows
+
+    def encode(self, readings: FloatArray, scans: Scans) -> dict[str, FloatArray]:
+        """Return the voltages of gaps and the known voltage; see ``RowSensor.encode``."""
+        fields = super().encode(readings, scans)
+        if self._reference is not None:
+            fields["reference_voltages"] = np.full(len(readings), self._reference.voltage.number)
+        return fields
+
+    def disturbed(self, scans: Scans, noise: np.random.Generator) -> dict[str, FloatArray]:
+        """Return the voltages with noise, that of the known voltage too."""
+        fields = super().disturbed(scans, noise)
+        if self._reference is not None:
+            random = noise.normal(size=len(scans))
+            fields["reference_voltages"] = scans.reference_voltages + random * self._reference.noise.number
+        return fields
 
     def gap_sigmas(self, scans: Scans) -> FloatArray:
         """Return the standard uncertainties (n, p) [m] of the gaps of fit scans from their linearisation."""

@@ -7,7 +7,8 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
-from posor.calibration.calibration_file import Calibration
+from posor.calibration.calibration_file import Calibration, calibration_from
+from posor.calibration.design_parts import ring_azimuths
 from posor.calibration.designs import PROBE_ACCURACY, SMALLEST_DIAMETER, STANDOFF, SizedDesignName, sized_design
 from posor.errors import CalibrationError
 from posor.estimation.estimate import Estimates
@@ -15,6 +16,7 @@ from posor.estimation.forward import scans_at
 from posor.estimation.posor import Posor
 from posor.model.fault import State
 from posor.model.native_coordinates import rotation_from_native
+from posor.sensors.bumpy_ring import BumpyRingCalibration
 from posor_lab.harness.case_tables import refusal
 
 INCH = 0.0254
@@ -105,6 +107,42 @@ def test_a_ring_tolerates_half_a_millimetre_in_every_direction(diameter_in: floa
     found = located(posor, places)
     assert np.all(found.states == State.OK)
     np.testing.assert_allclose(found.translations, np.array(places)[:, :3], rtol=0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize("probes", [3, 4, 5, 6, 7, 8])
+def test_ring_probes_are_well_phased_for_every_number_of_bumps(probes: int) -> None:
+    for bumps in range(8, 220):
+        azimuths = np.array(ring_azimuths(bumps, probes))
+        phases = np.mod(azimuths * bumps / (2.0 * math.pi) + 1e-9, 1.0)
+        expected = np.arange(probes) % (probes // 2) if probes % 4 == 0 else np.arange(probes) * ((probes - 1) // 2)
+        np.testing.assert_allclose(phases, expected / probes % 1.0, atol=1e-6)
+        assert abs(np.mean(np.exp(4j * math.pi * phases))) < 0.5
+        spacing = np.abs(azimuths - 2.0 * math.pi * np.arange(probes) / probes)
+        assert spacing.max() < 1.5 * 2.0 * math.pi / bumps
+
+
+@pytest.mark.parametrize("diameter_in", DIAMETERS_IN)
+def test_five_ring_probes_tell_displacement_from_theta_at_every_phase_though_one_is_missing(diameter_in: float) -> None:
+    content = made("checked_bumpy_ring", diameter_in).model_dump(mode="json")
+    ring = content["sensors"][1]
+    phases = np.linspace(0.0, 2.0 * math.pi, 60)
+    for missing in range(5):
+        four = {**ring, "probes": [probe for n, probe in enumerate(ring["probes"]) if n != missing]}
+        assert BumpyRingCalibration.model_validate(four).build().observability(phases).min() > 0.1
+
+
+def test_ring_probes_in_phase_are_refused() -> None:
+    content = made("checked_bumpy_ring", 8.0).model_dump(mode="json")
+    ring = content["sensors"][1]
+    for n, part in enumerate(ring["probes"]):  # evenly spaced, a fifth of a bump further each: in phase with 144 bumps
+        azimuth = 2.0 * math.pi * n / 5 * (1.0 + 1.0 / 144)
+        radius = math.hypot(*part["tip"]["value"][:2])
+        part["tip"]["value"][:2] = [radius * math.cos(azimuth), radius * math.sin(azimuth)]
+        part["axis"]["value"] = [-math.cos(azimuth), -math.sin(azimuth), 0.0]
+    with pytest.raises(
+        ValueError, match=r"with 144 bumps, the probes are at the phases 0\.00, .* 0\.00 .*all in phase"
+    ):
+        calibration_from(content)
 
 
 @pytest.mark.parametrize("diameter", [0.0, -0.1, math.nan, 0.999 * SMALLEST_DIAMETER])

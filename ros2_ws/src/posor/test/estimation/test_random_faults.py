@@ -35,7 +35,7 @@ def moving(posor: Posor, random: np.random.Generator) -> tuple[Scans, FloatArray
     translations = np.column_stack([wave(3, 5e-5, 0.02), wave(4, 5e-5, 0.02), 0.72e-3 + wave(5, 1e-4, 0.02)])
     stamps = np.arange(1, COUNT + 1, dtype=np.int64) * TICK_NS
     scans = scans_at(posor.stack, rotations, translations, stamps, noise=random).editable()
-    scans.supply_voltages[:], scans.temperatures[:] = 15.0, 293.15
+    scans.supply_voltages[:], scans.temperatures[:], scans.reference_voltages[:] = 15.0, 293.15, 5.0
     return scans, rotations, translations
 
 

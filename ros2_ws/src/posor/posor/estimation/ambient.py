@@ -1,0 +1,139 @@
+"""Ambient light and gain of the converter: what a dark scan and a known voltage remove from the readings.
+
+Ambient light adds a current to each contact of a diode, which draws its spot towards the middle of the diode. In a dark
+scan no light source is lit, so its diode currents are those of the ambient light. They are followed by a random walk:
+with the variance P of the estimate, the drift d [A/s^.5], the time t since the last dark scan and the variance R of a
+dark current,
+
+    P := P + d^2 t,   K = P / (P + R),   dark := dark + K (I - dark),   P := (1 - K) P  (Kalman filter of a constant),
+
+and anew from a dark current further than DARK_SIGMAS sqrt(P + R) away, as after a lamp was switched on. A scan t after
+the last dark scan subtracts them with the variance s^2 = P + d^2 t, independent for each contact. For the ratio
+``u = (A - C)/(A + C)`` follows ``2 (1 + u^2) s^2 / (A + C)^2`` (JCGM 100, 5.1.2), which counts as systematic, because
+the scans between two dark scans share it. A lit scan before the first dark scan is LOST; one long after the last is
+DEGRADED.
+
+A dark scan has a pose too: that of the gap probes, and in the other directions the previous pose, moved on, with the
+largest motion as spread. It is DEGRADED and does not enter the tracker.
+
+A converter that reads a known voltage U as U' has the gain ``g = U'/U``; all voltages are divided by g. The relative
+uncertainty of U' and U is common to all gaps: ``-V dgap/dV`` times it, in one factor.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+from posor.model.diode import BRIGHT, CODES, NOT_FINITE, VALID
+from posor.model.scan import CONTACTS, DARK_SUBTRACTED, NO_SOURCE
+from posor.numerics.compiled import in_place, inlined
+from posor.numerics.stamps import NS
+from posor.numerics.vector import square
+
+if TYPE_CHECKING:
+    from posor.estimation.workspace import Model
+
+DARK_SIGMAS = 5.0  # standard deviations by which a dark current differs where the ambient light has changed
+NO_POSE, NO_DARK_SCAN = -106, -107
+"""Codes of a dark scan without a previous pose or of a latched joint, and of a lit scan before any dark scan."""
+
+
+@inlined
+def is_dark(settings: Any, scan: Any) -> bool:
+    """Return whether a scan is the dark scan of a calibration that has such."""
+    dark = settings.dark_age > 0.0 and scan.lit_count > 0
+    for i in range(scan.lit_count):
+        dark = dark and scan.lit_sources[i] == NO_SOURCE
+    return bool(dark)
+
+
+@inlined
+def check_dark_currents(model: Model, sensor: Any, scan: Any) -> int:
+    """Return VALID, or the code of a diode whose currents are not finite or those of a lit source."""
+    for i in range(sensor.count):
+        least = model.diodes[sensor.first_channel + i].least_sum
+        for axis in range(2):
+            total = scan.diode_currents[CONTACTS * i + axis] + scan.diode_currents[CONTACTS * i + axis + 2]
+            if not math.isfinite(total):
+                return NOT_FINITE + CODES * i
+            if total >= least:
+                return BRIGHT + CODES * i
+    return VALID
+
+
+@inlined
+def subtract_ambient(workspace: Any, scan: Any) -> float:
+    """Write the currents without ambient light; return the standard uncertainty of what was subtracted [A].
+
+    Zero: the scan needs no dark scan, or there was none. Whether it is missing or too old stands in the workspace.
+    """
+    settings, ambient = workspace.settings, workspace.tracker.ambient
+    needed = settings.dark_age > 0.0 and scan.status & DARK_SUBTRACTED == 0
+    known, age = needed and ambient.known == 1, max(0.0, float(scan.stamp_ns - ambient.stamp_ns) / NS)
+    workspace.ambient_unknown = 1 if needed and not known else 0
+    workspace.ambient_old = 1 if known and age > settings.dark_age else 0
+    for k in range(scan.current_count):
+        workspace.lit_currents[k] = scan.diode_currents[k] - (ambient.currents[k] if known else 0.0)
+    return math.sqrt(ambient.variance + square(settings.dark_drift) * age) if known else 0.0
+
+
+@inlined
+def write_ambient_effects(workspace: Any, r: int, diode: int, sigma: float) -> None:
+    """Write what the ambient light does to readings r and r + 1, a spot whose ratios and slope are in the workspace."""
+    spot, currents = workspace.spot, workspace.lit_currents
+    for axis in range(2):
+        total = currents[CONTACTS * diode + axis] + currents[CONTACTS * diode + axis + 2]
+        of_ratio = sigma * math.sqrt(2.0 * (1.0 + square(spot.ratios[axis]))) / total
+        for k in range(2):
+            workspace.ambient_effects[r + k, axis] = spot.slope[k, axis] * of_ratio
+
+
+@in_place
+def follow_ambient(workspace: Any, scan: Any) -> None:
+    """Update the currents of the ambient light by a dark scan."""
+    settings, ambient = workspace.settings, workspace.tracker.ambient
+    noise, elapsed = square(settings.dark_noise), float(scan.stamp_ns - ambient.stamp_ns) / NS
+    variance = ambient.variance + square(settings.dark_drift) * max(elapsed, 0.0)
+    anew = ambient.known == 0 or elapsed < 0.0
+    for k in range(scan.current_count):
+        off = abs(scan.diode_currents[k] - ambient.currents[k])
+        anew = anew or off > DARK_SIGMAS * math.sqrt(variance + noise)
+    gain = 1.0 if anew else variance / (variance + noise)
+    for k in range(scan.current_count):
+        ambient.currents[k] += gain * (scan.diode_currents[k] - ambient.currents[k])
+    ambient.known, ambient.stamp_ns, ambient.variance = 1, scan.stamp_ns, gain * noise
+
+
+@inlined
+def converter_gain(settings: Any, scan: Any) -> tuple[float, float]:
+    """Return the gain of the probes' converter and its standard uncertainty; without a reading: one, and its spread."""
+    if not settings.reference_voltage > 0.0:
+        return 1.0, 0.0
+    if math.isnan(scan.reference_voltage):
+        return 1.0, settings.gain_spread
+    if scan.reference_voltage == 0.0:
+        return 1.0, 0.0  # not valid: see ``gain_is_valid``
+    return scan.reference_voltage / settings.reference_voltage, settings.reference_sigma
+
+
+@inlined
+def gain_is_valid(settings: Any, scan: Any) -> bool:
+    """Return whether the gain is within its limit of one, or not measured."""
+    known, reading = settings.reference_voltage, scan.reference_voltage
+    return bool(not known > 0.0 or math.isnan(reading) or abs(reading - known) <= settings.gain_limit * known)
+
+
+@in_place
+def add_common_effects(workspace: Any) -> None:
+    """Add the covariance from gain and ambient light to ``systematic_readings``."""
+    m, by_gain, by_ambient = workspace.reading_count, workspace.gain_effects, workspace.ambient_effects
+    for r in range(m):
+        for q in range(m):
+            workspace.systematic_readings[r, q] += by_gain[r] * by_gain[q]
+    for r in range(m):
+        partner = workspace.spot_partners[r]
+        for axis in range(2):
+            workspace.systematic_readings[r, r] += square(by_ambient[r, axis])
+            if partner != r:
+                workspace.systematic_readings[r, partner] += by_ambient[r, axis] * by_ambient[partner, axis]
