@@ -30,7 +30,8 @@ TEST_RIG = "joint1"
 
 SIZED: dict[str, tuple[SizedDesignName, dict[str, float]]] = {
     "five_axis": ("triad_bumpy_ring", FIVE_AXIS),
-    "six_axis": ("quad_light_ring", SIX_AXIS),
+    "five_axis_checked": ("checked_bumpy_ring", FIVE_AXIS),
+    "six_axis": ("checked_light_ring", SIX_AXIS),
 }
 
 

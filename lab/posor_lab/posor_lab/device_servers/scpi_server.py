@@ -33,6 +33,7 @@ class ScpiServer(DeviceServer):
         # put into the error queue with the next scan: code and message; None: no error
         self.error: tuple[int, str] | None = None
         self.answer: str | None = None  # instead of the readings of a scan; None: the readings
+        self.outputs: list[tuple[int, int]] = []  # values and numbers of digital outputs, as written
         self.interval_s = 0.0  # time from channel to channel: the settings that a client has written
         self.stalled = Event()  # no scan is answered while it is set
         self._voltages = voltages
@@ -47,6 +48,7 @@ class ScpiServer(DeviceServer):
         router.add_route("ROUTe:SCAN <channels>", self._choose_channels)
         for command in ("ROUTe:CHANnel:DELay <value>", "SENSe:VOLTage:DC:APERture <value>"):
             router.add_route(command, self._add_to_interval)
+        router.add_route("SOURce:DIGital:DATA <value>", self._write_output)
         router.add_route("READ?", self._read)
         self._server = Server(HOST, self.port, shared_context=True)
         self._server.include_router(router)
@@ -86,6 +88,10 @@ class ScpiServer(DeviceServer):
         """Add a channel delay or an aperture [s] to the time of each channel."""
         del context, channels
         self.interval_s += float(value)
+
+    def _write_output(self, context: Any, value: str, *channels: str) -> None:
+        del context
+        self.outputs.append((int(value), int(channels[0].strip("(@)"))))
 
     async def _read(self, context: Any) -> str:
         while self.stalled.is_set():  # noqa: ASYNC110  set by another thread

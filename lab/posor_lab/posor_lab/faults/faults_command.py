@@ -33,7 +33,7 @@ from posor_lab.faults.fault_table import (
 from posor_lab.faults.injection_run import ReadingRun
 from posor_lab.faults.message_run import MessageRun
 from posor_lab.faults.node_storm import run_node_storm
-from posor_lab.faults.offline_faults import CASES, run_hidden, run_slips
+from posor_lab.faults.offline_faults import CASES, run_ambient, run_hidden, run_slips
 from posor_lab.faults.process_run import ProcessRun
 from posor_lab.faults.storm import run_storm, storm_calibrations
 from posor_lab.faults.time_run import ScatterRun, TimeRun
@@ -133,6 +133,7 @@ TITLES = {  # titles of the runs by section of the table; rows of the same title
     **{name: run.TITLE for name, run in LIVE_RUNS.items()},
     "hidden": "hidden faults",
     "slips": "slips of sources",
+    "ambient": "ambient light",
 }
 
 
@@ -170,8 +171,9 @@ def _run_group(rows: Sequence[FaultRow], title: str, trial: Trial) -> list[RowRe
     options, run = trial.options, rows[0].run
     if run in LIVE_RUNS:
         return LIVE_RUNS[run](rows, trial.subfolder(title), options.seed, trial.interrupted).run()
-    if run == "slips":
-        return [run_slips(row, options.seed) for row in rows]
+    if run in {"slips", "ambient"}:
+        of_row = run_slips if run == "slips" else run_ambient
+        return [of_row(row, options.seed) for row in rows]
     return [run_hidden(row, options.seed, QUICK_CASES if options.quick else CASES) for row in rows]
 
 

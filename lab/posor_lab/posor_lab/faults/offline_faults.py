@@ -18,6 +18,7 @@ from posor.chain.arm_file import load_arm_file
 from posor.errors import PosorError
 from posor.estimation.posor import Posor
 from posor.model.fault import USABLE_STATES, Fault, State
+from posor.model.scan import NO_SOURCE
 from posor.numerics.stamps import NS
 from posor.numerics.vector import thetas_of
 from posor.sensors.diodes import DiodesCalibration
@@ -43,6 +44,7 @@ AXES = ("x", "y", "z", "about X", "about Y", "about Z")
 GAP = np.array([0.0, 0.0, 0.735e-3])  # origin of a target plate at home [m]
 EXPANSION = 23e-6  # thermal expansion of aluminium [1/K]
 SLIP_SCANS, SLIP_RATE = 12, 500
+AMBIENT_SCANS = 60
 LATER = 6  # scan at which the later slips begin
 
 
@@ -150,6 +152,37 @@ def describe_levels(errors: FloatArray, levels: FloatArray) -> str:
     parts = [f"protection level in um, urad: {', '.join(bounded)}"] if bounded else []
     parts += [f"not bounded: {', '.join(open_axes)}"] if open_axes else []
     return "; ".join(parts)
+
+
+def run_ambient(row: FaultRow, seed: int, positions: int = 12) -> RowResult:
+    """Return the result of ambient light from the first scan on, in shares of a source's light, at random angles."""
+    calibration, random = load_arm_file(find_arm(row.arm)).calibration(JOINT), np.random.default_rng(seed)
+    wrong, named, poses = 0, list[bool](), 0
+    for theta in random.uniform(-math.pi, math.pi, positions):
+        truth = PoseArray.from_axis_angles(2, theta + 1e-3 * np.arange(AMBIENT_SCANS) / SLIP_SCANS)
+        truth = PoseArray(truth.rotations, truth.translations + GAP)
+        posor, stamps = Posor(calibration), np.arange(1, AMBIENT_SCANS + 1, dtype=np.int64) * (NS // SLIP_RATE)
+        sound = scans_at(
+            draw_sensors(posor, random), truth.rotations, truth.translations, stamps, noise=random
+        ).editable()
+        sound.statuses[:] = 0
+        light = 0.25 * sound.diode_currents.sum(axis=2).mean()
+        dark = AMBIENT_SCANS // 2
+        sound.lit_sources[dark] = NO_SOURCE
+        noise = float(posor.settings["dark_noise"])
+        sound.diode_currents[dark] = noise * random.normal(size=sound.diode_currents[dark].shape)
+        for share in row.inject["shares"]:
+            found = Posor(calibration).estimate_all(
+                sound.with_fields({"diode_currents": sound.diode_currents + share * light})
+            )
+            valid = np.isin(found.states, USABLE_STATES)
+            wrong += int(np.count_nonzero(valid & wrong_poses(*estimated_poses(found), truth)))
+            named.append(bool(np.all(found.faults[:dark] & int(Fault.AMBIENT))))
+            poses += int(np.count_nonzero(found.states[dark + 1 :] == State.OK))
+    seen = (
+        f"{sum(named)} of {len(named)} named; afterwards {poses} of {len(named) * (AMBIENT_SCANS - dark - 1)} scans OK"
+    )
+    return RowResult(row, seen, 0.0 if all(named) and poses else None, wrong)
 
 
 def run_slips(row: FaultRow, seed: int, positions: int = 12) -> RowResult:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from posor.numerics.stamps import NS
+from posor.sensors.diodes import DiodesCalibration
 from posor_drivers.simulator.arm_simulation import ArmSimulation
 from posor_drivers.simulator.imperfections import Imperfections
 from scipy.spatial.transform import Rotation
@@ -107,10 +108,13 @@ class SimulatedReadings:
         """Return the joint of an instruments file; ``channels`` are the entries of the readings by their names."""
         entry: dict[str, Any] = {"frame_id": self.arm.calibration(joint).frames.parent}
         for name, kind, _ in self.channels[joint]:
-            if kind in {"supply_voltage", "temperature", "home_mark"}:
+            if kind in {"supply_voltage", "temperature", "reference_voltage", "home_mark"}:
                 entry[kind] = channels[name]
             else:
                 entry.setdefault(kind, []).append(channels[name])
+        diodes = [each for each in self.arm.calibration(joint).sensors if isinstance(each, DiodesCalibration)]
+        if any(each.ambient is not None for each in diodes):
+            entry["demodulated"] = True
         return entry
 
 
@@ -142,6 +146,8 @@ def _table(scans: Any) -> tuple[list[ReadingChannel], FloatArray]:
         "home_mark": ("1", (scans.at_home == 1)[:, None]),
         "supply_voltage": ("V", scans.supply_voltages[:, None]),
     }
+    if not np.isnan(scans.reference_voltages).any():
+        parts["reference_voltage"] = "V", scans.reference_voltages[:, None]
     channels = [
         ReadingChannel(f"{kind}{column}", kind, unit)
         for kind, (unit, columns) in parts.items()

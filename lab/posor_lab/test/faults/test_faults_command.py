@@ -17,14 +17,14 @@ from posor_lab.faults.device_run import ACTIONS
 from posor_lab.faults.fault_table import FAULT_TABLE, NAMING_LIMITS_S, FaultRow, RowResult
 from posor_lab.faults.faults_command import PROGRAM, TITLES, main
 from posor_lab.faults.message_run import change_message
-from posor_lab.faults.offline_faults import run_slips
+from posor_lab.faults.offline_faults import run_ambient, run_slips
 from posor_lab.faults.pose_judge import SIGMAS, wrong_poses
 from posor_lab.faults.storm import StormMaker, count_storm, estimate_storm, storm_calibrations
 from posor_msgs.msg import JointTransform, RawScan
 
 pytestmark = pytest.mark.timeout(300)
 KEYS = {"fault", "kind", "observable", "expected", "seen", "naming_s", "wrong_ok", "lost", "covered", "failures"}
-ROWS = 129
+ROWS = 132
 QUICK_ROWS = {row.title for row in FAULT_TABLE if row.quick}
 
 
@@ -148,7 +148,7 @@ def test_a_pose_that_is_wrong_counts(storm_maker: StormMaker) -> None:
     assert sound.injected == np.count_nonzero(storm.faults >= 0)
 
 
-def test_no_slip_of_a_coded_ring_gives_a_wrong_pose() -> None:
-    (row,) = (row for row in FAULT_TABLE if row.run == "slips")
-    result = run_slips(row, seed=1, positions=3)
-    assert result.failures == []
+@pytest.mark.parametrize(("run", "of_row"), [("slips", run_slips), ("ambient", run_ambient)])
+def test_neither_a_slip_of_a_coded_ring_nor_ambient_light_gives_a_wrong_pose(run: str, of_row: Any) -> None:
+    (row,) = (row for row in FAULT_TABLE if row.run == run)
+    assert of_row(row, seed=1, positions=3).failures == []

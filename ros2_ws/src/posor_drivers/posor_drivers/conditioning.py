@@ -234,7 +234,7 @@ def merge_scans(group: ScanGroup, parameters: ConditioningParameters) -> Any:
         setattr(scan, name, means[name].ravel().tolist())
         if samples > 1:
             setattr(scan, SPREADS[name], average.spreads.ravel().tolist())
-    for name in ("supply_voltage", "temperature"):
+    for name in ("supply_voltage", "temperature", "reference_voltage"):
         value, lost = _average_measured(lit, name, significance)
         setattr(scan, name, value)
         dropped |= lost

@@ -51,6 +51,7 @@ def raw_scan(types: MessageTypes, stamp_ns: int, frame_id: str, **fields: Any) -
         "stamp_limit": 0.0,
         "supply_voltage": math.nan,
         "temperature": math.nan,
+        "reference_voltage": math.nan,
     }
     return types.new(RAW_SCAN, **(defaults | fields))
 
@@ -69,6 +70,7 @@ def scan_fields(scan: Scan) -> dict[str, Any]:
         "stamp_limit": scan.stamp_limit,
         "supply_voltage": scan.supply_voltage,
         "temperature": scan.temperature,
+        "reference_voltage": scan.reference_voltage,
     }
 
 

@@ -209,12 +209,14 @@ def _readings(calibration: Calibration) -> dict[str, str]:
     for sensor in calibration.sensors:
         if isinstance(sensor, GapProbesCalibration):
             readings |= {probe.name: "gap_voltages" for probe in sensor.probes}
+            readings |= {"reference": "reference_voltage"} if sensor.reference is not None else {}
         elif isinstance(sensor, BumpyRingCalibration):
             readings |= {probe.name: "ring_voltages" for probe in sensor.probes} | {"home": "home_mark"}
         elif isinstance(sensor, DiodesCalibration):
             names = [diode.name for diode in sensor.diodes]
             readings |= {f"{name}_{contact}": "diode_currents" for name in names for contact in CONTACTS}
             readings |= {f"{name}_source": "lit_sources" for name in names}
+            readings |= {"light": "light"} if sensor.ambient is not None else {}
     return readings
 
 
@@ -233,7 +235,7 @@ def _add_device(
     for name, reading in readings.items():
         part: Any = {"channel": f"{device}/{name}"}
         if name not in units_of_device:
-            if reading == "home_mark":
+            if reading in {"home_mark", "light"}:
                 continue
             if reading != "lit_sources":
                 what = f"a {kind} has no channel for '{name}' of {device}"
@@ -241,7 +243,7 @@ def _add_device(
             part = len(entry.get("lit_sources", []))
         elif reading not in WHOLE_NUMBERS and units_of_device[name] != READINGS[reading]:
             part["scale"] = {"value": 1.0, "unit": f"{READINGS[reading]}/{units_of_device[name]}"}
-        if reading == "home_mark":
+        if reading in {"home_mark", "light", "reference_voltage"}:
             entry[reading] = part
         else:
             entry.setdefault(reading, []).append(part)

@@ -18,9 +18,11 @@
         temperature: {channel: box/plate, scale: {value: 1, unit: K/degC}, offset: {value: 273.15, unit: K}}
 
 A reading is ``scale`` times the channel plus ``offset``. Without ``scale`` the channel has the unit of the reading.
-``lit_sources`` and ``home_mark`` are whole numbers: channels of unit ``1`` as they are; a lit source can be a fixed
-number. ``acceleration``, in the unit of the channel per s^2, is the largest one that the reading is
-interpolated with, see ``reading_noise``. ``references`` are instruments of a calibration, see ``reference_entry``.
+``lit_sources``, ``home_mark`` and ``light`` are whole numbers: channels of unit ``1`` as they are; a lit source can be
+a fixed number. ``light`` is 0 while all sources are switched off: those scans are dark. ``demodulated: true`` states
+that the device demodulates the light of the sources, so that the diode currents hold no ambient light.
+``acceleration``, in the unit of the channel per s^2, is the largest one that the reading is interpolated with, see
+``reading_noise``. ``references`` are instruments of a calibration, see ``reference_entry``.
 """
 
 from __future__ import annotations
@@ -47,11 +49,13 @@ READINGS = {
     "diode_currents": "A",
     "supply_voltage": "V",
     "temperature": "K",
+    "reference_voltage": "V",
     "lit_sources": "1",
     "home_mark": "1",
+    "light": "1",
 }
 """Readings of a joint and their units."""
-WHOLE_NUMBERS = ("lit_sources", "home_mark")
+WHOLE_NUMBERS = ("lit_sources", "home_mark", "light")
 """Readings that are never interpolated."""
 
 
@@ -74,8 +78,12 @@ class JointEntry(FrozenModel):
     lit_sources: Annotated[tuple[LitSource, ...], Field(max_length=4)] = ()
     home_mark: ReadingEntry | None = None
     """Not 0: the home mark of the ring was seen."""
+    light: ReadingEntry | None = None
+    """0: no light source is lit."""
+    demodulated: bool = Field(default=False, strict=True)
     supply_voltage: ReadingEntry | None = None
     temperature: ReadingEntry | None = None
+    reference_voltage: ReadingEntry | None = None
 
     def entries(self) -> Iterator[tuple[str, tuple[str | int, ...], ReadingEntry]]:
         """Yield name of the readings, location in the joint, and entry of each reading."""
@@ -95,6 +103,9 @@ class JointEntry(FrozenModel):
         if len(self.diode_currents) != 4 * len(self.lit_sources):
             what = f"{len(self.diode_currents)} diode currents and {len(self.lit_sources)} lit sources"
             raise EntryError(what, key=("lit_sources",), expected="one source for the four currents of each diode")
+        for name in ("light", "demodulated"):
+            if getattr(self, name) and not self.diode_currents:
+                raise EntryError(f"{name} without diode currents", key=(name,), expected="diode_currents")
         return self
 
 

@@ -14,6 +14,12 @@
 instrument; ``overhead`` is what it needs for each channel besides, such as for switching and auto zero. Channels are
 read in ascending order of their numbers, at an interval of the sum of the three; without aperture it is unknown.
 
+With the key ``light`` the device switches the light sources by a digital output, and has a further channel ``light``: 1
+while they are lit, 0 in the dark frames at the interval. Three dark frames follow one another, because a scan is
+interpolated between three; the first frames are dark::
+
+      light: {output: 204, lit: 1, dark: 0, interval: {value: 60, unit: s}}
+
 ``address`` is a VISA resource: TCP socket, VXI-11 (``TCPIP::host::INSTR``), HiSLIP (``TCPIP::host::hislip0::INSTR``),
 or a serial port with pyserial. ``dialect`` is the name of a file in ``scpi_dialects`` beside this module or the path of
 a dialect file of your own (its name ends in ``.yaml``); the commands of an instrument are written there, not in code.
@@ -32,7 +38,7 @@ from posor.calibration.quantity import Quantity, measured
 from posor.calibration.yaml_document import load_document
 from pydantic import Field, model_validator
 
-from posor_drivers.instruments.device import refuse_repeated_numbers, starting_channels
+from posor_drivers.instruments.device import Channel, refuse_repeated_numbers, starting_channels
 from posor_drivers.instruments.polled_device import PolledDevice, PolledSettings
 from posor_drivers.quantity_limits import NOT_NEGATIVE, Seconds
 
@@ -47,6 +53,9 @@ CHECK_ERRORS_S = 1.0
 """Time between two looks into the instrument's error queue."""
 TIMES = ("channel_delay", "aperture")
 """Keys that are written to the instrument by commands of the same names."""
+LIGHT = "light"
+DARK_FRAMES = 3
+"""Frames in a row without light."""
 MOST_ERRORS = 20
 """Errors that are read from the queue; it may be as long."""
 
@@ -65,6 +74,8 @@ class Dialect(FrozenModel):
     """Command that sets the time from switching to a channel to its measurement, ``{value}`` [s]."""
     aperture: str = ""
     """Command that sets the integration time ``{value}`` [s]."""
+    digital_output: str = ""
+    """Command that sets the digital output ``{number}`` to ``{value}``."""
     read: str
     """Question for one value of each channel, in ascending order of the numbers."""
     separator: str = ","
@@ -94,6 +105,15 @@ class ScpiChannel(FrozenModel):
     unit: str
 
 
+class LightSwitch(FrozenModel):
+    """Digital output that switches the light sources: its number, its values, and the interval of dark frames."""
+
+    output: Annotated[int, Field(strict=True, ge=0)]
+    lit: Annotated[int, Field(strict=True, ge=0)] = 1
+    dark: Annotated[int, Field(strict=True, ge=0)] = 0
+    interval: Seconds
+
+
 class ScpiSettings(PolledSettings):
     """Keys of an instrument with text commands."""
 
@@ -104,10 +124,13 @@ class ScpiSettings(PolledSettings):
     channel_delay: Annotated[Quantity, measured("s"), NOT_NEGATIVE] | None = None
     aperture: Seconds | None = None
     overhead: Annotated[Quantity, measured("s"), NOT_NEGATIVE] | None = None
+    light: LightSwitch | None = None
 
     @model_validator(mode="after")
     def _check(self) -> Self:
         refuse_repeated_numbers({name: channel.number for name, channel in self.channels.items()})
+        if self.light is not None and LIGHT in self.channels:
+            raise EntryError(f"channel '{LIGHT}'", key=("channels", LIGHT), expected="another name, with the key light")
         if not self.dialect_path.is_file():
             known = ", ".join(sorted(path.stem for path in DIALECTS.glob("*.yaml")))
             expected = f"one of {known}, or the path of a file"
@@ -138,18 +161,26 @@ class ScpiDevice(PolledDevice[ScpiSettings]):
         self._dialect = load_document(path, "dialect file", keys, DIALECT_VERSION, check)[0]
         self._numbers = [channel.number for channel in settings.channels.values()]
         self._checked_s = 0.0
-        for key in TIMES:
-            if getattr(settings, key) is not None and not getattr(self._dialect, key):
-                raise self.error(f"dialect '{settings.dialect}' has no command '{key}'", f"no key '{key}'")
+        self._dark_left, self._next_dark_s = 0, 0.0
+        for key, command in (*zip(TIMES, TIMES, strict=True), (LIGHT, "digital_output")):
+            if getattr(settings, key) is not None and not getattr(self._dialect, command):
+                raise self.error(f"dialect '{settings.dialect}' has no command '{command}'", f"no key '{key}'")
         times = [settings.channel_delay, settings.aperture, settings.overhead]
         interval_s = sum(each.number for each in times if each is not None)
         self.channel_interval_s = math.nan if settings.aperture is None else interval_s
 
     @property
+    def channels(self) -> Sequence[Channel]:
+        """Those of the key ``channels``, and ``light`` where the device switches it."""
+        light = [] if self.settings.light is None else [Channel(LIGHT, "1")]
+        return [*super().channels, *light]
+
+    @property
     def reading_order(self) -> Sequence[int]:
-        """In ascending order of the numbers."""
+        """In ascending order of the numbers; the light is that of the last one."""
         numbers = sorted(self._numbers)
-        return [numbers.index(number) for number in self._numbers]
+        order = [numbers.index(number) for number in self._numbers]
+        return order if self.settings.light is None else [*order, len(numbers) - 1]
 
     @classmethod
     def starting_settings(cls, units: Mapping[str, str]) -> dict[str, Any]:
@@ -191,6 +222,9 @@ class ScpiDevice(PolledDevice[ScpiSettings]):
             if (time_s := getattr(self.settings, name)) is not None:
                 command = getattr(dialect, name).replace("{value}", f"{time_s.number:.6g}")
                 self._transfer("write", command.replace("{numbers}", numbers))
+        self._dark_left, self._next_dark_s = 0, time.monotonic()
+        if self.settings.light is not None:
+            self._switch_light(self.settings.light)
         self._check_errors()
         return identity
 
@@ -198,7 +232,24 @@ class ScpiDevice(PolledDevice[ScpiSettings]):
         """Look for errors once a second, between two frames, and return the next frame."""
         if time.monotonic() - self._checked_s > CHECK_ERRORS_S:
             self._check_errors()
-        return super().read(timeout_s)
+        frames = super().read(timeout_s)
+        if frames is not None and self.settings.light is not None:
+            self._switch_light(self.settings.light)
+        return frames
+
+    def _switch_light(self, light: LightSwitch) -> None:
+        """Switch the light sources between two frames."""
+        now_s = time.monotonic()
+        if self._dark_left > 1:
+            self._dark_left -= 1
+            return
+        begins = self._dark_left == 0 and now_s >= self._next_dark_s
+        if begins or self._dark_left == 1:
+            self._dark_left = DARK_FRAMES if begins else 0
+            self._next_dark_s = now_s + light.interval.number if begins else self._next_dark_s
+            value = light.dark if begins else light.lit
+            command = self._dialect.digital_output.replace("{number}", str(light.output))
+            self._transfer("write", command.replace("{value}", str(value)))
 
     def ask(self) -> Sequence[float]:
         """Return the reading of each channel."""
@@ -214,7 +265,8 @@ class ScpiDevice(PolledDevice[ScpiSettings]):
             raise self.error(what, f"{len(self._numbers)} numbers, separated by '{dialect.separator}'")
         by_number = dict(zip(sorted(self._numbers), readings, strict=True))
         values = [by_number[number] for number in self._numbers]
-        return [value if abs(value) < dialect.overload else math.nan for value in values]
+        read = [value if abs(value) < dialect.overload else math.nan for value in values]
+        return read if self.settings.light is None else [*read, float(self._dark_left == 0)]
 
     def _check_errors(self) -> None:
         """Empty the error queue.

@@ -9,7 +9,7 @@ import numpy as np
 from posor.errors import ParameterError
 from posor.messages.message_definitions import installed_schema
 from posor.messages.message_table import TableLayout
-from posor.model.scan import HOME_BUMP, NO_SOURCE, SATURATED
+from posor.model.scan import DARK_SUBTRACTED, HOME_BUMP, NO_SOURCE, SATURATED
 from posor.numerics.stamps import NS
 from posor.ros_names import RAW_SCAN, REFERENCE_READING, REFERENCE_TOPIC
 from posor.uncertainty.interferometer import correct_reading
@@ -28,9 +28,9 @@ if TYPE_CHECKING:
     from posor_drivers.instruments.device_reader import StampError
     from posor_drivers.instruments.reference_entry import ReferenceEntry
 
-FIELDS = tuple(name for name in READINGS if name != "home_mark")
-"""Readings that are fields of the message; the home mark is a flag."""
-SCALARS = ("supply_voltage", "temperature")
+FIELDS = tuple(name for name in READINGS if name not in {"home_mark", "light"})
+"""Readings that are fields of the message; the home mark is a flag, and ``light`` switches the lit sources."""
+SCALARS = ("supply_voltage", "temperature", "reference_voltage")
 EXPOSED = ("gap_voltages", "ring_voltages", "diode_currents")
 """Readings whose exposure a scan states, in the order of ``RawScan.exposure_offsets``."""
 
@@ -59,7 +59,10 @@ class ScanWriter:
         self._columns = np.array([columns[entry.channel] for _, entry in measured])
         self._factors = np.array([entry.factor for _, entry in measured])
         self._shifts = np.array([entry.shift for _, entry in measured])
-        self._lit_sources, self._home_mark = self._readings[parts["lit_sources"]], self._readings[parts["home_mark"]]
+        self._lit_sources, self._home_mark, self._light = (
+            self._readings[parts[name]] for name in ("lit_sources", "home_mark", "light")
+        )
+        self._sources, self._flags = self._lit_sources.copy(), DARK_SUBTRACTED if joint.demodulated else 0
         arrays = {name: np.zeros(parts[name].stop - parts[name].start) for name in FIELDS if name not in SCALARS}
         arrays["lit_sources"] = arrays["lit_sources"].astype(np.uint8)
         read = [entry for kind in EXPOSED for entry in entries[parts[kind]] if isinstance(entry, ReadingEntry)]
@@ -86,13 +89,18 @@ class ScanWriter:
         """
         readings = self._readings
         readings[self._measured] = self._factors * channels[self._columns] + self._shifts
+        if self._light.size:  # fixed numbers come back after a dark scan
+            fixed = np.isfinite(self._sources)
+            self._lit_sources[fixed] = self._sources[fixed]
+            if not self._light.any():
+                self._lit_sources[:] = NO_SOURCE
         for lit in self._lit_sources.tolist():
             if not (0.0 <= lit <= NO_SOURCE and lit.is_integer()):
                 what = f"lit sources {self._lit_sources.tolist()}; expected whole numbers from 0 to {NO_SOURCE}"
                 raise LitSourceError(what)
         for field, part in self._pairs:
             field[:] = part
-        status = 0 if np.isfinite(readings).all() else SATURATED
+        status = self._flags | (0 if np.isfinite(readings).all() else SATURATED)
         self._seconds[0], self._nanoseconds[0] = divmod(stamp_ns, NS)
         self._uncertainty[0], self._limit[0] = error
         self._number[0], self._status[0] = number, status | (HOME_BUMP if self._home_mark.any() else 0)

@@ -98,6 +98,10 @@ class ArmSimulation:
                 expected = f"a motion through theta = {home:g} rad"
                 raise CalibrationError(what, where=f"{source}, key motion", expected=expected)
 
+    def start_at(self, joint: str, tick: int) -> None:
+        """Make a tick that of the first scan of a joint's driver, which is dark where the joint has dark scans."""
+        self._electronics[joint].first_tick = tick
+
     def truth(self, ticks: IntArray, stage: FloatArray | None = None) -> ArmTruth:
         """Return the truth at ticks (n,), with the stage at positions (n, 3) [m], axes of the endpoint; None: zero."""
         truth = self._cycle.select(np.mod(ticks, self._cycle_ticks))

@@ -10,10 +10,11 @@ from posor.calibration.parameter_covariance import shared_effects
 from posor.errors import CalibrationError
 from posor.estimation.forward import empty_scans, scans_at
 from posor.estimation.sensor_stack import Stack
-from posor.model.scan import HOME_BUMP, SATURATED, SIMULATED
+from posor.model.scan import DARK_SUBTRACTED, HOME_BUMP, NO_SOURCE, SATURATED, SIMULATED
 from posor.numerics.stamps import NS, tick_stamp_ns
 from posor.numerics.vector import thetas_of, wrapped_angles
 from posor.sensors.base import RowSensor
+from posor.sensors.diodes import DiodesCalibration
 
 from posor_drivers.simulator.imperfections import RandomStream, shared_errors
 from posor_drivers.simulator.simulated_scans import (
@@ -57,7 +58,12 @@ class _Dirt(NamedTuple):
 
 
 class JointElectronics:
-    """Sensors and electronics of one joint. A scan depends on its tick and pose only, not on earlier scans."""
+    """Sensors and electronics of one joint. A scan depends on its tick and pose only, not on earlier scans.
+
+    Attributes:
+        first_tick: Tick of the driver's first scan, which is dark where the joint has dark scans.
+
+    """
 
     def __init__(
         self,
@@ -94,6 +100,11 @@ class JointElectronics:
             self._truth = None if truth is None else truth.joint(joint, by_name)
         except ValueError as error:
             raise CalibrationError(f"{error}", where=f"calibration '{calibration.name}'") from error
+        diodes = [sensor for sensor in calibration.sensors if isinstance(sensor, DiodesCalibration)]
+        removal = diodes[0].ambient if diodes else None
+        self._ambient = scenario.electronics.ambient if removal is not None and imperfections.ambient_light else None
+        self._dark_noise = removal.noise.number if removal is not None and self._noise else 0.0
+        self.first_tick = 0
         self._sensors: list[RowSensor] = []
         for sensor in self._stack.sensors:
             if not isinstance(sensor, RowSensor):
@@ -103,6 +114,7 @@ class JointElectronics:
         one = scans_at(self._stack, np.eye(3)[None], np.zeros((1, 3)), np.zeros(1, dtype=np.int64))
         self._channels = sum(getattr(one, name).size for name in READ_IN_TURN)
         self._readings = RandomStream(scenario.seed, "readings", joint)
+        self._dark_readings = RandomStream(scenario.seed, "dark readings", joint)
         random = RandomStream(scenario.seed, "zero drift", joint).generator()
         phases = random.uniform(0.0, 2.0 * np.pi, size=(len(PROBE_FIELDS), 16))
         self._drift_phases = dict(zip(PROBE_FIELDS, phases, strict=True))
@@ -174,11 +186,12 @@ class JointElectronics:
             stated |= stated_exposures(offsets_s, len(ticks), self._multiplexer.offsets)
         scans = scans.with_fields(stated)
         scans, chances = self._add_noise(scans, ticks)
+        scans = self._add_ambient_light(scans, ticks)
         scans = self._add_contamination(self._add_zero_drift(scans, ticks), ticks)
         scans, saturated = self._convert(scans, out_of_range)
         if self._hides_supply:
             scans = scans.with_fields({"supply_voltages": np.full(len(ticks), np.nan)})
-        statuses = SIMULATED | SATURATED * saturated | HOME_BUMP * home
+        statuses = SIMULATED | SATURATED * saturated | HOME_BUMP * home | (scans.statuses & DARK_SUBTRACTED)
         sent = np.asarray(chances[:, 0] >= self._lost_share)
         return SimulatedScans(scans, statuses, sent, self._latencies_ns(chances[:, 1]))
 
@@ -238,6 +251,18 @@ class JointElectronics:
                     for name, values in sensor.disturbed(scan, random).items():
                         noisy.setdefault(name, []).append(values)
         return scans.with_fields({name: np.concatenate(values) for name, values in noisy.items()}), chances
+
+    def _add_ambient_light(self, scans: Scans, ticks: IntArray) -> Scans:
+        """Return the scans with ambient light, those with it alone where no source is lit."""
+        if self._ambient is None:
+            return scans
+        interval = max(1, round(self._ambient.interval.number * self._rate))
+        currents, lit = scans.diode_currents.copy(), scans.lit_sources.copy()
+        for n in np.flatnonzero((ticks % interval == 0) | (ticks == self.first_tick)):
+            random = self._dark_readings.generator(int(ticks[n]))
+            currents[n], lit[n] = self._dark_noise * random.normal(size=currents[n].shape), NO_SOURCE
+        fields = {"diode_currents": currents + self._ambient.current.number, "lit_sources": lit}
+        return scans.with_fields(fields | {"statuses": scans.statuses & ~DARK_SUBTRACTED})
 
     def _add_zero_drift(self, scans: Scans, ticks: IntArray) -> Scans:
         if self._drift is None:

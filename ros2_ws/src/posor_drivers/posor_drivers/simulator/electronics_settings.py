@@ -102,6 +102,18 @@ class Latency(FrozenModel):
         return self
 
 
+class AmbientLight(FrozenModel):
+    """Ambient light, and the interval at which all light sources are off for one scan, a dark scan.
+
+    The first scan of a driver is dark, and each whose tick is a multiple of the interval. Joints whose calibration has
+    no key ``ambient`` have neither; without this section no joint has: the diode currents count as demodulated.
+    ``current`` is that of each contact.
+    """
+
+    current: Annotated[Quantity, measured("A"), NOT_NEGATIVE]
+    interval: Seconds
+
+
 class Multiplexer(FrozenModel):
     """Channels are read one after another, in the order gap probes, ring probes, contact currents, about the stamp.
 
@@ -121,4 +133,5 @@ class ElectronicsSettings(FrozenModel):
     contamination: tuple[Contamination, ...] = ()
     dropouts: Dropouts | None = None
     latency: Latency | None = None
+    ambient: AmbientLight | None = None
     multiplexer: Multiplexer | None = None

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from posor_drivers.simulator.simulated_scans import SimulatedScans, SoundScans
 
 READING_FIELDS = ("gap_voltages", "ring_voltages", DIODE_FIELD, "lit_sources")
-CONTENT = (*READING_FIELDS, "supply_voltages", "temperatures", "at_home", "statuses")
+CONTENT = (*READING_FIELDS, "supply_voltages", "temperatures", "reference_voltages", "at_home", "statuses")
 """Fields of a scan about its time of exposure."""
 NOT_STATED = {"stamp_uncertainties": 0.0, "stamp_limits": 0.0}
 BURST_STEP_NS = 10_000
@@ -147,6 +147,11 @@ def _slip(scans: FaultyScans) -> dict[str, Any]:
     return {"lit_sources": np.where(lit < count, (lit + scans.size) % count, lit)}
 
 
+def _gain(scans: FaultyScans) -> dict[str, Any]:
+    fields = ("gap_voltages", "ring_voltages", "reference_voltages")
+    return {name: scans.now(name) * (1.0 + scans.fault.size) for name in fields}
+
+
 def _multiplexed(scans: FaultyScans, statement: str) -> dict[str, Any]:
     changes = scans.sound.exposure_changes(scans.ticks, scans.fault.size)
     offsets_s = scans.sound.exposure_offsets(scans.fault.size)
@@ -208,6 +213,8 @@ KINDS: dict[str, FaultKind] = {
     "slip": FaultKind(_slip, "1"),
     "supply": FaultKind(lambda scans: {"supply_voltages": scans.fault.size}, "V"),
     "temperature": FaultKind(lambda scans: {"temperatures": scans.fault.size}, "K"),
+    "ambient": FaultKind(lambda scans: {DIODE_FIELD: scans.now(DIODE_FIELD) + scans.fault.size}, "A"),
+    "gain": FaultKind(_gain, "1"),
     "status": FaultKind(lambda scans: {"statuses": scans.now("statuses") | scans.size}, "1"),
     "home": FaultKind(lambda scans: {"statuses": scans.now("statuses") | HOME_BUMP, "at_home": 1}),
     "clock": FaultKind(lambda scans: {"stamps_ns": scans.now("stamps_ns") + scans.size_ns}, "s"),

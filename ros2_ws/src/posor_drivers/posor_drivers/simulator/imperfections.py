@@ -23,6 +23,7 @@ class Imperfections(BaseModel):
     quantisation: bool = Field(default=True, description="steps of the analogue-to-digital converter")
     zero_drift: bool = Field(default=True, description="slow drift of the probes' zeros")
     supply_drift: bool = Field(default=True, description="slow drift of the probes' supply voltage")
+    ambient_light: bool = Field(default=True, description="ambient light on the diodes, and dark scans that measure it")
     contamination: bool = Field(default=True, description="dirt on single channels, part of the time")
     dropouts: bool = Field(default=True, description="scans that are never published")
     latency: bool = Field(default=True, description="delay between exposure and publication")

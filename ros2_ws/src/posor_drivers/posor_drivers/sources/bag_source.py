@@ -5,6 +5,7 @@ Scans that were recorded with another version of RawScan are published in the pr
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -21,7 +22,10 @@ from posor_drivers.sources.source import RecordedSource, SourceMessage, Topic
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from posor.messages.cdr_schema import Schema
+    from posor.messages.cdr_schema import Schema, Value
+
+NOT_MEASURED: dict[str, Value] = {"reference_voltage": math.nan}
+"""What an older recording lacks and is not zero."""
 
 
 class RecordedTopicParameters(ParameterGroup):
@@ -77,6 +81,7 @@ class BagSource(RecordedSource[BagParameters]):
             for connection, time_ns, data in read_messages(reader, self._names, self.parameters.path):
                 topic = self._names[connection.topic]
                 if topic == RAW_TOPIC and self._older is not None:
-                    yield SourceMessage(topic, time_ns, installed_schema(RAW_SCAN).encode(self._older.values(data)))
+                    values = NOT_MEASURED | self._older.values(data)
+                    yield SourceMessage(topic, time_ns, installed_schema(RAW_SCAN).encode(values))
                 else:
                     yield SourceMessage(topic, time_ns, data)

@@ -109,6 +109,7 @@ class SimulatedSource(LiveSource[SimulatedParameters]):
         if self._stage is not None:
             self._stage.restart()
         first, _ = super().start_run(now_ns)
+        self._simulation.start_at(self.parameters.joint, first)
         if not self.parameters.cycles:
             return first, None
         length = self._simulation.scenario.cycle_ticks

@@ -4,21 +4,27 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from posor.errors import CalibrationError
+from posor.messages.message_definitions import MessageTypes
 from posor_drivers.instruments.device import DeviceError, Frames
 from posor_drivers.instruments.device_reader import DeviceReader
 from posor_drivers.instruments.labjack_device import LabJackDevice, LabJackSettings
 from posor_drivers.instruments.scpi_device import ScpiDevice, ScpiSettings
+from posor_drivers.sources.instrument_source import InstrumentParameters, InstrumentSource
 from posor_lab.device_servers.labjack_server import LabJackServer
 from posor_lab.device_servers.scpi_server import ScpiServer
+from posor_msgs.msg import RawScan
 from pydantic import ValidationError
+from rclpy.serialization import deserialize_message
 
 from .device_states import running, wait_for, wait_for_fault, wait_for_frames
+from .stream_rig import quantity, stream_rig, write_rig
 
 OVERLOAD = 9.9e37
 
@@ -164,6 +170,37 @@ def test_faults_of_a_scanner_are_named(scanner: ScpiServer) -> None:
         wait_for_fault(reader, "expected a model that matches 'DAQ97[03]A'.")
 
 
+LIGHT = {"output": 204, "interval": {"value": 0.5, "unit": "s"}}
+
+
+def test_a_scanner_switches_the_light_sources_and_states_it(scanner: ScpiServer, tmp_path: Path) -> None:
+    channels = {f"c{n}": {"number": 101 + n, "unit": "V"} for n in range(4)}
+    device = scpi_settings(scanner.port, channels=channels, light=LIGHT, rate={"value": 50, "unit": "Hz"})
+    joint = {
+        "diode_currents": [{"channel": f"meter/c{n}", "scale": quantity(1e-5, "A/V")} for n in range(4)],
+        "lit_sources": [3],
+        "light": {"channel": "meter/light"},
+        "demodulated": False,
+    }
+    file = write_rig(tmp_path, stream_rig(1, {}, joint) | {"devices": {"meter": device.model_dump(mode="json")}})
+    source = InstrumentSource(InstrumentParameters(file=file, joint="elbow"), MessageTypes())
+    seen: list[int] = []
+    try:
+        source.open()
+
+        def both() -> bool:
+            for message in source.read_tick(source.newest_tick(time.time_ns() - 40_000_000)):
+                (lit,) = deserialize_message(message.data, RawScan).lit_sources
+                seen.append(lit) if seen[-1:] != [lit] else None
+            return len(seen) >= 4
+
+        wait_for(both, "two changes between lit and dark")
+    finally:
+        source.close()
+    assert set(pairwise(seen)) == {(3, 255), (255, 3)}
+    assert scanner.outputs[:3] == [(0, 204), (1, 204), (0, 204)]
+
+
 def test_invalid_settings_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ValidationError, match="dialect 'none'"):
         scpi_settings(5025, dialect="none")
@@ -175,6 +212,10 @@ def test_invalid_settings_are_refused(tmp_path: Path) -> None:
     own.write_text("format: posor_scpi_dialect\nversion: 1\nidentify: ID?\nmodel: '('\n", encoding="utf-8")
     with pytest.raises(CalibrationError, match=r"own\.yaml"):
         ScpiDevice("meter", scpi_settings(5025, dialect=str(own)))
+    with pytest.raises(ValidationError, match="channel 'light'"):
+        scpi_settings(5025, light=LIGHT, channels={"light": {"number": 101, "unit": "V"}})
+    with pytest.raises(DeviceError, match="dialect 'single_meter' has no command 'digital_output'"):
+        ScpiDevice("meter", scpi_settings(5025, dialect="single_meter", light=LIGHT))
     with pytest.raises(DeviceError, match="dialect 'single_meter' has no command 'aperture'"):
         ScpiDevice("meter", scpi_settings(5025, dialect="single_meter", aperture={"value": 0.1, "unit": "s"}))
 

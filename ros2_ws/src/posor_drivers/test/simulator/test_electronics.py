@@ -9,6 +9,8 @@ import pytest
 from posor.chain.arm_file import load_arm_file
 from posor.estimation.posor import Posor
 from posor.model.fault import State
+from posor.model.scan import DARK_SUBTRACTED
+from posor_bringup.arms import load_checked_arm
 from posor_drivers.simulator.arm_simulation import ArmSimulation
 from posor_drivers.simulator.electronics import convert_to_digital
 from posor_drivers.simulator.imperfections import Imperfections
@@ -40,6 +42,26 @@ def test_contamination_of_redundant_readings_is_detected_by_the_estimator(tmp_pa
     found = Posor(dirty.calibrations["shoulder"]).estimate_all(dirty.scans("shoulder", TICKS).scans)
     assert np.all(found.states[600:610] == State.LOST)
     assert np.mean(found.states[:600] == State.OK) > 0.98
+
+
+@pytest.mark.parametrize("first", [0, 700])
+def test_dark_scans_show_the_ambient_light_and_the_estimator_removes_it(first: int) -> None:
+    arm = load_checked_arm("six_axis")
+    arms = [ArmSimulation(arm, Imperfections.only("noise", *names)) for names in ((), ("ambient_light",))]
+    ticks, posor = np.arange(first, first + 2500), Posor(arms[1].calibrations["elbow"])
+    arms[1].start_at("elbow", first)
+    without, lit = (each.scans("elbow", ticks).scans for each in arms)
+    dark = np.flatnonzero((ticks == first) | (ticks % 2000 == 0))  # once in ten seconds
+    assert np.flatnonzero(lit.dark).tolist() == dark.tolist()
+    np.testing.assert_allclose(lit.diode_currents[dark], 2e-7, atol=6e-9)
+    currents = lit.diode_currents - 2e-7
+    np.testing.assert_allclose(currents[~lit.dark], without.diode_currents[~lit.dark], rtol=0.0, atol=1e-18)
+    assert not np.any(lit.statuses & DARK_SUBTRACTED)
+    assert np.all(without.statuses & DARK_SUBTRACTED)
+    found = posor.estimate_all(lit)
+    assert found.states[0] == State.LOST
+    assert np.mean(found.states[1:][~lit.dark[1:]] == State.OK) > 0.998
+    assert np.all(found.states[dark[1:]] == State.DEGRADED)
 
 
 @pytest.mark.parametrize("statement", ["stated", "unstated", "unknown"])

@@ -73,6 +73,8 @@ CASES: list[tuple[str, dict[str, Any], set[str]]] = [
     ("slip", {"size": quantity(1, "1")}, {"lit_sources"}),
     ("supply", {"size": quantity(16.0, "V")}, {"supply_voltages"}),
     ("temperature", {"size": quantity(313.0, "K")}, {"temperatures"}),
+    ("ambient", {"size": quantity(4e-7, "A")}, {"diode_currents"}),
+    ("gain", {"size": quantity(0.05, "1")}, {"gap_voltages"}),
     ("status", {"size": quantity(1, "1")}, {"statuses"}),
     ("home", {}, {"statuses"}),
     ("clock", {"size": quantity(3600.0, "s")}, {"stamps_ns"}),

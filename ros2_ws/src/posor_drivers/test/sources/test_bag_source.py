@@ -8,7 +8,7 @@ import pytest
 from posor.errors import BagError
 from posor.messages.cdr_schema import Schema
 from posor.messages.message_definitions import MessageTypes, installed_schema
-from posor.messages.raw_scan import TIMES
+from posor.messages.raw_scan import LATER_FIELDS
 from posor.ros_names import RAW_SCAN
 from posor_drivers.sources.bag_source import BagParameters, BagSource
 from posor_drivers.sources.source import SourceMessage, Topic
@@ -112,9 +112,9 @@ def test_topic_of_several_types_is_refused(tmp_path: Path, topic: str, *, sqlite
 @pytest.mark.parametrize("sqlite", [False, True])
 def test_scans_of_an_older_version_are_published_in_the_present_one(tmp_path: Path, *, sqlite: bool) -> None:
     present, records = installed_schema(RAW_SCAN), [scan(number, 100 * number) for number in (1, 2)]
-    older = Schema("RawScan", [field for field in present.fields if field.path not in TIMES])
+    older = Schema("RawScan", [field for field in present.fields if field.path not in LATER_FIELDS])
     text = MessageTypes().definition(RAW_SCAN).text
-    kept = [line for line in text.splitlines() if not any(name in line for name in TIMES)]
+    kept = [line for line in text.splitlines() if not any(name in line for name in LATER_FIELDS)]
     bag = write_bag(
         tmp_path / "bag",
         [record._replace(data=older.encode(present.values(record.data))) for record in records],

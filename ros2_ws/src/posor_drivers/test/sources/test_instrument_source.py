@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from posor.errors import ParameterError
 from posor.messages.message_definitions import MessageTypes
-from posor.model.scan import HOME_BUMP, SATURATED
+from posor.model.scan import DARK_SUBTRACTED, HOME_BUMP, SATURATED
 from posor_drivers.sources.instrument_source import InstrumentParameters, InstrumentSource
 from posor_lab.device_servers.stream_server import StreamServer
 from posor_lab.harness.message_conversion import stamp_ns
@@ -38,8 +38,8 @@ def instruments(port: int) -> dict[str, Any]:
 
 
 @contextmanager
-def opened(folder: Path, port: int, joint: str = "elbow") -> Iterator[InstrumentSource]:
-    file = write_rig(folder, instruments(port))
+def opened(folder: Path, port: int, joint: str = "elbow", content: Any = None) -> Iterator[InstrumentSource]:
+    file = write_rig(folder, instruments(port) if content is None else content)
     source = InstrumentSource(InstrumentParameters(file=file, joint=joint), MessageTypes())
     try:
         source.open()
@@ -84,6 +84,18 @@ def test_channels_become_the_readings_of_a_scan(tmp_path: Path) -> None:
         assert np.isnan(scan.supply_voltage)
         assert scan.status == 0
         assert source.statuses()[0].fault == ""
+
+
+def test_a_device_that_demodulates_and_a_reference_voltage_are_stated_in_each_scan(tmp_path: Path) -> None:
+    content = instruments(1)
+    reference = {"channel": "box/gap", "scale": quantity(5e4, "V/m")}
+    content["joints"]["elbow"] |= {"demodulated": True, "reference_voltage": reference}
+    with StreamServer(lambda _: SOUND) as server:
+        content["devices"]["box"]["port"] = server.port
+        with opened(tmp_path, server.port, content=content) as source:
+            scan = scan_of(source)
+    assert scan.status == DARK_SUBTRACTED
+    assert scan.reference_voltage == pytest.approx(5.0)
 
 
 def test_flags_and_refusals_follow_the_channels(tmp_path: Path) -> None:

@@ -1,0 +1,98 @@
+"""A driver that switches its light sources off once a second, by real nodes and by their bag."""
+
+from __future__ import annotations
+
+import shutil
+import signal
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from geometry_msgs.msg import PoseStamped
+from posor.estimation.posor import Posor
+from posor.model.fault import State
+from posor.model.scan import NO_SOURCE
+from posor.node_parameters import RECORDING
+from posor_bringup.arms import find_arm, load_checked_arm
+from posor_lab.harness.graph import Graph
+from posor_lab.harness.message_conversion import pose_from_message, scan_from_message, stamp_ns
+from posor_lab.harness.program import Program, installed
+from posor_msgs.msg import JointTransform, RawScan
+from posor_ros.ros_arguments import ros_arguments
+
+pytestmark = pytest.mark.usefixtures("ros_domain")
+
+RATE, JOINT = 50, "/six_axis/elbow"
+RAW, TRANSFORM = f"{JOINT}/raw", f"{JOINT}/transform"
+AMBIENT = JointTransform.FAULT_AMBIENT
+
+
+def program(package: str, executable: str, **parameters: object) -> Program:
+    names = {name.replace("__", "."): value for name, value in parameters.items()} | {"lossless": True}
+    return Program([*installed(package, executable), *ros_arguments(names, JOINT)])
+
+
+def estimator() -> Program:
+    calibration = find_arm("six_axis").parent / "calibrations" / "elbow.yaml"
+    return program("posor_estimator", "posor_node", calibration=str(calibration), **RECORDING)
+
+
+def is_dark(scan: Any) -> bool:
+    return all(lit == NO_SOURCE for lit in scan.lit_sources)
+
+
+@pytest.fixture
+def arm(tmp_path: Path) -> Path:
+    """Return the file of an arm with a dark scan each second, with ambient light of 2 % of a source's."""
+    folder = shutil.copytree(find_arm("six_axis").parent, tmp_path / "arm")
+    path = folder / "scenario.yaml"
+    content = yaml.safe_load(path.read_text(encoding="utf-8"))
+    content["electronics"]["ambient"] = {
+        "current": {"value": 1e-6, "unit": "A"},
+        "interval": {"value": 1.0, "unit": "s"},
+    }
+    path.write_text(yaml.safe_dump(content), encoding="utf-8")
+    return folder / "arm.yaml"
+
+
+def test_ambient_light_is_removed_from_the_first_dark_scan_on_and_in_a_replay(arm: Path, tmp_path: Path) -> None:
+    simulated = {"source": "simulated", "simulated__arm": str(arm), "simulated__joint": "elbow"}
+    simulated |= {"simulated__rate": RATE, "simulated__dropouts": False, "simulated__zero_drift": False}
+    bag, topics = tmp_path / "bag", [RAW, TRANSFORM]
+    record = Program([*installed("posor_drivers", "record"), "--output", str(bag), "--topics", *topics])
+    with Graph() as graph, estimator(), record:
+        scans, found = graph.collect(RawScan, RAW), graph.collect(JointTransform, TRANSFORM)
+        truths = graph.collect(PoseStamped, "/six_axis/truth/elbow")
+        with program("posor_drivers", "driver_node", wait_for_subscribers=3, **simulated):
+            graph.wait_until(lambda: len(found) > 4 * RATE, "four seconds of transforms")
+        assert record.end(signal.SIGINT) == 0
+    light = {scan.scan for scan in scans if not is_dark(scan)}
+    assert is_dark(scans[0])
+    assert found[0].state == JointTransform.STATE_LOST
+    assert found[0].faults == AMBIENT
+    later = [each for each in found[1:] if each.scan not in light]
+    assert len(later) >= 3
+    assert {each.state for each in later} == {JointTransform.STATE_DEGRADED}
+    assert all(each.faults & AMBIENT for each in later)
+    lit = [each for each in found if each.scan in light]
+    assert np.mean([each.state == JointTransform.STATE_OK for each in lit]) > 0.99
+    true = {stamp_ns(truth): pose_from_message(truth.pose) for truth in truths}
+    for each in lit:
+        if each.state == JointTransform.STATE_OK and stamp_ns(each) in true:
+            error = pose_from_message(each.pose).translation - true[stamp_ns(each)].translation
+            variances = np.reshape(np.add(each.covariance_random, each.covariance_systematic), (6, 6)).diagonal()[:3]
+            assert np.all(np.abs(error) < 5.0 * np.sqrt(variances))
+    posor = Posor(load_checked_arm("six_axis").calibration("elbow"))
+    offline = [posor.estimate(scan_from_message(scan)).state for scan in scans[: len(found)]]
+    assert [State(each.state) for each in found[: len(offline)]] == offline
+    with Graph() as graph, estimator():
+        again = graph.collect(JointTransform, TRANSFORM)
+        replay = {"source": "bag", "bag__path": str(bag), "bag__topic": RAW, "rate": 500.0}
+        with program("posor_drivers", "driver_node", wait_for_subscribers=1, **replay) as driver:
+            assert driver.wait() == 0
+            graph.wait_until(lambda: len(again) >= len(found), "the transforms of the bag")
+    assert [each.pose for each in again[: len(found)] if each.state != JointTransform.STATE_LOST] == [
+        each.pose for each in found if each.state != JointTransform.STATE_LOST
+    ]
