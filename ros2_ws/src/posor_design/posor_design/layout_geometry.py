@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from posor.calibration.design_parts import coded_places
+from posor.calibration.design_parts import coded_places, ring_azimuths
 from posor.calibration.designs import STANDOFF
 
 from posor_design.posor_layout import BUMP_SLOPE, NOMINAL_RANGE, PosorLayout, ThetaSensor, gap_azimuths
@@ -36,7 +36,6 @@ RING_PLANE = 5e-3  # height of the ring probes above the receiving plate [m]
 COUNTED = 0.25  # largest motion of the ring from scan to scan, in bumps: half a bump is ambiguous
 FIXED_SOURCES_TURN = 0.5  # largest theta that fixed light sources are tried for [rad]
 LEAST_RADIUS = 0.25  # smallest share of the largest possible ring radius that is tried
-PLANE_TILT = 1.4e-3  # of the target plane against the axis, in the calibrations of designs [rad]
 _DIAGONAL = math.sqrt(2.0)
 _FOUR = 4
 
@@ -65,6 +64,7 @@ def layout_kinds(requirement: Requirement) -> list[LayoutKind]:
         ("light_ring", 2),
         ("light_ring", 3),
         ("bumpy_ring", 4),
+        ("bumpy_ring", 5),
         ("bumpy_ring", 8),
     ]
     if requirement.rotation <= FIXED_SOURCES_TURN:
@@ -96,7 +96,7 @@ def arrange(requirement: Requirement, kind: LayoutKind, diameter: float, shares:
 
 def _tilt_reach(requirement: Requirement) -> float:
     """Return the largest slope of the target plane in any direction."""
-    return _DIAGONAL * math.tan(requirement.range.tilt.number) + PLANE_TILT
+    return _DIAGONAL * math.tan(requirement.range.tilt.number) + requirement.target_tilt.number
 
 
 def _gap_range(requirement: Requirement, circle: float) -> float:
@@ -198,14 +198,12 @@ def _bumpy_ring(requirement: Requirement, kind: LayoutKind, diameter: float, sha
 
 
 def _probes_clear(layout: PosorLayout, tips: float) -> bool:
-    """Return whether gap probes stand clear of ring probes that begin at a radius; those are at multiples of a turn."""
+    """Return whether gap probes stand clear of ring probes that begin at a radius."""
     radii = np.linspace(tips, tips + PROBE_LENGTH, 7)
-    bump = 2.0 * math.pi / layout.marks
-    azimuths = [2.0 * math.pi * k / layout.theta_probes + 0.25 * bump for k in range(layout.theta_probes)]
     distances = [
         abs(_at(layout.probe_circle, a) - _at(float(radius), b))
         for a in layout.gap_azimuths
-        for b in azimuths
+        for b in ring_azimuths(layout.marks, layout.theta_probes)
         for radius in radii
     ]
     return min(distances) >= 2.0 * PROBE_RADIUS

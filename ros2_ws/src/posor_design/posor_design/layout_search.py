@@ -9,7 +9,7 @@ smallest noise. The same layouts at smaller diameters and with more noise are fu
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
@@ -17,9 +17,10 @@ from scipy.optimize import minimize
 
 from posor_design.layout_evaluation import evaluate, extreme_poses, random_poses, with_noise
 from posor_design.layout_geometry import LayoutKind, Shares, arrange, layout_kinds
+from posor_design.observable_causes import unobservable_causes
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
+    from collections.abc import Callable, Iterable, Mapping, Sequence
 
     from posor.numerics.array_types import FloatArray
 
@@ -64,6 +65,12 @@ class SearchResult:
     chosen: Candidate | None  # the preferred one, verified at random poses; None: the requirement cannot be met
     evaluations: int  # number of layouts whose uncertainty was computed
     preference: Preference  # what the chosen one is best in
+    # names of the causes that no reading of a kind of layout shows
+    causes: Mapping[LayoutKind, tuple[str, ...]] = field(default_factory=dict)
+
+    def unobservable(self, candidate: Candidate) -> tuple[str, ...]:
+        """Return the names of the causes that no reading of a candidate shows."""
+        return self.causes[candidate.kind]
 
 
 def ratios(requirement: Requirement, candidate: Candidate) -> Ratios:
@@ -81,6 +88,7 @@ class LayoutSearch:
         """Prepare the search."""
         self.requirement = requirement
         self.evaluations = 0
+        self._causes: dict[LayoutKind, tuple[str, ...]] = {}
         self._progress = progress
 
     def run(self, preference: Preference = "electronics") -> SearchResult:
@@ -92,7 +100,11 @@ class LayoutSearch:
             shares, candidate = self.optimised(kind)
             if candidate is not None and candidate.readable:
                 best = candidate if best is None else min(best, candidate, key=self._worst)
-                feasible += self._variants(kind, shares, candidate)
+                found = self._variants(kind, shares, candidate)
+                if found:
+                    layout, rotation = found[0].layout, self.requirement.rotation
+                    self._causes[kind] = unobservable_causes(layout.calibration(self.requirement), layout.gap, rotation)
+                feasible += found
             self._progress((number + 1) / len(kinds))
         return SearchResult(
             self.requirement,
@@ -102,6 +114,7 @@ class LayoutSearch:
             self._choose(feasible, preference),
             self.evaluations,
             preference,
+            self._causes,
         )
 
     def optimised(self, kind: LayoutKind) -> tuple[Shares, Candidate | None]:
@@ -179,10 +192,10 @@ class LayoutSearch:
         return None
 
     def _preference(self, candidate: Candidate, preference: Preference) -> tuple[float, ...]:
-        """Return the sort key: checked readings first, then what is preferred, then the others in their order."""
+        """Return the sort key: fewest unobservable causes, then what is preferred, then the others in their order."""
         own = objectives(self.requirement, candidate)
         order = [preference, *(each for each in PREFERENCES if each != preference)]
-        return (math.isinf(candidate.fault), *(own[name] for name in order))
+        return (len(self._causes[candidate.kind]), *(own[name] for name in order))
 
 
 def objectives(requirement: Requirement, candidate: Candidate) -> dict[Preference, float]:

@@ -68,7 +68,7 @@ class Relaxation(NamedTuple):
 RELAXATIONS = tuple(
     Relaxation(option.entry, option.unit, larger=option.entry == "outside_diameter")
     for option in OPTIONS.values()
-    if option.entry and option.entry not in {"scan_rate", _FAULT}
+    if option.entry and option.entry not in {"scan_rate", "target_tilt", _FAULT}
 )
 
 

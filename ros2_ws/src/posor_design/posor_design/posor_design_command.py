@@ -131,7 +131,7 @@ def main(arguments: Sequence[str]) -> int:
     console = report_console(160)
     console.print(f"POSOR for the requirement '{requirement.name}' (simulated)")
     console.print(verdict(result), soft_wrap=True)
-    for term, text in layout_terms(requirement, chosen).items():
+    for term, text in layout_terms(result, chosen).items():
         console.print(f"  {term}: {text}", soft_wrap=True)
     for table in layout_tables(result, chosen):
         table.print(console)

@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from posor.calibration.design_parts import ring_azimuths
 from posor.calibration.designs import SIZED_GAP_PROBE, STANDOFF
 from posor.reporting.figure_style import BLUE, GREEN, GREY, LIGHT_BLUE, ORANGE
 from posor.reporting.html_page import Section, bullet_list, definition_list, render_page
@@ -74,8 +75,9 @@ def _trade_off_row(requirement: Requirement, candidate: Candidate) -> list[str]:
     ]
 
 
-def layout_terms(requirement: Requirement, candidate: Candidate) -> dict[str, str]:
+def layout_terms(result: SearchResult, candidate: Candidate) -> dict[str, str]:
     """Return the chosen layout in words."""
+    requirement = result.requirement
     layout, rate = candidate.layout, requirement.scan_rate.number
     volts = SIZED_GAP_PROBE.noise * layout.scan_noise(rate)
     azimuths = ", ".join(f"{math.degrees(azimuth) % 360.0:.0f}" for azimuth in layout.gap_azimuths)
@@ -86,12 +88,17 @@ def layout_terms(requirement: Requirement, candidate: Candidate) -> dict[str, st
             f"{len(layout.gap_azimuths)} on a circle of radius {_length(layout.probe_circle)}, at {azimuths} degrees; "
             f"gap {_length(layout.gap)} in the middle, {layout.probe_range:.3g} times the range of the sized designs"
         ),
+        "target plane": (
+            f"machined with a tilt of {format_quantity(requirement.target_tilt.number, 'rad', 3)}, which shows "
+            "exchanged plugs of gap probes"
+        ),
         "theta": ring_text(layout),
         "electronics": (
             f"noise of a probe up to {format_quantity(volts, 'V', 3)} in one scan of ±6 V at {rate:g} Hz "
             f"({layout.noise:g} times the reference), converters of {layout.bits(rate)} bits"
         ),
         "detectable fault": _fault(candidate),
+        "causes that no reading shows": ", ".join(result.unobservable(candidate)),
     }
 
 
@@ -111,16 +118,13 @@ def ring_text(layout: PosorLayout) -> str:
 
 def verdict(result: SearchResult) -> str:
     """Return the number of layouts, and what the chosen one is best in, in two sentences."""
-    checked = sum(math.isfinite(each.fault) for each in result.feasible)
+    counts = [len(result.unobservable(each)) for each in result.feasible]
+    fewest = min(counts, default=0)
     return (
         f"{len(result.feasible)} layouts meet the requirement; {len(result.trade_off)} of them are not excelled by "
         f"another one in size, accuracy, detectability and noise at once ({result.evaluations} layouts evaluated). "
-        + (
-            f"In {checked} of them all readings are checked; these come first, and of these the chosen one is best in "
-            f"{result.preference}."
-            if checked
-            else f"In none of them are all readings checked; the chosen one is best in {result.preference}."
-        )
+        f"{counts.count(fewest)} of them leave the fewest causes unobservable, {fewest}; these come first, and of "
+        f"these the chosen one is best in {result.preference}."
     )
 
 
@@ -135,7 +139,7 @@ def render_posor_page(result: SearchResult, chosen: Candidate) -> str:
         verdict(result),
         holds=True,
         sections=(
-            replace(layout, body=definition_list(layout_terms(requirement, chosen)) + layout.body),
+            replace(layout, body=definition_list(layout_terms(result, chosen)) + layout.body),
             trade_off.section("Trade-off", _trade_off_plots(result, chosen)),
             Section("Notes", bullet_list(notes)),
         ),
@@ -214,7 +218,7 @@ def _ring_probes(layout: PosorLayout) -> tuple[FloatArray, FloatArray]:
     along = np.array([0.0, PROBE_LENGTH, PROBE_LENGTH, 0.0, 0.0, math.nan])
     across = PROBE_RADIUS * np.array([-1.0, -1.0, 1.0, 1.0, -1.0, math.nan])
     radius = layout.ring_radius + layout.ring_range * STANDOFF + along
-    azimuths = 2.0 * math.pi * np.arange(layout.theta_probes)[:, None] / layout.theta_probes
+    azimuths = np.array(ring_azimuths(layout.marks, layout.theta_probes))[:, None]
     x = radius * np.cos(azimuths) - across * np.sin(azimuths)
     y = radius * np.sin(azimuths) + across * np.cos(azimuths)
     return x.ravel(), y.ravel()

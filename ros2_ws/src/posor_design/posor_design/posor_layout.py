@@ -12,14 +12,17 @@ from typing import TYPE_CHECKING, Literal
 
 from posor.calibration.design_parts import (
     CHORD_MIDDLE,
+    TARGET_TILT,
     DiodeKind,
     ProbeKind,
     RingShape,
+    ambient_light,
     bumpy_ring,
     coded_places,
     diodes,
     gap_probes,
     light_ring,
+    reference_voltage,
 )
 from posor.calibration.designs import (
     GAP_OF_VOLT,
@@ -107,20 +110,26 @@ class PosorLayout:
             for azimuth in self.gap_azimuths
         ]
         ring = self._bumpy_ring(rate, bits) if self.theta_sensor == "bumpy_ring" else self._diodes(rate, bits)
-        sensors = [gap_probes(self._probe(SIZED_GAP_PROBE, self.probe_range, rate, bits), tips, SIZED_TILT_SIGMA), ring]
+        tilt = requirement.target_tilt.number / math.hypot(*TARGET_TILT)
+        probes = self._probe(SIZED_GAP_PROBE, self.probe_range, rate, bits)
+        gaps = gap_probes(probes, tips, SIZED_TILT_SIGMA, (tilt * TARGET_TILT[0], tilt * TARGET_TILT[1]))
+        gaps["reference"] = reference_voltage()
+        if self.theta_sensor != "bumpy_ring":
+            ring["ambient"] = ambient_light()
         return design_calibration(
             requirement.name,
             f"designed for the requirement '{requirement.name}'",
             (
                 "assumed: uncertainties of the parts, calibrated as assembled, as those of sized_design",
-                "assumed: linearisation of the probes, tilt of the target plane, ranges of supply and temperature",
+                "assumed: linearisation of the probes, ranges of supply and temperature",
+                "assumed: a reference of 5 V that the converter reads, dark scans of diodes",
                 f"noise of one scan at {rate:g} Hz, {self.noise:g} times the reference; converters of {bits} bits",
             ),
             frames,
             _velocity_limits(requirement),
             environment_ranges(SIZED_GAP_PROBE.supply_sigma),
             converter_steps(bits),
-            sensors,
+            [gaps, ring],
         )
 
     def _probe(self, kind: ProbeKind, scale: float, rate: float, bits: int) -> ProbeKind:

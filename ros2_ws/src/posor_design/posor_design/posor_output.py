@@ -165,6 +165,7 @@ def figures(result: SearchResult, chosen: Candidate) -> dict[str, Any]:
     return {
         "requirement": result.requirement.model_dump(mode="json"),
         "chosen": _candidate(result.requirement, chosen),
+        "unobservable_causes": result.unobservable(chosen),
         "trade_off": [_candidate(result.requirement, each) for each in result.trade_off],
         "layouts_evaluated": result.evaluations,
         "layouts_that_meet_the_requirement": len(result.feasible),

@@ -31,6 +31,8 @@ if TYPE_CHECKING:
 VERSION = 1
 FULL_TURN = math.pi  # rotation to either side [rad] that is a full turn
 LARGEST_TILT = 0.1
+LEAST_TARGET_TILT = 1e-3
+"""Least tilt of the target plane at which a sweep of 30 degrees shows exchanged plugs of gap probes [rad]."""
 LARGEST_RATE = 10_000.0  # of the simulator [Hz]
 FREEDOMS = tuple(name for name, _ in NATIVE)  # names of the freedoms in the order of all arrays, (6,)
 
@@ -90,8 +92,9 @@ class Requirement(FrozenModel):
     """Content of a requirement file.
 
     ``name`` becomes the name of the arm with the designed POSOR, also its ROS namespace. ``speed`` is the largest
-    velocity of theta. ``minimum_detectable_fault`` is the largest bias of a single reading that the test of one scan
-    may miss (``uncertainty.reliability``); without it, readings may be unchecked.
+    velocity of theta. ``target_tilt`` is the tilt of the target plane that is machined on purpose.
+    ``minimum_detectable_fault`` is the largest bias of a single reading that the test of one scan may miss
+    (``uncertainty.reliability``); without it, readings may be unchecked.
     """
 
     format: Literal["posor_requirement"]
@@ -103,6 +106,15 @@ class Requirement(FrozenModel):
     inside_diameter: Amount = Quantity(value=0.0, unit="m")
     scan_rate: Annotated[Quantity, measured("Hz"), _within(0.0, LARGEST_RATE, f"more than 0, at most {LARGEST_RATE:g}")]
     speed: Annotated[Quantity, measured("rad/s"), _POSITIVE]
+    target_tilt: Annotated[
+        Quantity,
+        measured("rad"),
+        _within(
+            math.nextafter(LEAST_TARGET_TILT, 0.0),
+            LARGEST_TILT,
+            f"{LEAST_TARGET_TILT:g} to {LARGEST_TILT:g} rad; a smaller tilt hides exchanged plugs of gap probes",
+        ),
+    ] = Quantity(value=1.36e-3, unit="rad")
     minimum_detectable_fault: Length | None = None
 
     @model_validator(mode="after")

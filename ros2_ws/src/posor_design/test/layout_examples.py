@@ -49,4 +49,5 @@ def candidate(kind: LayoutKind = RING_OF_LIGHTS) -> Candidate:
 
 
 def result_of(requirement: Requirement, chosen: Candidate) -> SearchResult:
-    return SearchResult(requirement, chosen, (chosen,), (chosen,), chosen, 1, "electronics")
+    causes = {chosen.kind: ("growth of all gaps",)}
+    return SearchResult(requirement, chosen, (chosen,), (chosen,), chosen, 1, "electronics", causes)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import shlex
 from dataclasses import replace
 from pathlib import Path
@@ -115,14 +114,14 @@ def test_a_folder_that_cannot_be_written_is_refused_before_the_search(
 
 
 def test_the_verdict_states_why_a_layout_was_chosen() -> None:
-    checked = candidate()
-    unchecked = replace(checked, fault=math.inf, layout=replace(checked.layout, outside_diameter=0.064))
-    result = replace(result_of(example(), checked), feasible=(unchecked, checked), preference="size")
-    assert "In 1 of them all readings are checked; these come first, and of these the chosen one is best in size." in (
-        verdict(result)
+    shown = candidate()
+    hidden = replace(shown, kind=BUMPS)
+    causes = {shown.kind: ("growth of all gaps",), BUMPS: ("growth of all gaps", "reading ring ring_1")}
+    result = replace(result_of(example(), shown), feasible=(hidden, shown, hidden), preference="size", causes=causes)
+    expected = (
+        "1 of them leave the fewest causes unobservable, 1; these come first, and of these the chosen one is best"
     )
-    none = replace(result, feasible=(unchecked,), chosen=unchecked)
-    assert "In none of them are all readings checked; the chosen one is best in size." in verdict(none)
+    assert f"{expected} in size." in verdict(result)
 
 
 @pytest.mark.usefixtures("one_kind")
