@@ -162,9 +162,11 @@ def run_ambient(row: FaultRow, seed: int, positions: int = 12) -> RowResult:
         truth = PoseArray.from_axis_angles(2, theta + 1e-3 * np.arange(AMBIENT_SCANS) / SLIP_SCANS)
         truth = PoseArray(truth.rotations, truth.translations + GAP)
         posor, stamps = Posor(calibration), np.arange(1, AMBIENT_SCANS + 1, dtype=np.int64) * (NS // SLIP_RATE)
-        sound = scans_at(
-            draw_sensors(posor, random), truth.rotations, truth.translations, stamps, noise=random
-        ).editable()
+        sound = (
+            TruePosor(calibration)
+            .scans_at(draw_sensors(posor, random), truth.rotations, truth.translations, stamps, noise=random)
+            .editable()
+        )
         sound.statuses[:] = 0
         light = 0.25 * sound.diode_currents.sum(axis=2).mean()
         dark = AMBIENT_SCANS // 2

@@ -81,9 +81,9 @@ class TrueJoint:
         """Return the raw readings at poses of the target in the receiving plate, (n, 3, 3), (n, 3) [m], by field.
 
         Fields: ``gap_voltages``, ``ring_voltages`` (n, p) [V], ``diode_currents`` (n, d, 4) [A], ``lit_sources``
-        (n, d). A reading outside its calibrated range is NaN. ``supply_voltages``, ``temperatures``: (n,) [V], [K];
-        None: at the reference of each probe. ``lit_sources``: (n, d); None: for each diode the source that is nearest
-        to its middle.
+        (n, d), and ``reference_voltages`` (n,) [V] where the converter reads a known voltage. A reading outside its
+        calibrated range is NaN. ``supply_voltages``, ``temperatures``: (n,) [V], [K]; None: at the reference of each
+        probe. ``lit_sources``: (n, d); None: for each diode the source that is nearest to its middle.
         """
         unknown = np.full(len(rotations), np.nan)
         supplies = unknown if supply_voltages is None else supply_voltages
@@ -199,6 +199,14 @@ class _GapProbes(_Probes):
         if self._replaced.get("zero_shifts") is not None:
             values["zero_shifts"] = si_values(self._replaced["zero_shifts"], "V")
         return values | {"plane_point": si_values(plane["point"], "m"), "plane_tilt": si_values(plane["tilt"], "rad")}
+
+    def readings(
+        self, rotations: FloatArray, translations: FloatArray, surroundings: _Surroundings
+    ) -> dict[str, NDArray[Any]]:
+        fields = super().readings(rotations, translations, surroundings)
+        if (known := self._entry.get("reference")) is None:
+            return fields
+        return fields | {"reference_voltages": np.full(len(rotations), float(si_values(known["voltage"], "V")))}
 
     def _distances(self, rotations: FloatArray, translations: FloatArray) -> FloatArray:
         names = ("tips", "axes", "plane_point", "plane_tilt")
