@@ -8,6 +8,8 @@ come from the independent truth; supply and temperature are measured and differ 
 from __future__ import annotations
 
 import math
+from copy import copy
+from dataclasses import replace
 from functools import partial
 from itertools import islice
 from pathlib import Path
@@ -34,10 +36,13 @@ from posor_lab.independent.true_arm import TrueArm
 from posor_lab.independent.true_joint import TrueJoint
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Iterator, Mapping
 
+    from posor.chain.kinematic_chain import Chain
     from posor.estimation.estimate import Estimates
     from posor.numerics.array_types import FloatArray
+
+    from posor_lab.independent.true_arm import TrueLink
 
 STACKS: tuple[DesignName, ...] = (
     "triad_diodes",
@@ -69,7 +74,8 @@ COVARIANCE_STACKS: tuple[DesignName, ...] = ("quad_diodes", "quad_bumpy_ring")
 ERROR_SHARE = 0.1
 """Size of the errors in standard uncertainties: the slope of a ring's bumps changes within one of them."""
 COVARIANCE_LIMIT = 0.01
-"""Largest deviation of the systematic covariance, as a share of the product of two standard deviations."""
+"""Largest deviation of a covariance, as a share of the product of two standard deviations."""
+JOINT_ERROR = 2e-7  # size of the errors of joints in the covariance of an endpoint [m], [rad]
 GOLDEN_LIMIT = 1e-9  # largest deviation from ray-traced poses and readings [m], [rad]
 _CONVERTED = {"tip": ("mm", 1e3), "origin": ("mm", 1e3), "tilt": ("deg", 180.0 / math.pi), "mean_radius": ("um", 1e6)}
 """Units of some quantities in a generic file, and how many of them one SI unit is."""
@@ -179,19 +185,60 @@ def compare_covariance(name: DesignName) -> dict[str, CheckResult]:
 
 
 def compare_arm(name: str, count: int) -> dict[str, CheckResult]:
-    """Return the check of an arm: its endpoint with exact poses of its joints, and finite elements of its beams."""
+    """Return the checks of an arm: its endpoint with exact poses of its joints, and the covariance of the endpoint."""
     arm = load_arm_file(find_arm(name))
     truth, chain, random = TrueArm(arm.path), arm.chain(), np.random.default_rng([SEED, *name.encode()])
     poses = [[_near(origin, random) for origin in truth.origins] for _ in range(count)]
     rotations = np.array([[pose.rotation for pose in row] for row in poses])
     translations = np.array([[pose.translation for pose in row] for row in poses])
-    exact = np.zeros((count, len(truth.joints), 6, 6))
     measured = np.array([[pin.SE3ToXYZQUAT(pose) for pose in row] for row in poses])
-    found = chain.estimate_all(measured, exact, exact)
+    joints = JOINT_ERROR * random.normal(size=(2, len(truth.joints), 6, 6))
+    covariances = np.broadcast_to((joints @ np.swapaxes(joints, 2, 3))[:, None], (2, count, *joints.shape[1:]))
+    found = chain.estimate_all(measured, *np.ascontiguousarray(covariances))
     turns, shifts = Rotation.from_quat(found.poses[:, 3:]).as_matrix(), found.poses[:, :3]
     errors = errors_in_parent(turns, shifts, *truth.endpoints(rotations, translations))
-    sigmas = np.sqrt(np.diagonal(found.covariances_systematic, axis1=1, axis2=2))
-    return {f"endpoint {name}": CheckResult(float(np.max(np.abs(errors / sigmas))), ENDPOINT_LIMIT)}
+    place = rotations[:1], translations[:1]
+    by_joints, by_beams = (effects.T @ effects for effects in _endpoint_effects(truth, chain, place, joints))
+    expected, beams = by_joints + by_beams, np.sqrt(np.diagonal(by_beams))
+    sigmas = np.sqrt(np.diagonal(expected))
+    deviation = (found.covariances()[0] - expected) / np.outer(sigmas, sigmas)
+    return {
+        f"endpoint {name}": CheckResult(float(np.max(np.abs(errors / beams))), ENDPOINT_LIMIT),
+        f"endpoint covariance {name}": CheckResult(float(np.max(np.abs(deviation))), COVARIANCE_LIMIT),
+    }
+
+
+def _endpoint_effects(
+    truth: TrueArm, chain: Chain, place: tuple[FloatArray, FloatArray], joints: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return the errors of the endpoint at a pose by one error after another: of joints, and of beams, (k, 6) each.
+
+    ``joints`` (2, j, 6, 6): errors of each joint, in columns. Errors of beams are one standard uncertainty.
+    """
+    right = truth.endpoints(*place)
+    by_joints, by_beams = [], []
+    for part, j, column in np.ndindex(joints.shape[:3]):
+        shift = joints[part, j, :, column]
+        rotations, translations = place[0].copy(), place[1].copy()
+        rotations[0, j] = pin.exp3(shift[3:]) @ rotations[0, j]
+        translations[0, j] += shift[:3]
+        by_joints.append(errors_in_parent(*truth.endpoints(rotations, translations), *right)[0])
+    for i, link in enumerate(chain.links):
+        if link.beam is not None:
+            for wrong in _wrong_links(truth.links[i], np.sqrt(np.diagonal(link.beam.covariance)), link.beam.sag_sigma):
+                other = copy(truth)
+                other.links = (*truth.links[:i], wrong, *truth.links[i + 1 :])
+                by_beams.append(errors_in_parent(*other.endpoints(*place), *right)[0])
+    return np.array(by_joints), np.array(by_beams)
+
+
+def _wrong_links(link: TrueLink, sigmas: FloatArray, sag_sigma: float) -> Iterator[TrueLink]:
+    """Yield a link with an error of each coordinate of its end, and one with an error of its sag."""
+    for shift in np.diag(sigmas):
+        end = pin.SE3(pin.exp3(shift[3:]) @ link.end.rotation, link.end.translation + shift[:3])
+        yield replace(link, end=end)
+    scale = 1.0 + sag_sigma
+    yield replace(link, start_gain=scale * link.start_gain, end_gain=scale * link.end_gain)
 
 
 def _near(origin: pin.SE3, random: np.random.Generator) -> pin.SE3:
