@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped
+from posor.estimation.clocks import NEW_RATE_RUN
 from posor.messages.cdr_schema import STAMP
 from posor.messages.joint_transform import stamp_ns_of
 from posor.model.fault import USABLE_STATES
@@ -148,11 +149,14 @@ class NodeScanFuzz(NodeFuzz):
         self._fuzz.begin_cycle(self._cycle)
         self.player.acknowledge(self.watch)
         scans, usable = self._fuzz.recording.scans, self._fuzz.recording.usable
-        for n in range(usable[0] + 1):
-            *_, answer = self.send_sound([scans[n]])
-        if _usable_pose(answer) is None:
-            raise NodeFuzzError(f"no pose from {usable[0] + 1} sound scans after an acknowledgement")
-        for n, sound in zip(usable[1::2], usable[2::2], strict=False):
+        for sent in range(usable[0] + NEW_RATE_RUN):
+            *_, answer = self.send_sound([scans[sent]])
+            if sent >= usable[0] and _usable_pose(answer) is not None:
+                break
+        else:
+            raise NodeFuzzError(f"no pose from {usable[0] + NEW_RATE_RUN} sound scans after an acknowledgement")
+        later = [n for n in usable if n > sent]
+        for n, sound in zip(later[::2], later[1::2], strict=False):
             data = _damage(scans[n], self._fuzz)
             self.send([data])
             *before, pose = map(_usable_pose, self.send_sound([scans[sound]]))

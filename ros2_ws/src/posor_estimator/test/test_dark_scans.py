@@ -58,7 +58,7 @@ def arm(tmp_path: Path) -> Path:
 
 
 def test_ambient_light_is_removed_from_the_first_dark_scan_on_and_in_a_replay(arm: Path, tmp_path: Path) -> None:
-    simulated = {"source": "simulated", "simulated__arm": str(arm), "simulated__joint": "elbow"}
+    simulated: dict[str, object] = {"source": "simulated", "simulated__arm": str(arm), "simulated__joint": "elbow"}
     simulated |= {"simulated__rate": RATE, "simulated__dropouts": False, "simulated__zero_drift": False}
     bag, topics = tmp_path / "bag", [RAW, TRANSFORM]
     record = Program([*installed("posor_drivers", "record"), "--output", str(bag), "--topics", *topics])

@@ -289,7 +289,9 @@ class Scans:
     def dark(self) -> BoolArray:
         """Which scans are dark, with diodes and no light source lit, shape (n,)."""
         lit = self.lit_sources
-        return np.asarray((lit.shape[1] > 0) & (lit == NO_SOURCE).all(axis=1))
+        dark = np.asarray((lit.shape[1] > 0) & (lit == NO_SOURCE).all(axis=1))
+        dark.flags.writeable = False
+        return dark
 
     def __dir__(self) -> list[str]:
         """Return the names of attributes and methods."""

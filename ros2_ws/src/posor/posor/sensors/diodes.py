@@ -9,7 +9,7 @@ Source: thesis 5.4.1; diode offsets 7.4.4 (equations 7.2-7.4); light-source incl
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Annotated, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -339,7 +339,7 @@ class Diodes(RowSensor):
             total = 0.5 * (least + greatest) if math.isfinite(greatest) else 2.0 * least
             currents[:, i, :2] = 0.5 * total * (1.0 + spots["ratios"])
             currents[:, i, 2:] = 0.5 * total * (1.0 - spots["ratios"])
-        fields: dict[str, FloatArray] = {"diode_currents": currents}
+        fields: dict[str, Any] = {"diode_currents": currents}
         return fields if self._ambient is None else fields | {"statuses": scans.statuses | DARK_SUBTRACTED}
 
     def disturbed(self, scans: Scans, noise: np.random.Generator) -> dict[str, FloatArray]:

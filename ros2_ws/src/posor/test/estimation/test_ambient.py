@@ -139,7 +139,8 @@ def test_light_in_a_dark_scan_is_a_fault_of_the_source(posor: Posor) -> None:
 
 def test_the_systematic_covariance_holds_the_uncertainty_of_the_dark_currents(posor: Posor) -> None:
     still, places = np.tile(rotation_from_native(*LEAN, 0.1), (2, 1, 1)), np.array([[0.0, 0.0, STANDOFF]] * 2)
-    dark, lit = scans_at(posor.stack, still, places, np.array([1, 2]) * PERIOD_NS)
+    both = scans_at(posor.stack, still, places, np.array([1, 2]) * PERIOD_NS)
+    dark, lit = both[0], both[1]
     without = posor.estimate(lit)
     content, noise_a = posor.calibration.model_dump(mode="json"), 3e-8
     content["sensors"][1]["ambient"]["noise"]["value"] = noise_a
