@@ -159,9 +159,7 @@ def test_an_arm_gives_joints_and_endpoint_with_covariances_as_arrays() -> None:
         assert np.nanmin(np.trace(each.covariances_systematic, axis1=1, axis2=2)) > 0.0
         variances = np.diagonal(each.covariances(), axis1=1, axis2=2)
         np.testing.assert_allclose(each.standard_uncertainties**2, variances, rtol=1e-14)
-    assert (
-        0.0 < endpoint.stamp_shifts[-1].max() < 1e-9
-    )  # the stamps of the simulator are off by half a nanosecond at most
+    assert 0.0 < endpoint.stamp_shifts[-1].max() < 1e-9  # simulated stamps are off by half a nanosecond at most
     assert sum(elbow.lost_reasons().values()) == 4
     tables = posor.to_arrow(estimates)
     assert tables["endpoint"].column_names[-5:] == [f"angle_{joint}" for joint in estimates.chain]

@@ -70,7 +70,14 @@ class SearchResult:
 
     def unobservable(self, candidate: Candidate) -> tuple[str, ...]:
         """Return the names of the causes that no reading of a candidate shows."""
-        return self.causes[candidate.kind]
+        found = self.causes.get(candidate.kind)
+        return unobservable_of(self.requirement, candidate) if found is None else found
+
+
+def unobservable_of(requirement: Requirement, candidate: Candidate) -> tuple[str, ...]:
+    """Return the names of the causes that no reading of a candidate shows."""
+    layout = candidate.layout
+    return unobservable_causes(layout.calibration(requirement), layout.gap, requirement.rotation)
 
 
 def ratios(requirement: Requirement, candidate: Candidate) -> Ratios:
@@ -102,8 +109,7 @@ class LayoutSearch:
                 best = candidate if best is None else min(best, candidate, key=self._worst)
                 found = self._variants(kind, shares, candidate)
                 if found:
-                    layout, rotation = found[0].layout, self.requirement.rotation
-                    self._causes[kind] = unobservable_causes(layout.calibration(self.requirement), layout.gap, rotation)
+                    self._causes[kind] = unobservable_of(self.requirement, found[0])
                 feasible += found
             self._progress((number + 1) / len(kinds))
         return SearchResult(

@@ -149,7 +149,7 @@ def test_the_systematic_covariance_holds_the_uncertainty_of_the_dark_currents(po
         noisy.reset()
         noisy.tracker["ambient"]["known"] = 0
         currents = noise_a * random.normal(size=(3, 4))
-        changed = {"gap_voltages": dark.gap_voltages + 1e-4, "status": 0}  # not frozen
+        changed: dict[str, Any] = {"gap_voltages": dark.gap_voltages + 1e-4, "status": 0}  # not frozen
         noisy.estimate(replace(dark, diode_currents=currents, lit_sources=(NO_SOURCE,) * 3, **changed))
         poses.append(noisy.estimate(replace(lit, status=0)))
     assert all(each.state is State.OK for each in poses)
