@@ -70,7 +70,7 @@ def scan_at(posor: Posor, T_R_T: pin.SE3) -> Scan:
 
 
 def _references(posor: Posor) -> tuple[float, float]:
-    """Return the common reference of the probes' supply voltage [V] and temperature [K]; NaN without a common one.
+    """Return the mean reference of the probes' supply voltage [V] and temperature [K]; NaN where no probe has one.
 
     With these as measured values, the uncertainty of a reference acts on a draw as on the derivatives.
     """
@@ -80,13 +80,13 @@ def _references(posor: Posor) -> tuple[float, float]:
         if isinstance(sensor, GapProbesCalibration | BumpyRingCalibration)
         for probe in sensor.probes
     ]
-    supplies = {probe.supply.reference.number for probe in probes if probe.supply is not None}
-    temperatures = {probe.temperature.reference.number for probe in probes if probe.temperature is not None}
-    return _single_value(supplies), _single_value(temperatures)
+    supplies = [probe.supply.reference.number for probe in probes if probe.supply is not None]
+    temperatures = [probe.temperature.reference.number for probe in probes if probe.temperature is not None]
+    return _mean(supplies), _mean(temperatures)
 
 
-def _single_value(levels: set[float]) -> float:
-    return next(iter(levels)) if len(levels) == 1 else math.nan
+def _mean(levels: Sequence[float]) -> float:
+    return sum(levels) / len(levels) if levels else math.nan
 
 
 def middle_pose(posor: Posor) -> pin.SE3:

@@ -10,6 +10,7 @@ import pinocchio as pin
 import pytest
 from posor.calibration.calibration_file import calibration_from, load_calibration
 from posor.calibration.designs import DesignName, design
+from posor.calibration.quantity import Quantity
 from posor.errors import FitError, ParameterError, ScanError
 from posor.estimation.posor import Posor
 from posor.model.fault import Fault
@@ -193,3 +194,39 @@ def test_the_middle_pose_of_the_1985_rig_is_in_range(
     scan = scan_at(posor, middle_pose(posor))
     middles = [probe.range.array.mean() - probe.zero_shift.number for probe in posor.calibration.sensors[0].probes]  # type: ignore[attr-defined]
     np.testing.assert_allclose(scan.gap_voltages, middles, atol=0.25)
+
+
+def test_a_reference_of_each_probe_acts_on_a_scan_as_on_the_derivatives() -> None:
+    """A fit of all parameters gives each probe its own reference of the supply."""
+    calibration = design("triad_diodes")
+    references = {"GapProbes.supply[0,1]": 15.02, "GapProbes.supply[1,1]": 14.99, "GapProbes.supply[2,1]": 15.0}
+    gap = calibration.sensors[0]
+    probes = [
+        probe.model_copy(
+            update={
+                "supply": probe.supply.model_copy(update={"reference": Quantity(value=level, sigma=0.01, unit="V")})
+            }
+        )
+        for probe, level in zip(gap.probes, references.values(), strict=True)
+    ]
+    posor = Posor(
+        calibration.model_copy(
+            update={"sensors": [gap.model_copy(update={"probes": probes}), *calibration.sensors[1:]]}
+        )
+    )
+    pose = middle_pose(posor)
+    scan = scan_at(posor, pose)
+    derivatives = posor.stack.residual_jacobian(scan, pose.rotation, pose.translation)
+    for name in references:
+        i = posor.stack.parameter_names.index(name)
+        changes = np.zeros(len(posor.stack.parameter_values))
+        changes[i] = 0.01
+        values = [
+            posor.stack.with_parameter_values(posor.stack.parameter_values + sign * changes)
+            .linearise(Scans.of([scan]))
+            .values[0]
+            for sign in (1.0, -1.0)
+        ]
+        found = (values[0] - values[1]) / 0.02
+        assert np.abs(derivatives[:, i]).max() > 0.0
+        np.testing.assert_allclose(np.abs(found), np.abs(derivatives[:, i]), rtol=1e-6, atol=1e-12)
