@@ -17,7 +17,6 @@ from posor.bags.reprocess_command import main as reprocess
 from posor.chain.arm_file import DriverFile
 from posor.errors import ParameterError
 from posor.node_parameters import NodeParameters
-from posor.ros_names import RELIABILITY_TOPIC
 from posor_bringup.arm_programs import Layout, arm_programs, group_programs
 from posor_bringup.arms import load_checked_arm
 from posor_bringup.supervisor import Parameter
@@ -25,7 +24,7 @@ from posor_estimator.composition_file import NodeEntry
 from posor_lab.harness.graph import Graph, values_of, wait_for_value
 from posor_lab.harness.message_conversion import is_usable, stamp_ns
 from posor_lab.harness.program import Program
-from posor_msgs.msg import EndpointState, JointReliability, JointTransform
+from posor_msgs.msg import EndpointState, JointTransform
 from posor_ros.node_program import NodeGroup
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
@@ -135,17 +134,14 @@ def test_all_nodes_end_at_a_signal(tmp_path: Path) -> None:
         assert ends_cleanly(program, graph, signal.SIGINT)
 
 
-def test_the_chain_receives_the_reliability_of_a_joint_of_its_process(tmp_path: Path) -> None:
+def test_the_chain_receives_the_fault_effects_of_a_joint_of_its_process(tmp_path: Path) -> None:
     with Program([*COMPOSE, str(write_composition(tmp_path, RIG))]), Graph() as graph:
         states = graph.collect(EndpointState, "/rig/endpoint/state")
         graph.wait_until(
             lambda: bool(states) and not any(map(math.isnan, states[-1].protection_level)), "a protection level"
         )
-        reliability = f"/rig/joint1/{RELIABILITY_TOPIC}"
-        assert graph.node.count_publishers(reliability) == 1
-        assert graph.node.count_subscribers(reliability) == 0  # the bytes do not take the way over DDS
-        graph.node.create_publisher(JointReliability, reliability, 1)
-        graph.wait_until(lambda: all(map(math.isnan, states[-1].protection_level)), "no level with two publishers")
+        assert all(each.startswith("joint1: ") for each in states[-1].protection_causes)
+        assert graph.node.count_subscribers("/rig/joint1/transform") == 0  # the bytes do not take the way over DDS
 
 
 class StoppedNode:

@@ -26,7 +26,7 @@ TOPICS = {  # topics that the arm must have at least
     *(
         f"/test_rig/{name}"
         for name in (
-            *("joint1/raw", "joint1/transform", "joint1/reliability"),
+            *("joint1/raw", "joint1/transform"),
             *("endpoint/pose", "endpoint/pose_with_covariance", "endpoint/state", "joint_states", "robot_description"),
         )
     ),

@@ -33,6 +33,7 @@ from posor_lab.faults.fault_table import (
 from posor_lab.faults.injection_run import ReadingRun
 from posor_lab.faults.message_run import MessageRun
 from posor_lab.faults.node_storm import run_node_storm
+from posor_lab.faults.cause_faults import SCANS, run_causes
 from posor_lab.faults.offline_faults import CASES, run_ambient, run_hidden, run_slips
 from posor_lab.faults.process_run import ProcessRun
 from posor_lab.faults.storm import run_storm, storm_calibrations
@@ -112,7 +113,7 @@ def run_without_faults(
 
 SOUND_SHARE = 0.998  # least share of sound scans outside of a latched period that are OK
 SOUND_ARMS: tuple[ArmName, ...] = ("five_axis", "six_axis")
-QUICK_INJECTED, QUICK_CASES = 15_000, 50
+QUICK_INJECTED, QUICK_CASES, QUICK_SCANS = 15_000, 50, 100
 OPTIONS = (
     Option("--seed", 1985, "of motion, noise and faults", least=0),
     Option("--rows", "", "only rows whose name contains TEXT; no storm"),
@@ -132,6 +133,7 @@ LIVE_RUNS: Mapping[str, type[InjectionRun]] = {  # live runs by section of the t
 TITLES = {  # titles of the runs by section of the table; rows of the same title share a run
     **{name: run.TITLE for name, run in LIVE_RUNS.items()},
     "hidden": "hidden faults",
+    "causes": "causes of faults",
     "slips": "slips of sources",
     "ambient": "ambient light",
 }
@@ -171,6 +173,8 @@ def _run_group(rows: Sequence[FaultRow], title: str, trial: Trial) -> list[RowRe
     options, run = trial.options, rows[0].run
     if run in LIVE_RUNS:
         return LIVE_RUNS[run](rows, trial.subfolder(title), options.seed, trial.interrupted).run()
+    if run == "causes":
+        return [run_causes(row, options.seed, QUICK_SCANS if options.quick else SCANS) for row in rows]
     if run in {"slips", "ambient"}:
         of_row = run_slips if run == "slips" else run_ambient
         return [of_row(row, options.seed) for row in rows]

@@ -58,9 +58,10 @@ def run_node_storm(
         states, faults = np.array([(each.state, each.faults) for each in found], dtype=np.int64).T
         covariances = np.reshape([each.covariance_random + each.covariance_systematic for each in found], (-1, 6, 6))
         expected = estimate_storm(maker.posor, storm)
+        levels = joint_protection_levels(maker.posor, with_effects(expected, found)).levels
         same = (states == expected.states) & (faults == expected.faults)
         same &= np.all((poses.translations == expected.translations) | (states == State.LOST)[:, None], axis=1)
-        block = count_storm(calibration, storm, states, faults, poses, covariances)
+        block = count_storm(storm, states, faults, poses, covariances, levels)
         return replace(block, different=int(np.count_nonzero(~same)))
 
     return run_storm(calibration, injected, seed, on_block, count_block)

@@ -22,7 +22,7 @@ from posor.model.scan import NO_SOURCE
 from posor.numerics.stamps import NS
 from posor.numerics.vector import thetas_of
 from posor.sensors.diodes import DiodesCalibration
-from posor.uncertainty.protection_level import endpoint_effects, endpoint_protection_level, expansion_shifts
+from posor.uncertainty.protection_level import joint_protection_levels
 from posor.uncertainty.reliability import joint_reliability
 from posor_bringup.arms import find_arm
 from posor_drivers.simulator.pose_array import PoseArray
@@ -85,10 +85,11 @@ def _probe_cases(
         volts = scan.gap_voltages.copy()
         volts[0, channel] += random.uniform(-detectable, detectable) if detectable else row.inject["volts"]
         changed = scan.with_fields({"gap_voltages": volts})
-        estimates = posor.estimate_each(changed, thetas_of(true.rotations) if posor.counts_bumps else None)
+        thetas = thetas_of(true.rotations) if posor.counts_bumps else None
+        estimates = posor.estimate_each(changed, thetas, fault_effects=True)
         has_pose[n] = estimates.states[0] in USABLE_STATES
         poses, covariances = estimated_poses(estimates)
-        level = endpoint_protection_level([reliability.shifts], [np.eye(6)], covariances[0])
+        level = joint_protection_levels(posor, estimates).levels[0]
         found[n] = np.abs(small_errors(poses, true)[0]), level, np.sqrt(np.diagonal(covariances[0]))
     errors, levels, sigmas = found[has_pose].transpose(1, 0, 2)
     return int(np.count_nonzero(~has_pose)), (errors, levels, sigmas)
@@ -112,28 +113,28 @@ def _warm_beam_cases(
     arm = load_arm_file(find_arm("six_axis"))
     chain = arm.chain()
     posors = {joint.name: Posor(arm.calibration(joint.name)) for joint in chain.joints}
+    estimator = chain.estimator()
+    estimator.use_causes([posor.hypotheses.joint_causes() for posor in posors.values()])
     scale, links = 1.0 + EXPANSION * kelvin, [each.before * each.end * each.after for each in TrueArm(arm.path).links]
     reals = {joint: TruePosor(posor.calibration) for joint, posor in posors.items()}
     errors, levels, sigmas = np.zeros((3, cases, 6))
     for n in range(cases):
-        poses, shifts, joints = {}, [], []
+        poses, joints = {}, []
         for joint, posor in posors.items():
             pose = draw_joint_poses(1, random)
             stamps = np.zeros(1, dtype=np.int64)
             scan = reals[joint].scans_at(posor.stack, pose.rotations, pose.translations, stamps)
-            found = posor.estimate_each(scan)
+            found = posor.estimate_each(scan, fault_effects=True)
             if found.states[0] != State.OK:
                 raise PosorError(f"joint {joint} has no pose in a simulated case", where="offline_faults")
             poses[joint] = pose[0]
-            shifts.append(joint_reliability(posor, scan[0], pose[0]).shifts)
             joints.append(found)
-        effects = endpoint_effects(chain, poses)
         packed = np.array([[pin.SE3ToXYZQUAT(pose) for pose in poses.values()]])
         parts = [[each.covariances_random for each in joints], [each.covariances_systematic for each in joints]]
-        covariance = chain.estimate_all(packed, *np.swapaxes(parts, 1, 2)).covariances()[0]
-        expansions = expansion_shifts(chain, poses)
-        levels[n] = endpoint_protection_level(shifts, [effects[name] for name in poses], covariance, expansions)
-        sigmas[n] = np.sqrt(np.diagonal(covariance))
+        endpoints = estimator.estimate_all(packed, *np.swapaxes(parts, 1, 2))
+        effects = np.stack([each.fault_effects for each in joints], axis=1)
+        levels[n] = estimator.bound_all(endpoints, packed, effects).levels[0]
+        sigmas[n] = np.sqrt(np.diagonal(endpoints.covariances()[0]))
         warm = cold = links[0]
         for pose, link in zip(poses.values(), links[1:], strict=True):
             longer = pin.SE3(link.rotation, scale * link.translation)

@@ -4,7 +4,7 @@ Three stacks with a fourth gap probe: light ring, bumpy ring, fixed diodes. The 
 parameters that are drawn within the uncertainties of their calibration. Faults come at random and last for 1 to 200
 scans. A probe is off by at least twice its minimal detectable bias; smaller errors are in ``offline_faults``. A stuck
 reading begins to differ by less than that, zero or garbage may be near the true reading, and a pose of sound readings
-may exceed 5 standard deviations by chance. These count as wrong only beyond the protection level, and are counted
+may exceed 5 standard deviations by chance. Poses that the protection level of the same scan covers are counted
 separately.
 
 Once readings have been sound for ``OPERATOR_SCANS``, an operator acknowledges a latched joint, and its encoder confirms
@@ -27,8 +27,7 @@ from posor.model.fault import USABLE_STATES, Fault, State
 from posor.model.scan import HOME_BUMP, Scans
 from posor.numerics.stamps import NS
 from posor.numerics.vector import thetas_of
-from posor.sensors.diodes import DiodesCalibration
-from posor.uncertainty.protection_level import endpoint_protection_level
+from posor.uncertainty.protection_level import joint_protection_levels
 from posor.uncertainty.reliability import joint_reliability
 from posor_drivers.simulator.electronics import convert_to_digital
 from posor_drivers.simulator.pose_array import PoseArray
@@ -53,8 +52,6 @@ OPERATOR_SCANS = 20  # sound scans after a fault until an operator acknowledges 
 ENCODER_SIGMA = 1e-3  # standard uncertainty of the encoder that confirms theta after an acknowledgement [rad]
 START_SCANS = 1000  # scans without faults at the beginning of a block, in which rings pass their home mark
 SWING_S, PHASES = 2.5, 40  # period of theta, and poses of half of it at which the detectable biases are computed
-LIKE_THE_TRUE_READING = ("stuck", "zero", "garbage")
-"""Last words of the faults whose reading may differ from the true one by less than is detectable."""
 HOME_WIDTH = 0.25  # half width of the home mark, in periods of theta
 
 
@@ -187,7 +184,7 @@ class StormCount:
     scans: int = 0
     injected: int = 0
     wrong_ok: int = 0  # beyond 5 standard deviations of the truth, and published as valid
-    uncovered: int = 0  # wrong poses minus sound and LIKE_THE_TRUE_READING scans that the protection level covers
+    uncovered: int = 0  # of these, beyond the protection level of the same scan
     sound: int = 0  # scans without a fault, outside of a latched period
     sound_ok: int = 0
     latched: int = 0  # scans without a fault in a latched period
@@ -206,37 +203,35 @@ class StormCount:
 
 def estimate_storm(posor: Posor, storm: Storm, encoder: np.random.Generator | None = None) -> Estimates:
     """Return the estimates of a storm, acknowledged as an operator would; ``encoder``: its noise, None: no encoder."""
-    records = np.zeros(len(storm.scans), dtype=ESTIMATE)
+    records, effects = np.zeros(len(storm.scans), dtype=ESTIMATE), posor.allocate_effects(len(storm.scans))
     scans, begin, thetas = storm.scans._records.copy(), 0, thetas_of(storm.truth.rotations)
     for end in [*storm.acknowledgements.tolist(), len(scans)]:
-        posor.estimate_records(scans[begin:end], records[begin:end])
+        posor.estimate_records(scans[begin:end], records[begin:end], effects[begin:end])
         if end < len(scans):
             posor.acknowledge()
         if end < len(scans) and posor.counts_bumps and encoder is not None:
             posor.confirm_theta(thetas[end] + ENCODER_SIGMA * encoder.normal(), ENCODER_SIGMA)
         begin = end
-    return Estimates(records, storm.scans, posor.reason)
+    return Estimates(records, storm.scans, posor.reason, fault_effects=effects)
 
 
 def count_storm(
-    calibration: Calibration,
     storm: Storm,
     states: IntArray,
     faults: IntArray,
     poses: PoseArray,
     covariances: FloatArray,
+    levels: FloatArray,
 ) -> StormCount:
-    """Return the figures of a storm by state, fault, pose and total covariance (6, 6) of each of its scans."""
+    """Return the figures of a storm by the results of each of its scans.
+
+    ``covariances``: totals, (n, 6, 6); ``levels``: protection levels published with the poses, (n, 6).
+    """
     valid = np.isin(states, USABLE_STATES)
     wrong = valid & wrong_poses(poses, covariances, storm.truth)
     sound = storm.faults < 0
-    posor, covered = Posor(calibration), np.zeros(len(sound), dtype=bool)
-    for n in np.flatnonzero(wrong).tolist():
-        if sound[n] or storm.names[storm.faults[n]].endswith(LIKE_THE_TRUE_READING):
-            shifts = sensor_shifts(calibration, joint_reliability(posor, storm.scans[n], poses[n]).shifts)
-            level = endpoint_protection_level([shifts], [np.eye(6)], covariances[n])
-            one = np.array([n])
-            covered[n] = np.all(np.abs(small_errors(poses.select(one), storm.truth.select(one))) <= level)
+    with np.errstate(invalid="ignore"):
+        covered = np.all(np.abs(small_errors(poses, storm.truth)) <= levels, axis=1)
     latched = sound & _latched_periods(states, faults)
     indices = np.maximum.accumulate(np.where(sound, 0, np.arange(len(sound))))
     by_fault = (storm.names[n] if n >= 0 else "none" for n in storm.faults[indices][wrong].tolist())
@@ -252,18 +247,6 @@ def count_storm(
     )
 
 
-def sensor_shifts(calibration: Calibration, shifts: FloatArray) -> FloatArray:
-    """Return the undetected absolute shifts of the pose (m, 6), with the sums over both readings of a diode."""
-    begin, together = 0, [np.abs(shifts)]
-    for sensor in calibration.sensors:
-        if isinstance(sensor, DiodesCalibration):
-            of_diodes = np.abs(shifts[begin : begin + 2 * len(sensor.diodes)])
-            together.append(of_diodes[0::2] + of_diodes[1::2])
-        else:
-            begin += len(sensor.build().reading_names)
-    return np.concatenate(together)
-
-
 def _latched_periods(states: IntArray, faults: IntArray) -> BoolArray:
     """Return which scans are in a period from a latched or uncounted scan, or the beginning, to the next pose, (n,)."""
     begins = (faults & Fault.LATCHED != 0) | (states == State.UNCOUNTED)
@@ -275,7 +258,8 @@ def _latched_periods(states: IntArray, faults: IntArray) -> BoolArray:
 
 def _count_estimates(maker: StormMaker, storm: Storm, seed: int) -> StormCount:
     estimates = estimate_storm(maker.posor, storm, np.random.default_rng(seed))
-    return count_storm(maker.calibration, storm, estimates.states, estimates.faults, *estimated_poses(estimates))
+    levels = joint_protection_levels(maker.posor, estimates).levels
+    return count_storm(storm, estimates.states, estimates.faults, *estimated_poses(estimates), levels)
 
 
 def run_storm(

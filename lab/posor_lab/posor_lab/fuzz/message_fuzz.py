@@ -27,7 +27,7 @@ from posor.messages.message_table import LEAD
 from posor.messages.raw_scan import scan_of
 from posor.model.fault import USABLE_STATES
 from posor.ros_names import JOINT_TRANSFORM, RAW_SCAN
-from posor.uncertainty.protection_level import endpoint_protection_level
+from posor.uncertainty.protection_level import joint_protection_levels
 from posor.uncertainty.reliability import joint_reliability
 from posor_drivers.message_builder import SimulatedMessages
 from posor_drivers.simulator.arm_simulation import ArmSimulation
@@ -35,7 +35,6 @@ from posor_drivers.simulator.imperfections import Imperfections
 from posor_drivers.simulator.pose_array import PoseArray
 
 from posor_lab.faults.pose_judge import SIGMAS, small_errors
-from posor_lab.faults.storm import sensor_shifts
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -11,6 +11,7 @@ from typing import Annotated, Literal, TypeVar
 
 from pydantic import Field, field_validator, model_validator
 
+from posor.calibration.causes import FALSE_ALARM
 from posor.parameter_model import ChangeableAtRunTime, ParameterGroup
 
 MIN_TF_RATE = 0.01
@@ -146,7 +147,8 @@ class PosorParameters(AlarmParameters):
     calibration: str = Field(description="path of the calibration file (YAML) of this joint's POSOR")
     session: str = Field(default="", description="session whose zero shifts and maps apply; empty: none")
     false_alarm: Annotated[float, Field(gt=0.0, lt=1.0)] = Field(
-        default=1e-3, description="probability that the chi-square test of the redundant readings rejects a sound scan"
+        default=FALSE_ALARM,
+        description="probability that the chi-square test of the redundant readings rejects a sound scan",
     )
     home_pose: tuple[float, ...] = Field(
         default=(),
@@ -187,7 +189,7 @@ class ChainParameters(AlarmParameters):
         description="how long the first transform of a scan waits for the others [s]; then there is no pose",
     )
     false_alarm: Annotated[float, Field(gt=0.0, lt=1.0)] = Field(
-        default=1e-3, description="probability that a posor_node rejects a sound scan, as stated there"
+        default=FALSE_ALARM, description="probability that a posor_node rejects a sound scan, as stated there"
     )
     reference: Literal["absolute", "home"] = Field(
         default="absolute",

@@ -16,6 +16,7 @@ from posor.calibration.designs import DesignName, design
 from posor.chain.joint_measurements import JointRowLayout
 from posor.chain.kinematic_chain import Chain
 from posor.compilation import completion_mark
+from posor.estimation.fault_effects import EFFECT
 from posor.estimation.forward import scans_at
 from posor.estimation.posor import Posor
 from posor.messages.joint_transform import TRANSFORM_LAYOUT, pack_rows
@@ -59,7 +60,8 @@ def warm_up() -> None:
         stream = example_stream()
         MessageEstimator(posor, stream).estimate_rows()
         unpack_rows(stream.raw, stream.raw_layout, posor.model.workspace["scan"])
-        pack_rows(record_view(estimates._records), stream.transform_layout, stream.template, stream.transforms)
+        records, layout = record_view(estimates._records), stream.transform_layout
+        pack_rows(records, stream.effects, layout, stream.template, stream.transforms)
     warm_up_chain()
     figures_of(np.array([1, 2]), 3, np.empty(FIGURES))
 
@@ -75,10 +77,9 @@ def example_stream(count: int = 1) -> MessageStream:
     raw, transforms = (MessageRows.of(np.zeros((count, ROW_BYTES), dtype=np.uint8)) for _ in range(2))
     words = np.zeros(ROW_BYTES // 4, dtype=np.int32)  # no bit is decisive: every row has this layout
     status = record_view(np.zeros(1, dtype=STATUS))
-    template = np.zeros(ROW_BYTES // 8)
-    return MessageStream(
-        raw, record_view(raw_layout), words, words, transforms, record_view(transform_layout), template, status
-    )
+    template, effects = np.zeros(ROW_BYTES // 8), np.zeros((1, 0, EFFECT), dtype=np.float32)
+    layouts = record_view(raw_layout), record_view(transform_layout)
+    return MessageStream(raw, layouts[0], words, words, transforms, layouts[1], template, effects, status)
 
 
 def warm_up_chain() -> None:
@@ -89,6 +90,7 @@ def warm_up_chain() -> None:
         covariance_random=144,
         covariance_systematic=432,
         shared=0,
+        effects=0,
         stamp_shift=720,
         state=21,
         size=ROW_BYTES,
@@ -98,6 +100,7 @@ def warm_up_chain() -> None:
         message = "an arm of one joint has no endpoint"
         raise AssertionError(message)
     estimator.estimate_relative_to(estimator.pose)
+    estimator.bound_error(relative=True)
     rows = np.zeros((1, ROW_BYTES), dtype=np.uint8)
     rows.view(np.float64)[0, 10] = 1.0  # w of the quaternion
     estimator.rows[0] = rows[0]

@@ -19,7 +19,6 @@ from threading import RLock
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pinocchio as pin
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 from posor.chain.arm_file import CHAIN_NODE
 from posor.chain.kinematic_chain import load_chain
@@ -28,7 +27,6 @@ from posor.errors import TopicError
 from posor.messages.cdr_schema import STAMP
 from posor.messages.endpoint_messages import EndpointStateWriter, EndpointVerdict, EndpointWriter
 from posor.messages.joint_transform import JointTransformFormat, stamp_ns_of
-from posor.messages.message_table import LEAD
 from posor.model.fault import State
 from posor.node_parameters import ChainParameters
 from posor.numerics.stamps import NO_TIME, NS
@@ -37,24 +35,21 @@ from posor.ros_names import (
     ENDPOINT_STATE_TOPIC,
     ENDPOINT_TOPIC,
     JOINT_STATES_TOPIC,
-    RELIABILITY_TOPIC,
     TRANSFORM_TOPIC,
 )
-from posor_msgs.msg import EndpointState, JointReliability, JointTransform
+from posor_msgs.msg import EndpointState, JointTransform
 from posor_ros.diagnostics import Level
 from posor_ros.freshness import InputMonitor
-from posor_ros.idle_scheduler import run_when_idle
 from posor_ros.intra_process import IntraProcessPublisher, IntraProcessSubscription
 from posor_ros.lifecycle_node import PosorNode
 from posor_ros.message_classes import schema_of_class
 from posor_ros.node_program import run_node
-from posor_ros.qos import RELIABLE_QOS, input_qos, result_qos
+from posor_ros.qos import input_qos, result_qos
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from sensor_msgs.msg import JointState
 
 from posor_estimator.alarm_rate import AlarmRate
-from posor_estimator.endpoint_protection import ProtectionLevel
 from posor_estimator.endpoint_verdict import SOUND, JointStatus, degraded_verdict, unusable_verdict
 from posor_estimator.frame_publisher import FramePublisher, StampedPoses
 
@@ -101,7 +96,6 @@ class ChainNode(PosorNode[ChainParameters]):
         self._last_stamp = bytes(8)
         self._state_published = self._has_alarm = False
         self.diagnostics.add_refresh(self._refresh_status)
-        self.diagnostics.add_refresh(self._update_protection_level)
 
     def configure(self) -> None:
         """Read the URDF and open the topics."""
@@ -115,11 +109,10 @@ class ChainNode(PosorNode[ChainParameters]):
         layouts = [self._kinds[name].row_layout for name in names]
         self._estimator = chain.estimator(self.parameters.acceleration_window, layouts)
         self._buffers = [
-            (name, kind := self._kinds[name], row[LEAD : LEAD + kind.size].data, row[kind.row_layout.shared :].data)
+            (name, kind := self._kinds[name], *(part.data for part in kind.row_parts(row)))
             for name, row in zip(names, self._estimator.rows, strict=True)
         ]
         self._home, self._pose_stamp, self._reported = None, b"", None
-        self._reliabilities: list[IntraProcessSubscription] = []
         self._poses = self._scans_refused = self._scans_incomplete = 0
         self._refusals.clear()
         self._last_stamp, self._has_alarm = bytes(8), False
@@ -135,7 +128,6 @@ class ChainNode(PosorNode[ChainParameters]):
         self._state_writer = EndpointStateWriter(self._estimator, frame, endpoint, relative=self._is_relative)
         if self.parameters.tf_rate:
             self._frames = FramePublisher(self, chain, self.parameters.tf_rate, self._newest_frames)
-        self._protection = ProtectionLevel(chain)
         self._pose = self._create_publisher(PoseStamped, ENDPOINT_TOPIC)
         self._pose_with_covariance = self._create_publisher(PoseWithCovarianceStamped, ENDPOINT_COVARIANCE_TOPIC)
         self._joint_states = self._create_publisher(JointState, JOINT_STATES_TOPIC)
@@ -161,9 +153,6 @@ class ChainNode(PosorNode[ChainParameters]):
         self._inputs.add(subscription)
         self._joint_of_topic[subscription.topic_name] = joint.name
 
-        topic, callback = f"{joint.name}/{RELIABILITY_TOPIC}", partial(self._protection.receive, joint.name)
-        self._reliabilities.append(IntraProcessSubscription(self, JointReliability, topic, RELIABLE_QOS, callback))
-
     def activate(self) -> None:
         """Expect transforms with present stamps from now on."""
         self._inputs.start()
@@ -177,24 +166,6 @@ class ChainNode(PosorNode[ChainParameters]):
     def _refresh_status(self) -> None:
         with self._lock:
             self._status.update(self._counts())
-
-    def _update_protection_level(self) -> None:
-        with self._lock:
-            if not self._poses:
-                return
-            protection, estimator = self._protection, self._estimator
-            poses, axes = estimator.poses.copy(), np.eye(3)
-            _, random, systematic = estimator.result(relative=self._is_relative)
-            covariance = random + systematic
-            if self._is_relative and self._home is not None:
-                axes = pin.XYZQUATToSE3(self._home).rotation
-        level = protection.compute(poses, covariance, axes)
-        for subscription in self._reliabilities:
-            run_when_idle(subscription.find_publishers)
-        if any(subscription.publishers > 1 for subscription in self._reliabilities):
-            level[:] = math.nan
-        with self._lock:
-            self._state_writer.protection_level[:] = level
 
     def _on_inputs_checked(self, is_new: bool) -> None:  # noqa: FBT001  a callback
         """Report that no transform arrives, and publish the state while there is no scan."""
@@ -213,6 +184,8 @@ class ChainNode(PosorNode[ChainParameters]):
         """Publish the state of a scan; a stamp of zero: there is no scan yet."""
         self._state_published = True
         if self._endpoint_state.has_subscriptions:
+            if verdict.has_pose:
+                self._state_writer.bound_error()
             age_s = (self.timing.now_ns() - stamp_ns) / NS if stamp_ns else math.nan
             self._endpoint_state.publish(self._state_writer.write(stamp, age_s, verdict))
 
@@ -239,13 +212,13 @@ class ChainNode(PosorNode[ChainParameters]):
         try:
             data = schema_of_class(JointTransform).normal(data)
             values = schema_of_class(JointTransform).values(data)
-            self._kinds[joint.name].shared_terms(data)
+            self._kinds[joint.name].tail(data)
         except TopicError as error:
             self._refuse_transform(joint, str(error), bytes(8))
             return b""
         frames = (str(values["header.frame_id"]), str(values["child_frame_id"]))
         if frames == (joint.parent, joint.child):
-            return data  # of other shared terms than the message before, or with other padding
+            return data  # of other shared terms or causes than the message before, or with other padding
         reason = (
             f"transforms from '{frames[0]}' to '{frames[1]}' arrive; "
             f"expected '{joint.parent}' to '{joint.child}', as in the URDF"
@@ -287,15 +260,19 @@ class ChainNode(PosorNode[ChainParameters]):
                 self._report_refused_scan(verdict)
 
     def _publish_endpoint(self, scan: dict[str, bytes], stamp_ns: int) -> None:
-        estimator, terms = self._estimator, []
-        for name, kind, row, effects in self._buffers:
+        estimator, terms, causes = self._estimator, [], []
+        for name, kind, row, shared, effects in self._buffers:
             data = scan[name]
             row[:] = data if len(data) == kind.size else data[: kind.size]
-            names, part = kind.shared_terms(data)
-            if names:
-                effects[: part.stop - part.start] = data[part]
-            terms.append(names)
+            tail = kind.tail(data)
+            if tail.terms:
+                shared[: tail.shared.stop - tail.shared.start] = data[tail.shared]
+            if tail.causes.kinds:
+                effects[: tail.effects.stop - tail.effects.start] = data[tail.effects]
+            terms.append(tail.terms)
+            causes.append(tail.causes)
         estimator.use_terms(terms)
+        estimator.use_causes(causes)
         stamp = self._last_stamp = data[STAMP]
         refusal = self._inputs.refusal(stamp_ns)
         if refusal:

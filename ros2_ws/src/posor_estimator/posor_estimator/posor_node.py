@@ -29,24 +29,21 @@ from posor.messages.raw_scan import scan_of
 from posor.model.fault import Fault, State
 from posor.model.scan import Scans
 from posor.node_parameters import PosorParameters
-from posor.ros_names import RAW_TOPIC, RELIABILITY_TOPIC, TRANSFORM_TOPIC
-from posor.uncertainty.reading_sensitivity import EstimateMatrices
-from posor_msgs.msg import JointReliability, JointTransform, RawScan
+from posor.ros_names import RAW_TOPIC, TRANSFORM_TOPIC
+from posor_msgs.msg import JointTransform, RawScan
 from posor_msgs.srv import Acknowledge
 from posor_ros.diagnostics import Level
 from posor_ros.freshness import REPEATED, InputMonitor, ScanOrder
-from posor_ros.idle_scheduler import run_when_idle
 from posor_ros.intra_process import IntraProcessPublisher, IntraProcessSubscription
 from posor_ros.lifecycle_node import PosorNode
 from posor_ros.message_classes import schema_of_class
 from posor_ros.node_program import run_node
-from posor_ros.qos import RELIABLE_QOS, input_qos, result_qos
+from posor_ros.qos import input_qos, result_qos
 
 from posor_estimator.alarm_rate import AlarmRate
 from posor_estimator.encoder_subscription import subscribe_to_encoder
 from posor_estimator.endpoint_verdict import NOT_COUNTED, waits_to_be_counted
 from posor_estimator.fault_release import EncoderReading, FaultRelease, check_plausible
-from posor_estimator.reliability_message import has_reliability, reliability_fields
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -73,7 +70,6 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
 
     _calibration: Calibration
     _posor: Posor
-    _reliability: IntraProcessPublisher
     _stream: RawScanStream | None
     _last_stream: RawScanStream | None
     _recent_scans: deque[bytes]
@@ -90,7 +86,6 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
         self._last_stream = None
         self._inputs = InputMonitor(self, self._on_inputs_checked)
         self.diagnostics.add_refresh(self._refresh_status)
-        self.diagnostics.add_refresh(self._publish_reliability)
 
     def configure(self) -> None:
         """Read the calibration file, report its identity and open the topics and services."""
@@ -106,7 +101,6 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
         self._status.report(Level.STALE, "no scan yet")
         qos = result_qos(self.parameters)
         self._publisher = IntraProcessPublisher(self, JointTransform, TRANSFORM_TOPIC, qos, count_listeners=True)
-        self._reliability = IntraProcessPublisher(self, JointReliability, RELIABILITY_TOPIC, RELIABLE_QOS)
         self.add_cleanup(self._forget_scans)
         self.add_cleanup(self._inputs.clear)
         qos = input_qos(self.parameters)
@@ -366,21 +360,6 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
                 self._reported = None  # the rate of alarms may have become normal
         self._inputs.update(self._order.counts)
         self._status.update(_status_values(counts, last))
-
-    def _publish_reliability(self) -> None:
-        """Publish the reliability at the last pose, once a second, if there is a pose and somebody listens."""
-        with self._lock:
-            if not self.may_publish or not self._reliability.has_subscriptions:
-                return
-            if self._stream is None or self._stream is not self._last_stream:
-                return  # a new estimator has seen no scan yet
-            posor, last = self._posor, self._stream.last_scan()
-            if not has_reliability(last):
-                return
-            matrices = EstimateMatrices.of(posor)
-        fields = reliability_fields(posor, matrices, last.stamp_ns)  # without the lock: no scan waits for it
-        data = schema_of_class(JointReliability).encode(fields)
-        run_when_idle(partial(self._reliability.publish, data))  # a piece of work of its own
 
 
 def _format_status(state: int, faults: int, excess: str, counts: dict[str, Value], scan: EstimatedScan) -> StatusText:

@@ -17,7 +17,6 @@ from rosbags.typesys.store import Typestore
 TYPES = [
     "posor_msgs/msg/RawScan",
     "posor_msgs/msg/JointTransform",
-    "posor_msgs/msg/JointReliability",
     "posor_msgs/msg/EndpointState",
     "geometry_msgs/msg/PoseWithCovarianceStamped",
     "sensor_msgs/msg/JointState",

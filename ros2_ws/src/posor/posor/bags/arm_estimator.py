@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from posor.bags.block_synchroniser import JOINT_ROWS, BlockSynchroniser
+from posor.bags.block_synchroniser import BlockSynchroniser, joint_rows
 from posor.bags.reprocess_task import EndpointSummary, JointSummary
 from posor.calibration.shared_terms import check_same_terms
 from posor.errors import ChainError
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from posor.calibration.calibration_file import Calibration
     from posor.chain.forward_kinematics import Endpoints
     from posor.chain.kinematic_chain import Chain
+    from posor.estimation.fault_hypotheses import JointCauses
     from posor.messages.raw_scan import RecordedScans
     from posor.node_parameters import ChainParameters
     from posor.numerics.array_types import BoolArray, FloatArray, IntArray
@@ -39,6 +40,7 @@ class ArmEstimator:
     Attributes:
         frames: Receiving and target frame of each joint.
         shared_terms: Names of the shared terms of each joint.
+        causes: Of faults of each joint.
         endpoint: The kinematic chain; None: joints only.
 
     """
@@ -51,8 +53,11 @@ class ArmEstimator:
             name: _JointEstimator(calibrations[name], joint.false_alarm) for name, joint in settings.joints.items()
         }
         self.shared_terms = {name: tuple(each.shared) for name, each in calibrations.items()}
+        self.causes = {name: joint.causes for name, joint in self._joints.items()}
         loaded = settings.load_chain()
-        self.endpoint = None if loaded is None else EndpointPipeline(*loaded, self.frames, self.shared_terms)
+        self.endpoint = (
+            None if loaded is None else EndpointPipeline(*loaded, self.frames, self.shared_terms, self.causes)
+        )
         files = {str(settings.joints[name].calibration): each.shared for name, each in calibrations.items()}
         if loaded is not None:
             check_same_terms({loaded[1].beams: loaded[0].shared, **files})
@@ -94,12 +99,13 @@ class _JointEstimator:
 
     def __init__(self, calibration: Calibration, false_alarm: float) -> None:
         self._posor = Posor(calibration, false_alarm=false_alarm)
+        self.causes = self._posor.hypotheses.joint_causes()
         self.scans = self.lost = 0
         self.faults: Counter[str] = Counter()
 
     def estimate(self, scans: Sequence[RecordedScans]) -> Estimates:
         parts = [estimate_joint(self._posor, each) for each in scans]
-        estimates = Estimates.concatenate(parts) if parts else self._posor.estimate_all(NO_SCANS)
+        estimates = Estimates.concatenate(parts) if parts else self._posor.estimate_all(NO_SCANS, fault_effects=True)
         lost = estimates.states == int(State.LOST)
         self.scans += len(estimates)
         self.lost += int(np.count_nonzero(lost))
@@ -129,12 +135,13 @@ class EndpointPipeline:
         parameters: ChainParameters,
         frames: Mapping[str, tuple[str, str]],
         shared_terms: Mapping[str, tuple[str, ...]],
+        causes: Mapping[str, JointCauses],
     ) -> None:
         """Prepare.
 
         ``parameters``: of chain_node; ``frames``: receiving and target frame of each calibrated joint;
-        ``shared_terms``: names of its shared terms. Raises ChainError: a joint of the chain has no calibration, or one
-        between other frames.
+        ``shared_terms``: names of its shared terms; ``causes``: of its faults. Raises ChainError: a joint of the chain
+        has no calibration, or one between other frames.
         """
         self.joints = tuple(joint.name for joint in chain.joints)
         where = f"URDF {parameters.urdf}"
@@ -151,11 +158,13 @@ class EndpointPipeline:
                 )
         self._estimator = chain.estimator(parameters.acceleration_window)
         self._estimator.use_terms([shared_terms[name] for name in self.joints])
+        self._estimator.use_causes([causes[name] for name in self.joints])
         self._terms = max(len(shared_terms[name]) for name in self.joints)
         self._relative = parameters.reference == "home"
         self._home: FloatArray | None = None
         self.frame = f"{parameters.endpoint_frame}_home" if self._relative else chain.base_frame
-        self.synchroniser = BlockSynchroniser(self.joints)
+        self._effects = self._estimator.fault_effects.shape[1]
+        self.synchroniser = BlockSynchroniser(self.joints, self._effects)
         self.poses = self.degraded = self.unusable = 0
         self.refused = dict.fromkeys(self.joints, 0)
 
@@ -164,7 +173,7 @@ class EndpointPipeline:
 
         ``orders``: positions of their scans among those of all joints that were read together, shape (n,).
         """
-        rows = [self._with_stamp(name, _joint_rows(joints[name], orders[name])) for name in self.joints]
+        rows = [self._with_stamp(name, _joint_rows(joints[name], orders[name], self._effects)) for name in self.joints]
         complete = self.synchroniser.join(rows)
         states = np.array([each["state"] for each in complete])
         usable: BoolArray = np.isin(states, USABLE_STATES)
@@ -215,6 +224,8 @@ class EndpointPipeline:
             if self._home is None:
                 self._home = endpoints.poses[int(np.argmax(sound))].copy()
             endpoints = endpoints.relative_to(self._home)
+        poses, effects = (np.stack([each[name] for each in complete], axis=1) for name in ("pose", "fault_effects"))
+        levels = self._estimator.bound_all(endpoints, poses, effects, self._home).levels
         log_times_ns = np.max([each["log_time_ns"] for each in complete], axis=0)
         found = EndpointEstimates(
             log_times_ns,
@@ -224,12 +235,15 @@ class EndpointPipeline:
             endpoints.covariances_systematic,
             endpoints.angles,
             endpoints.stamp_shifts,
+            levels,
         )
         return found if sound.all() else found.select(sound)
 
 
-def _joint_rows(estimates: Estimates, order: IntArray) -> NDArray[np.void]:
-    rows: NDArray[np.void] = np.empty(len(estimates), dtype=JOINT_ROWS)
+def _joint_rows(estimates: Estimates, order: IntArray, effects: int) -> NDArray[np.void]:
+    rows: NDArray[np.void] = np.empty(len(estimates), dtype=joint_rows(effects))
+    own = np.zeros((0, 0, 0)) if estimates.fault_effects is None else estimates.fault_effects
+    rows["fault_effects"][:, : own.shape[1]] = own
     rows["order"], rows["log_time_ns"], rows["stamp_ns"] = order, estimates.log_times_ns, estimates.stamps_ns
     rows["state"], rows["theta"], rows["pose"] = estimates.states, estimates.thetas, estimates.poses
     rows["covariance_random"] = estimates.covariances_random

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from posor.chain.time_synchroniser import TimeSynchroniser, synchronise_stamps
+from posor.estimation.fault_effects import EFFECT
 from posor.model.scan import MAX_TERMS
 
 if TYPE_CHECKING:
@@ -18,23 +19,28 @@ if TYPE_CHECKING:
     from posor.numerics.array_types import BoolArray
 
     Rows = NDArray[np.void]
-    """Transforms of a joint, shape (n,), dtype JOINT_ROWS."""
+    """Transforms of a joint, shape (n,), dtype ``joint_rows``."""
 
-JOINT_ROWS = np.dtype(  # a joint's transform as the chain needs it
-    [
-        ("order", "i8"),  # position of the scan among those of all joints that were read together
-        ("log_time_ns", "i8"),
-        ("stamp_ns", "i8"),
-        ("state", "i8"),
-        ("theta", "f8"),
-        ("pose", "f8", (7,)),
-        ("covariance_random", "f8", (6, 6)),
-        ("covariance_systematic", "f8", (6, 6)),
-        ("shared_effects", "f8", (MAX_TERMS, 6)),
-        ("stamp_shift", "f8", (6,)),
-    ]
-)
 MOST_OPEN = 65_536  # transforms of a joint that may wait for others; then the oldest are given up, to bound memory
+
+
+def joint_rows(effects: int) -> np.dtype[np.void]:
+    """Return the dtype of a joint's transform as the chain needs it, with a number of fault effects."""
+    return np.dtype(
+        [
+            ("order", "i8"),  # position of the scan among those of all joints that were read together
+            ("log_time_ns", "i8"),
+            ("stamp_ns", "i8"),
+            ("state", "i8"),
+            ("theta", "f8"),
+            ("pose", "f8", (7,)),
+            ("covariance_random", "f8", (6, 6)),
+            ("covariance_systematic", "f8", (6, 6)),
+            ("shared_effects", "f8", (MAX_TERMS, 6)),
+            ("stamp_shift", "f8", (6,)),
+            ("fault_effects", "f4", (effects, EFFECT)),
+        ]
+    )
 
 
 class BlockSynchroniser:
@@ -49,9 +55,10 @@ class BlockSynchroniser:
 
     """
 
-    def __init__(self, joints: Sequence[str]) -> None:
-        self._joints = tuple(joints)
-        self._open = [np.empty(0, dtype=JOINT_ROWS) for _ in self._joints]
+    def __init__(self, joints: Sequence[str], effects: int = 0) -> None:
+        """Prepare for rows with a number of fault effects."""
+        self._joints, self._rows = tuple(joints), joint_rows(effects)
+        self._open = [np.empty(0, dtype=self._rows) for _ in self._joints]
         self._last_complete: list[Rows] = []
         self._closed_until = -1
         self._live: TimeSynchroniser[Rows] | None = None

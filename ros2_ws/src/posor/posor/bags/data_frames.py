@@ -29,6 +29,7 @@ COVARIANCES = {
 }
 """Columns of each covariance of x, y, z [m] and small turns about X, Y, Z [rad], row by row, by its attribute."""
 STAMP_SHIFT = tuple(f"stamp_shift_{axis}" for axis in AXES)
+PROTECTION_LEVEL = tuple(f"protection_level_{axis}" for axis in AXES)
 JOINT_COLUMNS = {
     "scan": ("numbers", np.uint64),
     "residual": ("residuals", np.float64),
@@ -55,6 +56,7 @@ def endpoint_columns(estimates: EndpointEstimates, joints: Sequence[str] = ()) -
     columns: dict[str, Any] = {"log_time_ns": estimates.log_times_ns, "stamp_ns": estimates.stamps_ns}
     columns |= _split(POSE, estimates.poses)
     columns |= _covariance_columns(estimates) | _split(STAMP_SHIFT, estimates.stamp_shifts)
+    columns |= _split(PROTECTION_LEVEL, estimates.protection_levels)
     columns |= _split([f"angle_{joint}" for joint in joints], estimates.angles)
     return columns
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from posor.calibration.calibration_file import load_calibration
+from posor.calibration.causes import FALSE_ALARM
 from posor.chain.arm_file import CHAIN_NODE, POSOR_NODE, chain_parameters, posor_parameters
 from posor.chain.kinematic_chain import load_chain
 from posor.errors import check_probability
@@ -35,7 +36,7 @@ class JointSettings:
     calibration: Path  # path of the file
     session: str = ""  # of the calibration; empty: none
     topic: str = ""  # of the raw scans; empty: the only one of the bag that ends in ``/<joint>/raw``
-    false_alarm: float = 1e-3  # see ``Posor``
+    false_alarm: float = FALSE_ALARM  # see ``Posor``
 
     def load(self) -> Calibration:
         """Return the calibration with its session applied.

@@ -59,7 +59,9 @@ class BagOutput:
         self._joints = {
             name: (
                 self._add_topic(topic, JOINT_TRANSFORM, topics.offered),
-                joint_transform_layout(transform, *estimator.frames[name], estimator.shared_terms[name]),
+                joint_transform_layout(
+                    transform, *estimator.frames[name], estimator.shared_terms[name], estimator.causes[name]
+                ),
             )
             for name, topic in topics.transforms.items()
         }

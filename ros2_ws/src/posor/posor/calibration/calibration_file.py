@@ -5,7 +5,7 @@ Versions of the format:
 1. First version: ``sensors`` by type, ``sessions``, ``tilt_angle``, ``motion``. Still read.
 2. ``fits``: recording, method, residuals and covariances of fitted values.
 3. ``environment``: valid ranges of supply and temperature; ``converter``: its steps; ``shared``: errors that several
-   quantities share, also of other files.
+   quantities share, also of other files; ``causes``: causes of faults and their bounds.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, TypeVar, Union
 
 from pydantic import Field, PrivateAttr, SerializeAsAny, create_model, field_validator, model_validator
 
+from posor.calibration.causes import Cause, check_causes
 from posor.calibration.file_model import EntryError, FrozenModel, select_model_by_key
 from posor.calibration.fit_record import FitRecord
 from posor.calibration.parameter_entries import parameter_entries
@@ -162,6 +163,7 @@ class Calibration(FrozenModel):
     sensors: list[SerializeAsAny[SensorCalibration]]
     sessions: dict[str, Session] = Field(default_factory=dict)
     fits: list[FitRecord] = Field(default_factory=list)
+    causes: list[Cause] = Field(default_factory=list)
     _session: str = PrivateAttr(default="")
 
     @field_validator("sessions")
@@ -175,10 +177,11 @@ class Calibration(FrozenModel):
     def _check_version(self) -> Self:
         if self.fits and self.version == 1:
             raise EntryError("fits in a file of version 1", key=("fits",), expected="version 2")
-        for key in ("environment", "converter", "shared"):
+        for key in ("environment", "converter", "shared", "causes"):
             if getattr(self, key) and self.version < VERSION:
                 what = f"{key} in a file of version {self.version}"
                 raise EntryError(what, key=(key,), expected=f"version {VERSION}")
+        check_causes(self.causes)
         return self
 
     @model_validator(mode="after")
@@ -215,7 +218,7 @@ class Calibration(FrozenModel):
         A file keeps the hash that it had before later versions added keys.
         """
         content = self.model_dump(mode="json")
-        for key in ("fits", "environment", "converter", "shared"):
+        for key in ("fits", "environment", "converter", "shared", "causes"):
             if not content[key]:
                 del content[key]
         for sensor in content["sensors"]:

@@ -29,6 +29,7 @@ BEAM = np.dtype(
         ("sigma_shift_gain", float, (3, 3)),  # one standard deviation of the sag: translation [m], axes of the start
         ("sigma_turn_gain", float, (3, 3)),  # the same: rotation [rad], axes of the start
         ("covariance", float, (6, 6)),  # ``MeasuringBeam.covariance``
+        ("expansion", float, 3),  # ``MeasuringBeam.expansion`` [m]
     ]
 )
 
@@ -103,4 +104,5 @@ def _beam_record(beam: MeasuringBeam) -> tuple[FloatArray, ...]:
         sigma_gain[:3],
         sigma_gain[3:],
         beam.covariance,
+        beam.expansion,
     )

@@ -9,6 +9,7 @@ import numpy as np
 import pinocchio as pin
 
 from posor.chain.beam_acceleration import BeamHistory
+from posor.chain.fault_bounds import UNKNOWN, ArmCauses, EndpointBounds, bound_endpoints
 from posor.chain.forward_kinematics import (
     HISTORY_FULL,
     Endpoints,
@@ -18,10 +19,15 @@ from posor.chain.forward_kinematics import (
 )
 from posor.chain.joint_measurements import FAULT_TEXTS, JointMeasurements, JointRows
 from posor.errors import ChainError
+from posor.estimation.fault_effects import EFFECT
+from posor.estimation.fault_hypotheses import JointCauses
 from posor.numerics.compiled import compile_for
+from posor.numerics.vector import rotation_of_pose
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
+
+    from numpy.typing import NDArray
 
     from posor.chain.arm_geometry import ArmGeometry
     from posor.chain.joint_measurements import JointRowLayout, MeasuredJoint
@@ -56,6 +62,8 @@ class EndpointEstimator:
         faults: Of the joints, (j,): zero, or a key of ``joint_measurements.FAULT_TEXTS``.
         shared_terms: Names of the shared terms of beams and joints, see ``use_terms``.
         stamp_shift: Largest error of the endpoint by errors of the stamps, along and about each axis, (6,) [m], [rad].
+        fault_effects: What faults of the joints may do to their poses, (j, C, EFFECT), see ``use_causes``; NaN: not known.
+        protection_level: Of the endpoint, written by ``bound_error``, (6,) [m], [rad].
         relative_pose: Endpoint in the axes at home, (7,), written by ``estimate_relative_to``.
         relative_covariance_random: Of the same, (6, 6).
         relative_covariance_systematic: Of the same, (6, 6).
@@ -97,6 +105,11 @@ class EndpointEstimator:
         )
         self.stamp_shift = self._endpoints.stamp_shifts[0]
         self.relative_stamp_shift = self._relative.stamp_shifts[0]
+        self._bounds = EndpointBounds.allocate(1)
+        self.protection_level = self._bounds.levels[0]
+        self._axes, self._home_axes = np.eye(3), np.eye(3)
+        self._joint_causes = [JointCauses()] * len(joints)
+        self.causes, self._arm_causes = ArmCauses.of(self._joint_causes)
         self.relative_pose, self.relative_covariance_random, self.relative_covariance_systematic = (
             array[0] for array in self._relative[:3]
         )
@@ -108,6 +121,7 @@ class EndpointEstimator:
             self._set_terms(self._joint_terms)
         self._estimate = compile_for(estimate_endpoints, self._arguments)
         self._estimate_rows = compile_for(estimate_endpoint_of_rows, self._row_arguments)
+        self._bound = compile_for(bound_endpoints, self._bound_arguments[0])
 
     def use_terms(self, of_joints: list[tuple[str, ...]]) -> None:
         """Take the names of each joint's shared terms, in the order of its effects, from the next scan on."""
@@ -123,6 +137,58 @@ class EndpointEstimator:
             each._replace(shared_effects=np.full((1, count, 6), np.nan)) for each in (self._endpoints, self._relative)
         )
         self._prepare_arguments()
+
+    def use_causes(self, of_joints: list[JointCauses]) -> None:
+        """Take the causes of each joint's faults, in the order of its effects, from the next scan on."""
+        if of_joints != self._joint_causes:
+            self._joint_causes = of_joints
+            self.causes, self._arm_causes = ArmCauses.of(of_joints)
+            shape = 1, len(of_joints), self._arm_causes.kinds.shape[1], EFFECT
+            self._measurements = self._measurements._replace(fault_effects=np.full(shape, np.nan, dtype=np.float32))
+            self._prepare_arguments()
+
+    @property
+    def fault_effects(self) -> NDArray[np.float32]:
+        """See the class."""
+        effects: NDArray[np.float32] = self._measurements.fault_effects[0]
+        return effects
+
+    def bound_error(self, *, relative: bool = False) -> tuple[tuple[str, str], ...]:
+        """Write the protection level of the endpoint; return joint and cause that set it, for each axis.
+
+        ``relative``: in the axes at home, of the last ``estimate_relative_to``. Both names are empty where nothing sets
+        the level.
+        """
+        self._bound(*self._bound_arguments[relative])
+        return self.set_by(self._bounds, 0)
+
+    def bound_all(
+        self,
+        endpoints: Endpoints,
+        poses: FloatArray,
+        fault_effects: NDArray[np.float32],
+        home: FloatArray | None = None,
+    ) -> EndpointBounds:
+        """Return the protection levels of n endpoints of ``estimate_all`` or of ``relative_to``.
+
+        ``poses``: of the joints, (n, j, 7); ``fault_effects``: (n, j, C, EFFECT), as the attribute; ``home``: pose in
+        whose axes the endpoints are, (7,); None: in those of the base. Joints and causes of the result index ``joints``
+        and ``causes``.
+        """
+        count, bounds = len(poses), EndpointBounds.allocate(len(poses))
+        measurements = JointMeasurements.allocate(count, len(self.joints))._replace(
+            poses=np.require(poses, np.float64, ["C", "A", "W"]),
+            fault_effects=np.require(fault_effects, np.float32, ["C", "A", "W"]),
+        )
+        axes = self._axes if home is None else np.array(rotation_of_pose(home))
+        own = Endpoints(*(np.require(array, requirements=["C", "A", "W"]) for array in endpoints))
+        self._bound(self._arm, self._arm_causes, measurements, own, axes, bounds)
+        return bounds
+
+    def set_by(self, bounds: EndpointBounds, n: int) -> tuple[tuple[str, str], ...]:
+        """Return joint and cause that set the level of endpoint n along and about each axis, as ``bound_error``."""
+        found = zip(bounds.joints[n].tolist(), bounds.causes[n].tolist(), strict=True)
+        return tuple(("", "") if c == UNKNOWN else (self.joints[j], self.causes[c]) for j, c in found)
 
     @property
     def shared_effects(self) -> dict[str, FloatArray]:
@@ -210,6 +276,7 @@ class EndpointEstimator:
         measurements = JointMeasurements(
             np.require(stamps_ns, np.int64, ["C", "A", "W"]),
             *(np.require(array, np.float64, ["C", "A", "W"]) for array in numbers),
+            self._measurements.fault_effects,
         )
         endpoints, done = Endpoints.allocate(count, joints, len(self.shared_terms)), 0
         while (done := self._estimate(self._arm, self._history, measurements, endpoints, done)) < count:
@@ -218,6 +285,7 @@ class EndpointEstimator:
 
     def estimate_relative_to(self, home: FloatArray) -> None:
         """Write the relative pose and its covariances; ``home``, (7,), is an endpoint taken as exact."""
+        self._home_axes[:] = rotation_of_pose(home)
         write_relative(home, self._endpoints, self._relative)
 
     def covariance(self) -> FloatArray:
@@ -245,3 +313,7 @@ class EndpointEstimator:
         workspace = self._arm, self._history, self._measurements, self._endpoints
         self._arguments: tuple[Any, ...] = (*workspace, 0)
         self._row_arguments: tuple[Any, ...] = (*workspace, self._rows)
+        self._bound_arguments: tuple[tuple[Any, ...], ...] = tuple(
+            (self._arm, self._arm_causes, self._measurements, endpoints, axes, self._bounds)
+            for endpoints, axes in ((self._endpoints, self._axes), (self._relative, self._home_axes))
+        )

@@ -27,6 +27,7 @@ from posor.chain.joint_measurements import (
     shared_fault,
     stamp_shift_fault,
 )
+from posor.estimation.fault_effects import EFFECT
 from posor.model.fault import USABLE_STATES
 from posor.numerics.compiled import in_place, inlined
 from posor.numerics.vector import (
@@ -460,6 +461,10 @@ def estimate_endpoint_of_rows(
         for t in range(shared.shape[0]):
             for i in range(6):
                 shared[t, i] = rows.numbers[j, first + 6 * t + i] if arm.joint_terms[j, t] >= 0 else 0.0
+        effects, first = measurements.fault_effects[0, j], 2 * rows.layouts[j]["effects"]
+        for c in range(effects.shape[0]):
+            for i in range(EFFECT):
+                effects[c, i] = rows.singles[j, first + EFFECT * c + i]
     if estimate_endpoints(arm, history, measurements, endpoints, 0) == 0:
         return HISTORY_FULL
     return UNUSABLE if math.isnan(endpoints.poses[0, 0]) else worst

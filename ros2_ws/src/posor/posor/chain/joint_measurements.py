@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from posor.estimation.fault_effects import EFFECT
 from posor.numerics.compiled import inlined
 from posor.numerics.vector import rotation_of_pose
 
@@ -50,7 +51,7 @@ LARGEST_FLOAT = sys.float_info.max
 ROW_LAYOUT = np.dtype(
     [
         (name, np.int64)
-        for name in ("pose", "native", "covariance_random", "covariance_systematic", "shared", "stamp_shift", "state")
+        for name in ("pose", "native", "covariance_random", "covariance_systematic", "shared", "effects", "stamp_shift", "state")
     ]
 )
 """Where a row of message bytes holds its fields: indices of 8-byte numbers, and of the byte ``state``."""
@@ -81,16 +82,19 @@ class JointMeasurements(NamedTuple):
     thetas: FloatArray  # counted large rotations [rad], (n, j); NaN: not counted; infinite: see NATIVE_DISAGREES
     shared_effects: FloatArray  # as ``MeasuredJoint.shared_effects``, (n, j, T, 6), see ``ArmGeometry.joint_terms``
     stamp_shifts: FloatArray  # as ``posor_msgs/JointTransform.stamp_shift``, (n, j, 6) [m], [rad]
+    # As ``estimation.fault_effects`` gives them, C of a joint at most, (n, j, C, EFFECT), floats of 4 bytes; NaN: not known
+    fault_effects: FloatArray
 
     @classmethod
-    def allocate(cls, scans: int, joints: int, terms: int = 0) -> JointMeasurements:
+    def allocate(cls, scans: int, joints: int, terms: int = 0, effects: int = 0) -> JointMeasurements:
         """Return measurements at the identity, without covariances and without a counted theta."""
         poses = np.zeros((scans, joints, 7))
         poses[..., 6] = 1.0
         random, systematic = np.zeros((2, scans, joints, 6, 6))
         thetas, shared = np.full((scans, joints), np.nan), np.zeros((scans, joints, terms, 6))
         shifts = np.zeros((scans, joints, 6))
-        return cls(np.zeros(scans, dtype=np.int64), poses, random, systematic, thetas, shared, shifts)
+        faults = np.full((scans, joints, effects, EFFECT), np.nan, dtype=np.float32)
+        return cls(np.zeros(scans, dtype=np.int64), poses, random, systematic, thetas, shared, shifts, faults)
 
 
 @dataclass(frozen=True)
@@ -102,6 +106,7 @@ class JointRowLayout:
     covariance_random: int  # 36 numbers, row by row, likewise
     covariance_systematic: int  # the same
     shared: int  # six numbers for each shared term, likewise
+    effects: int  # EFFECT numbers for each fault effect, floats of 4 bytes; a multiple of 8
     stamp_shift: int  # six numbers, likewise
     state: int  # ``State``, one byte
     size: int  # length of the row
@@ -113,7 +118,7 @@ class JointRowLayout:
         Raises ValueError: the offset of a number is not a multiple of 8.
         """
         covariances = self.covariance_random, self.covariance_systematic
-        numbers = self.pose, self.native, *covariances, self.shared, self.stamp_shift
+        numbers = self.pose, self.native, *covariances, self.shared, self.effects, self.stamp_shift
         if any(offset % 8 for offset in numbers):
             message = f"{self}: expected offsets of numbers that are multiples of 8"
             raise ValueError(message)
@@ -126,13 +131,15 @@ class JointRows(NamedTuple):
     layouts: RecordArray  # where each row holds its fields, (j,) of ``ROW_LAYOUT``
     numbers: FloatArray  # the rows as 8-byte floats, (j, w)
     octets: ByteArray  # the same memory as bytes, (j, 8 w)
+    singles: NDArray[np.float32]  # the same memory as floats of 4 bytes, (j, 2 w)
 
     @classmethod
     def allocate(cls, layouts: Sequence[JointRowLayout]) -> JointRows:
         """Return empty rows of joints with these layouts."""
         numbers = np.zeros((len(layouts), max((-(-layout.size // 8) for layout in layouts), default=0)))
         records = [layout.record for layout in layouts]
-        return cls(np.concatenate(records) if records else np.empty(0, ROW_LAYOUT), numbers, numbers.view(np.uint8))
+        layout = np.concatenate(records) if records else np.empty(0, ROW_LAYOUT)
+        return cls(layout, numbers, numbers.view(np.uint8), numbers.view(np.float32))
 
 
 @inlined

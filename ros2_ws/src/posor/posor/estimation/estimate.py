@@ -171,6 +171,8 @@ class Estimates:
         shared_effects: Change of the pose by one standard uncertainty of each shared term of the calibration file, in
             its order, as ``covariances_systematic``, which contains them, shape (n, 8, 6); zero behind the last term.
         stamp_shifts: Largest errors by errors of the stamps, see ``Estimate.stamp_shift``, shape (n, 6).
+        fault_effects: What each of ``Posor.hypotheses`` may do to each pose unseen, shape (n, C, 7), floats of 4 bytes:
+            change of the pose in ROS order and its cut (``estimation.fault_effects``); None: not asked for.
 
     """
 
@@ -196,15 +198,18 @@ class Estimates:
         *,
         log_times_ns: IntArray | None = None,
         header_stamps: IntArray | None = None,
+        fault_effects: NDArray[np.float32] | None = None,
     ) -> None:
+        self.fault_effects = None if fault_effects is None else fault_effects.view()
         self._records = records.view()
         self._scans, self._explain = scans, explain
         self.log_times_ns = (np.zeros(len(records), dtype=np.int64) if log_times_ns is None else log_times_ns).view()
         if header_stamps is None:
             header_stamps = np.column_stack(np.divmod(records["stamp_ns"], NS))
         self.header_stamps = header_stamps.view()
-        for array in (self._records, self.log_times_ns, self.header_stamps):
-            array.flags.writeable = False
+        for array in (self._records, self.log_times_ns, self.header_stamps, self.fault_effects):
+            if array is not None:
+                array.flags.writeable = False
 
     def __len__(self) -> int:
         return len(self._records)
@@ -272,6 +277,7 @@ class Estimates:
             self._explain,
             log_times_ns=self.log_times_ns[which],
             header_stamps=self.header_stamps[which],
+            fault_effects=None if self.fault_effects is None else self.fault_effects[which],
         )
 
     @staticmethod
@@ -281,7 +287,8 @@ class Estimates:
             return parts[0]
         columns = {
             name: np.concatenate([getattr(part, name) for part in parts])
-            for name in ("_records", "log_times_ns", "header_stamps")
+            for name in ("_records", "log_times_ns", "header_stamps", "fault_effects")
+            if getattr(parts[0], name) is not None
         }
         for array in columns.values():
             array.flags.writeable = False

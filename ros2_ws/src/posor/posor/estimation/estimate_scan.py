@@ -19,6 +19,7 @@ from posor.estimation.covariance import (
     write_shared_effects,
 )
 from posor.estimation.exposure import TIME, add_stamp_variance, move_to_stamp, write_twist
+from posor.estimation.fault_effects import write_fault_effects
 from posor.estimation.frozen import NOT_FROZEN, count_repetitions
 from posor.estimation.linearise import add_unmeasured, environment_is_valid, linearise_scan, missing, unmeasured
 from posor.estimation.scan_checks import (
@@ -425,14 +426,22 @@ def write_lost(estimate: Any, faults: int) -> None:
 
 @without_lock
 def estimate_scans(
-    model: Model, scans: NDArray[np.void], estimates: NDArray[np.void], begin: int, end: int
+    model: Model,
+    scans: NDArray[np.void],
+    estimates: NDArray[np.void],
+    effects: NDArray[np.float32],
+    begin: int,
+    end: int,
 ) -> tuple[int, int]:
     """Estimate scans ``begin`` to ``end`` while nothing is left to do for one.
 
-    Return where the loop stopped, ``end`` or the scan in question, and what is left to do for that scan.
+    ``effects``: fault effects to write, (n, C, EFFECT), or (0, C, EFFECT). Return where the loop stopped, ``end`` or
+    the scan in question, and what is left to do for that scan.
     """
     for n in range(begin, end):
         left = estimate_scan(model, scans[n], estimates[n])
         if left != DONE:
             return n, left
+        if effects.shape[0] > 0:
+            write_fault_effects(model, scans[n], estimates[n], effects[n])
     return end, DONE

@@ -12,10 +12,13 @@ import numpy as np
 from scipy.special import chdtri
 
 from posor.calibration.calibration_file import Calibration, Environment, TiltAngle
+from posor.calibration.causes import FALSE_ALARM
 from posor.calibration.parameter_covariance import CovarianceSquareRoot, shared_effects, stated_correlation
 from posor.errors import ParameterError, ShapeError, check_probability, check_type
 from posor.estimation.estimate import ESTIMATE, Estimate, Estimates, estimate_of
 from posor.estimation.estimate_scan import DONE, START, estimate_scans
+from posor.estimation.fault_effects import EFFECT, MISSED_DETECTION, noncentrality, write_fault_effects
+from posor.estimation.fault_hypotheses import Hypotheses
 from posor.estimation.fault_sentence import fault_sentence
 from posor.estimation.frozen import evidence_of_repetition
 from posor.estimation.linearise import ANY_FINITE, linearise_scan
@@ -56,11 +59,12 @@ class Posor:
     Attributes:
         calibration: The calibration, its session applied.
         redundancy: Number of redundant readings.
+        hypotheses: The causes of faults of the calibration, and what they move.
         stack: The sensors; for other parameters there is ``with_parameter_values``.
 
     """
 
-    def __init__(self, calibration: Calibration, *, false_alarm: float = 1e-3) -> None:
+    def __init__(self, calibration: Calibration, *, false_alarm: float = FALSE_ALARM) -> None:
         """Build the sensors of a calibration.
 
         Args:
@@ -95,14 +99,16 @@ class Posor:
 
     def _prepare(self) -> None:
         """Lay the stack out for the kernels; the tracker is reset."""
-        self.model = self.stack.model(self._square_root)
+        self.hypotheses = Hypotheses.of(self.calibration, self.stack)
+        self.model = self.stack.model(self._square_root, self.hypotheses.model)
         self._plain = PlainSensors(self.stack, self.model, self.parameter_square_root)
         self._known_theta: float | None = None
         self._one = _OneScan(self)
         settings, motion = self.settings, self.calibration.motion
-        settings["residual_limit"] = math.inf
+        settings["residual_limit"] = settings["noncentrality_root"] = math.inf
         if self.redundancy > 0 and self._false_alarm > 0.0:
-            settings["residual_limit"] = chdtri(self.redundancy, self._false_alarm)
+            settings["residual_limit"] = limit = chdtri(self.redundancy, self._false_alarm)
+            settings["noncentrality_root"] = math.sqrt(noncentrality(self.redundancy, limit, MISSED_DETECTION))
         limits = (motion.translation, motion.lean, motion.theta) if motion is not None else (None, None, None)
         for name, limit in zip(("max_velocity", "max_lean_rate", "max_theta_rate"), limits, strict=True):
             settings[name] = math.inf if limit is None else limit.number
@@ -349,10 +355,10 @@ class Posor:
         """
         return self._one.estimate(scan)
 
-    def estimate_all(self, scans: Scans) -> Estimates:
+    def estimate_all(self, scans: Scans, *, fault_effects: bool = False) -> Estimates:
         """Return the poses of many scans, one after the other: the same numbers as ``estimate`` of each.
 
-        ``Estimates.lost_reasons()`` counts why scans are LOST.
+        ``Estimates.lost_reasons()`` counts why scans are LOST. ``fault_effects``: whether to find these as well.
 
         Raises:
             ParameterError: The argument is no Scans.
@@ -360,15 +366,23 @@ class Posor:
         """
         check_type(scans, Scans, "Posor.estimate_all")
         estimates = np.zeros(len(scans), dtype=ESTIMATE)
-        self.estimate_records(np.require(scans._records, requirements=["C", "W"]), estimates)
-        return Estimates(estimates, scans, self.reason)
+        effects = self.allocate_effects(len(scans) if fault_effects else 0)
+        self.estimate_records(np.require(scans._records, requirements=["C", "W"]), estimates, effects)
+        return Estimates(estimates, scans, self.reason, fault_effects=effects if fault_effects else None)
 
-    def estimate_each(self, scans: Scans, thetas: FloatArray | None = None) -> Estimates:
+    def allocate_effects(self, scans: int) -> NDArray[np.float32]:
+        """Return NaN for the fault effects of scans, (n, C, EFFECT)."""
+        return np.full((scans, len(self.hypotheses.names), EFFECT), np.nan, dtype=np.float32)
+
+    def estimate_each(
+        self, scans: Scans, thetas: FloatArray | None = None, *, fault_effects: bool = False
+    ) -> Estimates:
         """Return the poses of scans that are independent of one another: each starts from a closed form.
 
         Args:
             scans: The scans.
             thetas: For a counted theta: its value to half a bump [rad], shape (n,); None: unknown.
+            fault_effects: Whether to find these as well.
 
         Returns:
             The estimates; the previous pose and the count are forgotten afterwards.
@@ -381,35 +395,60 @@ class Posor:
         if thetas is not None and np.shape(thetas) != (len(scans),):
             raise ShapeError("thetas", received=np.shape(thetas), expected=f"({len(scans)},)")
         estimates = np.zeros(len(scans), dtype=ESTIMATE)
+        effects = self.allocate_effects(len(scans) if fault_effects else 0)
         records = np.require(scans._records, requirements=["C", "W"])
         try:
             for n in range(len(scans)):
                 self.reset()
                 self._known_theta = None if thetas is None else float(thetas[n])
-                self.estimate_records(records[n : n + 1], estimates[n : n + 1])
+                self.estimate_records(records[n : n + 1], estimates[n : n + 1], effects[n : n + 1])
         finally:
             self._known_theta = None
             self.reset()
-        return Estimates(estimates, scans, self.reason)
+        return Estimates(estimates, scans, self.reason, fault_effects=effects if fault_effects else None)
 
-    def estimate_records(self, scans: NDArray[np.void], estimates: NDArray[np.void]) -> None:
-        """Estimate scan records (n,), contiguous, dtype SCAN, into estimate records (n,), dtype ESTIMATE."""
+    def estimate_records(
+        self, scans: NDArray[np.void], estimates: NDArray[np.void], effects: NDArray[np.float32] | None = None
+    ) -> None:
+        """Estimate scan records (n,), contiguous, dtype SCAN, into estimate records (n,), dtype ESTIMATE.
+
+        ``effects``: memory of ``allocate_effects`` for the fault effects of all scans, or of none; None: none.
+        """
         scans, estimates = record_view(scans), record_view(estimates)
+        effects = self.allocate_effects(0) if effects is None else effects
         done, count = 0, len(scans)
         while done < count:
-            done, left = self._estimate_scans(scans, estimates, done, count)
+            done, left = self._estimate_scans(scans, estimates, effects, done, count)
             if left != DONE:
-                self.finish_scan(scans, estimates, done, left)
+                self.finish_scan(scans, estimates, effects, done, left)
                 done += 1
 
     def _estimate_scans(
-        self, scans: NDArray[np.void], estimates: NDArray[np.void], begin: int, end: int
+        self,
+        scans: NDArray[np.void],
+        estimates: NDArray[np.void],
+        effects: NDArray[np.float32],
+        begin: int,
+        end: int,
     ) -> tuple[int, int]:
-        if self._plain.present:
-            return self._plain.estimate_scans(scans, estimates, begin, end)
-        return estimate_scans(self.model, scans, estimates, begin, end)
+        if not self._plain.present:
+            return estimate_scans(self.model, scans, estimates, effects, begin, end)
+        for n in range(begin, end):
+            _, left = self._plain.estimate_scans(scans, estimates, n, n + 1)
+            if left != DONE:
+                return n, left
+            if len(effects):
+                write_fault_effects(self.model, scans[n], estimates[n], effects[n])
+        return end, DONE
 
-    def finish_scan(self, scans: NDArray[np.void], estimates: NDArray[np.void], n: int, left: int) -> None:
+    def finish_scan(
+        self,
+        scans: NDArray[np.void],
+        estimates: NDArray[np.void],
+        effects: NDArray[np.float32],
+        n: int,
+        left: int,
+    ) -> None:
         """Do what ``estimate_scans`` left to do for scan n: start from a closed form, or retry from there.
 
         The arrays are those of ``estimate_records`` in the view for kernels (``numerics.compiled.record_view``).
@@ -419,7 +458,7 @@ class Posor:
         self._start(scans, estimates, n)
         self.model.workspace["is_retry"] = 1
         try:
-            self._estimate_scans(scans, estimates, n, n + 1)
+            self._estimate_scans(scans, estimates, effects, n, n + 1)
         finally:
             self.model.workspace["is_retry"] = 0
 
@@ -493,7 +532,8 @@ class _OneScan:
         self._buffer = ScanBuffer()
         self._estimates = np.zeros(1, dtype=ESTIMATE)
         self._faults = self._estimates["faults"]
-        self._arguments = posor.model, record_view(self._buffer.records), record_view(self._estimates), 0, 1
+        records = record_view(self._buffer.records), record_view(self._estimates)
+        self._arguments = posor.model, *records, posor.allocate_effects(0), 0, 1
         self._compiled: Callable[..., tuple[int, int]] | None = None
 
     def estimate(self, scan: Scan) -> Estimate:
@@ -513,4 +553,4 @@ class _OneScan:
             self._compiled = compile_for(estimate_scans, self._arguments)
         _, left = self._compiled(*self._arguments)
         if left != DONE:
-            self._posor.finish_scan(*self._arguments[1:4], left)
+            self._posor.finish_scan(*self._arguments[1:5], left)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from posor.errors import CalibrationError
+from posor.estimation.fault_hypotheses import FaultModel
 from posor.estimation.linearise import linearise_scans
 from posor.estimation.solver import SINGULAR, solve_start
 from posor.estimation.workspace import (
@@ -223,8 +224,11 @@ class Stack:
             out[row : row + block.shape[0], column : column + block.shape[1]] = block
         return out
 
-    def model(self, square_root: CovarianceSquareRoot | None) -> Model:
-        """Return the stack for the kernels, with the square root of its parameters' covariance; None: exact ones."""
+    def model(self, square_root: CovarianceSquareRoot | None, faults: FaultModel | None = None) -> Model:
+        """Return the stack for the kernels.
+
+        ``square_root``: of the covariance of its parameters; None: exact ones. ``faults``: hypotheses; None: no causes.
+        """
         sources = [s.reading_source if isinstance(s, RowSensor) else None for s in self.sensors]
         present = [source for source in sources if source is not None]
         records, linearisation = self._sensor_records(sources)
@@ -266,6 +270,7 @@ class Stack:
             factor_uses=record_view(np.zeros(factors, dtype=FACTOR_USE)),
             shared_coefficients=np.ascontiguousarray(shared[:0] if self.plain_sensors else shared),
             shared_readings=np.zeros((m, shared.shape[1])),
+            faults=faults or FaultModel.of([], m),
         )
 
     def _sensor_records(self, sources: Sequence[ReadingSource | None]) -> tuple[NDArray[np.void], IntArray]:

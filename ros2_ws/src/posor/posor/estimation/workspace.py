@@ -18,6 +18,7 @@ from posor.model.scan import CONTACTS, MAX_DIODES, MAX_GAP_PROBES, MAX_RING_PROB
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from posor.estimation.fault_hypotheses import FaultModel
     from posor.numerics.array_types import FloatArray, IntArray
 
 LONGEST_LOOP = 64  # loops of fewer scans are detected
@@ -28,6 +29,8 @@ ROWS = READINGS + 6  # capacity for rows: the readings, and one row of prior for
 SETTINGS = np.dtype(  # settings of the tracker and of the tests
     [
         ("residual_limit", "f8"),  # largest chi-square of the redundant readings
+        # square root of the non-centrality that the test may miss (``estimation.fault_effects``); infinite: no test
+        ("noncentrality_root", "f8"),
         ("max_velocity", "f8"),  # of the target along X, Y and Z each [m/s]; infinite: not limited
         ("max_lean_rate", "f8"),  # [rad/s]
         ("max_theta_rate", "f8"),  # [rad/s]
@@ -291,3 +294,4 @@ class Model(NamedTuple):
     # sensors in plain Python
     shared_coefficients: FloatArray
     shared_readings: FloatArray  # the same of the readings minus predictions, shape (m, T)
+    faults: FaultModel  # hypotheses of the causes of faults

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from posor.numerics.array_types import FloatArray
 
 MAX_JOINT, MAX_REASON = 128, 255  # bounds of the strings in ``posor_msgs/EndpointState`` [bytes]
-WRITERS = 16  # number of verdicts whose messages are kept prepared
+WRITERS = 256  # number of verdicts and causes of levels whose messages are kept prepared
 POSE, COVARIANCE_POSE = "pose.position.x", "pose.pose.position.x"  # first of the seven numbers of a pose
 
 
@@ -116,37 +116,34 @@ class EndpointVerdict(NamedTuple):
 
 
 class EndpointStateWriter:
-    """Writes ``EndpointState``; pose, covariances and protection level are NaN without a pose.
-
-    Attributes:
-        protection_level: Without the part of the stamps' errors, which is added in every message, (6,) [m], [rad]; NaN:
-            not known.
-
-    """
+    """Writes ``EndpointState``; pose, covariances and protection level are NaN without a pose."""
 
     def __init__(self, estimator: EndpointEstimator, frame: str, child_frame: str, *, relative: bool) -> None:
         pose, random, systematic = estimator.result(relative=relative)
-        self.protection_level, level = np.full(6, np.nan), np.full(6, np.nan)
-        shift = estimator.relative_stamp_shift if relative else estimator.stamp_shift
-        self._summands_and_level = self.protection_level, shift, level
+        self._estimator, self._is_relative = estimator, relative
+        self._causes: tuple[tuple[str, str], ...] = ()
         self._age = np.full(1, np.nan)
         endpoint = {POSE: pose, "covariance_random": random, "covariance_systematic": systematic}
-        endpoint["protection_level"] = level
+        endpoint["protection_level"] = estimator.protection_level
         nothing = {name: np.full(numbers.shape, np.nan) for name, numbers in endpoint.items()}
         frames = {"header.frame_id": frame, "child_frame_id": child_frame}
 
         @lru_cache(maxsize=WRITERS)
-        def writer_of(verdict: EndpointVerdict) -> MessageWriter:
+        def writer_of(verdict: EndpointVerdict, causes: tuple[tuple[str, str], ...]) -> MessageWriter:
             values: dict[str, Any] = {"state": verdict.state, "faults": verdict.faults}
             for name, text, limit in (("joint", verdict.joint, MAX_JOINT), ("reason", verdict.reason, MAX_REASON)):
                 values |= {name: text.encode()[:limit].decode(errors="ignore")}
+            values["protection_causes"] = [f"{joint}: {cause}" if cause else "" for joint, cause in causes]
             numbers = {"age": self._age, **(endpoint if verdict.has_pose else nothing)}
             return MessageWriter(ENDPOINT_STATE, frames | values, numbers)
 
         self._writer_of = writer_of
 
+    def bound_error(self) -> None:
+        """Find the protection level of the endpoint in the estimator, for the next message."""
+        self._causes = self._estimator.bound_error(relative=self._is_relative)
+
     def write(self, stamp: bytes, age_s: float, verdict: EndpointVerdict) -> bytes:
         """Return the message; ``stamp``: its eight bytes (``STAMP``); ``age_s``: until now [s], NaN: no scan yet."""
         self._age[0] = age_s
-        np.add(*self._summands_and_level)
-        return self._writer_of(verdict).write(stamp)
+        return self._writer_of(verdict, self._causes if verdict.has_pose else ()).write(stamp)

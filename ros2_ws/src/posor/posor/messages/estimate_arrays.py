@@ -34,6 +34,8 @@ class EndpointEstimates:
         angles: Of each joint about its nominal axis [rad], shape (n, joints).
         stamp_shifts: Largest errors of the endpoint by errors of the stamps within their limits, along and about the
             axes of the same frame, shape (n, 6): a part of the protection level; zero: no limit is stated.
+        protection_levels: Bounds of the errors along and about the axes of the same frame, shape (n, 6) [m], [rad];
+            infinite: not bounded; NaN: not known.
 
     """
 
@@ -44,6 +46,7 @@ class EndpointEstimates:
     covariances_systematic: FloatArray
     angles: FloatArray
     stamp_shifts: FloatArray
+    protection_levels: FloatArray
 
     def __post_init__(self) -> None:
         freeze_arrays(self)
@@ -78,7 +81,8 @@ class EndpointEstimates:
         """Return no estimates, of an arm without a chain."""
         integers, matrices = np.empty(0, dtype=np.int64), np.empty((0, 6, 6))
         vectors = np.empty((0, 6))
-        return EndpointEstimates(integers, integers, np.empty((0, 7)), matrices, matrices, np.empty((0, 0)), vectors)
+        poses, angles = np.empty((0, 7)), np.empty((0, 0))
+        return EndpointEstimates(integers, integers, poses, matrices, matrices, angles, vectors, vectors)
 
 
 @dataclass(frozen=True, repr=False)
@@ -110,12 +114,18 @@ def estimate_joint(posor: Posor, recorded: RecordedScans) -> Estimates:
     usable, code = scans.stamps_ns != 0, NO_STAMP
     if recorded.frame != posor.calibration.frames.parent:
         usable[:], code = False, OTHER_FRAME
-    records = posor.estimate_all(scans if usable.all() else scans.select(usable))._records
+    found = posor.estimate_all(scans if usable.all() else scans.select(usable), fault_effects=True)
+    records, effects = found._records, found.fault_effects
     if not usable.all():
-        found, records = records, lost_records(recorded, code)
-        records[usable] = found
+        records, effects = lost_records(recorded, code), posor.allocate_effects(len(scans))
+        records[usable], effects[usable] = found._records, found.fault_effects
     return Estimates(
-        records, scans, posor.reason, log_times_ns=recorded.log_times_ns, header_stamps=recorded.header_stamps
+        records,
+        scans,
+        posor.reason,
+        log_times_ns=recorded.log_times_ns,
+        header_stamps=recorded.header_stamps,
+        fault_effects=effects,
     )
 
 

@@ -5,13 +5,15 @@ from __future__ import annotations
 import math
 import struct
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from posor.chain.joint_measurements import JointRowLayout
 from posor.errors import TopicError
 from posor.estimation.estimate_scan import LOST
+from posor.estimation.fault_effects import EFFECT
+from posor.estimation.fault_hypotheses import MAX_EFFECTS, JointCauses
 from posor.messages.cdr_schema import LITTLE_ENDIAN, STAMP
 from posor.messages.message_definitions import installed_schema
 from posor.messages.message_table import LEAD, MessageRows, MessageTable, TableLayout
@@ -27,7 +29,7 @@ if TYPE_CHECKING:
 
     from posor.estimation.estimate import Estimates
     from posor.messages.cdr_schema import Schema
-    from posor.numerics.array_types import FloatArray
+    from posor.numerics.array_types import ByteArray, FloatArray
 
 FIELDS = {  # fields that an estimate fills, by their names in TRANSFORM_LAYOUT
     "stamp": "header.stamp.sec",
@@ -42,22 +44,37 @@ FIELDS = {  # fields that an estimate fills, by their names in TRANSFORM_LAYOUT
     "covariance_systematic": "covariance_systematic",
     "shared_effects": "shared_effects",
     "stamp_shift": "stamp_shift",
+    "effects": "effects",
 }
-TRANSFORM_LAYOUT = np.dtype([*((name, "i8") for name in FIELDS), ("shared_count", "i8")])
-"""Byte offsets of the fields in a row of bytes, and the number of shared terms."""
+TRANSFORM_LAYOUT = np.dtype([*((name, "i8") for name in FIELDS), ("shared_count", "i8"), ("effect_count", "i8")])
+"""Byte offsets of the fields in a row of bytes, and the numbers of shared terms and of fault effects."""
 
+NO_CAUSES = JointCauses()
 _STAMP = struct.Struct("<iI")
 _FAULTS = struct.Struct("<I")
 
 
-def joint_transform_layout(schema: Schema, parent: str, child: str, shared: Sequence[str] = ()) -> TableLayout:
-    """Return the layout of transforms between two frames; ``schema``: JointTransform; ``shared``: its shared terms."""
-    return TableLayout.of(_example(schema, parent, child, shared), schema)
+def joint_transform_layout(
+    schema: Schema, parent: str, child: str, shared: Sequence[str] = (), causes: JointCauses = NO_CAUSES
+) -> TableLayout:
+    """Return the layout of transforms between two frames.
+
+    ``schema``: JointTransform; ``shared``: its shared terms; ``causes``: of faults, with their effects.
+    """
+    return TableLayout.of(_example(schema, parent, child, shared, causes), schema)
 
 
-def _example(schema: Schema, parent: str, child: str, shared: Sequence[str]) -> bytes:
+def _example(
+    schema: Schema, parent: str, child: str, shared: Sequence[str] = (), causes: JointCauses = NO_CAUSES
+) -> bytes:
     terms = {"shared_terms": list(shared), "shared_effects": [0.0] * (6 * len(shared))}
-    return schema.encode({"header.frame_id": parent, "child_frame_id": child, **terms})
+    faults = {
+        "causes": list(causes.names),
+        "effect_causes": list(causes.of_effects),
+        "effect_kinds": list(causes.kinds),
+        "effects": [0.0] * (EFFECT * len(causes.kinds)),
+    }
+    return schema.encode({"header.frame_id": parent, "child_frame_id": child, **terms, **faults})
 
 
 def packing_layout(transforms: TableLayout) -> NDArray[np.void]:
@@ -66,12 +83,18 @@ def packing_layout(transforms: TableLayout) -> NDArray[np.void]:
     for name, path in FIELDS.items():
         layout[name] = LEAD + transforms.offset(path)
     layout["shared_count"] = transforms.dtype["shared_effects"].shape[0] // 6
+    layout["effect_count"] = transforms.dtype["effects"].shape[0] // EFFECT
     return layout
 
 
 @inlined
-def pack_estimate(estimate: Any, layout: Any, template: FloatArray, rows: MessageRows, n: int) -> None:
-    """Write an estimate (record of dtype ESTIMATE) into row n, but for stamp, number and status of its scan."""
+def pack_estimate(
+    estimate: Any, effects: NDArray[np.float32], layout: Any, template: FloatArray, rows: MessageRows, n: int
+) -> None:
+    """Write an estimate (record of dtype ESTIMATE) into row n, but for stamp, number and status of its scan.
+
+    ``effects``: its fault effects, (C, EFFECT).
+    """
     words, floats = rows.words, rows.floats
     for k in range(template.shape[0]):
         floats[n, k] = template[k]
@@ -91,20 +114,30 @@ def pack_estimate(estimate: Any, layout: Any, template: FloatArray, rows: Messag
     for t in range(layout.shared_count):
         for i in range(6):
             floats[n, layout.shared_effects // 8 + 6 * t + i] = estimate.shared[t, i]
+    first = layout.effects // 4
+    for c in range(layout.effect_count):
+        for k in range(EFFECT):
+            rows.singles[n, first + EFFECT * c + k] = effects[c, k]
 
 
 @in_place
-def pack_rows(estimates: Any, layout: Any, template: FloatArray, rows: MessageRows) -> None:
+def pack_rows(
+    estimates: Any, effects: NDArray[np.float32], layout: Any, template: FloatArray, rows: MessageRows
+) -> None:
     """Write each estimate (records of dtype ESTIMATE) into the row of the same index; see ``pack_estimate``."""
     for n in range(estimates.shape[0]):
-        pack_estimate(estimates[n], layout[0], template, rows, n)
+        pack_estimate(estimates[n], effects[n], layout[0], template, rows, n)
 
 
 def pack_joint_transforms(layout: TableLayout, estimates: Estimates) -> MessageTable:
-    """Return a JointTransform message for each estimate."""
+    """Return a JointTransform message for each estimate, which has fault effects if the layout has."""
     table = MessageTable(layout, np.empty((len(estimates), len(layout.row)), dtype=np.uint8))
     records, packing = record_view(estimates._records), record_view(packing_layout(layout))
-    pack_rows(records, packing, layout.row.view(np.float64), MessageRows.of(table.rows))
+    effects = estimates.fault_effects
+    if effects is None:
+        effects = np.zeros((len(estimates), 0, EFFECT), dtype=np.float32)
+    effects = np.require(effects, requirements=["C", "W"])
+    pack_rows(records, effects, packing, layout.row.view(np.float64), MessageRows.of(table.rows))
     table["header.stamp.sec"], table["header.stamp.nanosec"] = estimates.header_stamps.T
     table["scan"], table["scan_status"] = estimates.numbers, estimates.statuses
     return table
@@ -127,28 +160,40 @@ def row_layout_of(layout: TableLayout) -> JointRowLayout:
         covariance_random=LEAD + layout.offset("covariance_random"),
         covariance_systematic=LEAD + layout.offset("covariance_systematic"),
         shared=(shared := -(-(LEAD + layout.size) // 8) * 8),  # not where a message has them: that depends on names
+        effects=(effects := shared + 8 * 6 * MAX_TERMS),
         stamp_shift=LEAD + layout.offset("stamp_shift"),
         state=LEAD + layout.offset("state"),
-        size=shared + 8 * 6 * MAX_TERMS,
+        size=effects + 4 * EFFECT * MAX_EFFECTS,
     )
+
+
+class TransformTail(NamedTuple):
+    """The last fields of a transform, whose lengths differ from joint to joint."""
+
+    terms: tuple[str, ...]  # names of the shared terms
+    shared: slice  # bytes of their effects
+    causes: JointCauses
+    effects: slice  # bytes of the effects of the causes
 
 
 class JointTransformFormat:
     """Format of serialised transforms between two plates.
 
     Attributes:
-        size: Of a message without shared terms [bytes]; surplus bytes at its end are ignored.
+        size: Of a message without shared terms and causes [bytes]; surplus bytes at its end are ignored.
         row_layout: Offsets of the fields in a row with the message.
 
     """
 
     def __init__(self, parent: str, child: str) -> None:
         schema = installed_schema(JOINT_TRANSFORM)
-        example = _example(schema, parent, child, ())
+        example = _example(schema, parent, child)
         layout = schema.layout(example)
         self.row_layout = row_layout_of(TableLayout.of(example, schema))
         self._schema, self._begin_shared = schema, layout.lengths["shared_terms"]
-        self._known_shared, self._shared, self._least = bytes(8), ((), slice(0)), layout.size
+        self._tail = TransformTail((), slice(0), NO_CAUSES, slice(0))
+        self._begin_causes, self._least = layout.lengths["causes"], layout.size
+        self._known_terms, self._known_causes = bytes(8), example[self._begin_causes :]
         self.size = layout.size
         self._frames = example[STAMP.stop : layout["scan"].offset]
         self._unpack = layout.unpacker(("header.frame_id", "child_frame_id")).unpack_from
@@ -156,26 +201,51 @@ class JointTransformFormat:
         self._state, self._faults = layout["state"].offset, layout["faults"].offset
 
     def matches(self, data: bytes) -> bool:
-        """Return whether a message is a transform between these plates, with the shared terms seen last."""
-        if len(data) < self._least or not data.startswith(self._known_shared, self._begin_shared):
+        """Return whether a message is a transform between these plates, with the terms and causes seen last."""
+        if not self._has_known_tail(data):
             return False
         if data.startswith(self._frames, STAMP.stop) and data.startswith(LITTLE_ENDIAN):
             return True
         return bool(self._unpack(data) == self._unpacked_frames)  # the padding after the names is arbitrary
 
-    def shared_terms(self, data: bytes) -> tuple[tuple[str, ...], slice]:
-        """Return the names of the shared terms of a message in plain CDR, and the bytes of their effects.
+    def _has_known_tail(self, data: bytes) -> bool:
+        return (
+            len(data) >= self._least
+            and data.startswith(self._known_terms, self._begin_shared)
+            and data.startswith(self._known_causes, self._begin_causes)
+        )
 
-        Raises TopicError: invalid bytes, or not six effects for each term.
+    def tail(self, data: bytes) -> TransformTail:
+        """Return the last fields of a message in plain CDR.
+
+        Raises TopicError: invalid bytes, not six effects for each term, not seven for each of the effects of causes, or
+        an unknown cause.
         """
-        if len(data) < self._least or not data.startswith(self._known_shared, self._begin_shared):
-            names, span = self._schema.values(data)["shared_terms"], self._schema.layout(data)["shared_effects"]
-            if span.length != 6 * len(names):
-                what = f"a message has {span.length} shared_effects"
-                raise TopicError(what, where=self._schema.name, expected=f"{6 * len(names)}, six for each shared term")
-            self._shared, self._least = (tuple(names), span.part), max(self.size, span.part.stop)
-            self._known_shared = data[self._begin_shared : span.offset if names else self.size]
-        return self._shared
+        if not self._has_known_tail(data):
+            values, layout = self._schema.values(data), self._schema.layout(data)
+            terms, of_effects, kinds = values["shared_terms"], values["effect_causes"], values["effect_kinds"]
+            shared, effects, count = layout["shared_effects"], layout["effects"], len(of_effects)
+            for name, found, wanted in (
+                ("shared_effects", shared.length, 6 * len(terms)),
+                ("effect_kinds", len(kinds), count),
+                ("effects", effects.length, EFFECT * count),
+            ):
+                if found != wanted:
+                    raise TopicError(f"a message has {found} {name}", where=self._schema.name, expected=f"{wanted}")
+            if count and max(of_effects) >= len(values["causes"]):
+                what, expected = f"effect_causes has {max(of_effects)}", f"less than {len(values['causes'])}"
+                raise TopicError(what, where=self._schema.name, expected=expected)
+            causes = JointCauses(tuple(values["causes"]), tuple(of_effects), tuple(kinds))
+            self._tail = TransformTail(tuple(terms), shared.part, causes, effects.part)
+            self._least, self._begin_causes = layout.size, layout.lengths["causes"]
+            self._known_terms = data[self._begin_shared : shared.offset if terms else layout.lengths["shared_effects"] + 4]
+            self._known_causes = data[self._begin_causes : effects.offset if count else layout.size]
+        return self._tail
+
+    def row_parts(self, row: ByteArray) -> tuple[ByteArray, ByteArray, ByteArray]:
+        """Return where a row of ``row_layout`` holds the first bytes of a message, shared effects and fault effects."""
+        shared, effects = self.row_layout.shared, self.row_layout.effects
+        return row[LEAD : LEAD + self.size], row[shared:effects], row[effects:]
 
     def read_state(self, data: bytes) -> tuple[int, int]:
         """Return ``State`` and ``Fault`` of a message as plain numbers."""

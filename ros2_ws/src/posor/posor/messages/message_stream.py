@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from posor.estimation.estimate_scan import DONE, LOST, estimate_scan, write_lost
+from posor.estimation.fault_effects import EFFECT, write_fault_effects
 from posor.messages.cdr_schema import STAMP
 from posor.messages.joint_transform import joint_transform_layout, pack_estimate, packing_layout
 from posor.messages.message_definitions import installed_schema
@@ -68,6 +69,7 @@ class MessageStream(NamedTuple):
     transforms: MessageRows  # rows of transforms to write
     transform_layout: NDArray[np.void]  # shape (1,), dtype TRANSFORM_LAYOUT
     template: FloatArray  # a row of a transform with what is the same in all, shape (floats,)
+    effects: NDArray[np.float32]  # fault effects of the last scan, shape (1, C, EFFECT)
     status: NDArray[np.void]  # shape (1,), dtype STATUS
 
     @staticmethod
@@ -95,6 +97,7 @@ class MessageStream(NamedTuple):
             transforms=MessageRows.of(transform_rows),
             transform_layout=record_view(packing_layout(transforms)),
             template=transforms.row.view(np.float64),
+            effects=np.zeros((1, transforms.dtype["effects"].shape[0] // EFFECT, EFFECT), dtype=np.float32),
             status=record_view(status),
         )
 
@@ -150,7 +153,9 @@ def end_message(model: Model, stream: MessageStream, n: int) -> None:
     """Pack the estimate in the workspace as transform n, and update the status."""
     workspace, status = model.workspace[0], stream.status[0]
     estimate = workspace.estimate
-    pack_estimate(estimate, stream.transform_layout[0], stream.template, stream.transforms, n)
+    if stream.effects.shape[1] > 0:
+        write_fault_effects(model, workspace.scan, estimate, stream.effects[0])
+    pack_estimate(estimate, stream.effects[0], stream.transform_layout[0], stream.template, stream.transforms, n)
     _copy_identity(stream, n)
     same = status.state == estimate.state and status.faults == estimate.faults
     status.changed = 0 if same and status.row_changes == workspace.row_changes else 1
@@ -209,7 +214,8 @@ class MessageEstimator:
             if left >= OTHER_LAYOUT:
                 return False
             if left != DONE:
-                self._posor.finish_scan(record_view(self._scan), record_view(self.estimate), 0, left)
+                no_effects = self._posor.allocate_effects(0)  # ``_end`` writes them
+                self._posor.finish_scan(record_view(self._scan), record_view(self.estimate), no_effects, 0, left)
                 self._end(done)
                 done += 1
         return True
@@ -249,7 +255,8 @@ class RawScanStream:
         frames = posor.calibration.frames
         raw = TableLayout.of(example, installed_schema(RAW_SCAN))
         shared = list(posor.calibration.shared)
-        transform = joint_transform_layout(installed_schema(JOINT_TRANSFORM), frames.parent, frames.child, shared)
+        schema, causes = installed_schema(JOINT_TRANSFORM), posor.hypotheses.joint_causes()
+        transform = joint_transform_layout(schema, frames.parent, frames.child, shared, causes)
         self._posor, self._parent, self.frame = posor, frames.parent, raw.strings["header.frame_id"]
         row, out = raw.row[None].copy(), transform.row[None].copy()
         self._estimator = MessageEstimator(posor, MessageStream.of(raw, transform, row, out, check=True))

@@ -13,6 +13,8 @@ from posor.messages.cdr_schema import FieldKind, Schema
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from numpy.typing import NDArray
+
     from posor.numerics.array_types import BoolArray, ByteArray, FloatArray, IntArray, WordArray
 
 LEAD = 4  # bytes before a message in its row; its body, four bytes later, is so aligned in memory too
@@ -20,16 +22,17 @@ ALL_BITS = 0xFF
 
 
 class MessageRows(NamedTuple):
-    """Messages in rows: the same memory as bytes, as words of four bytes, and as floats; shape (n, row length)."""
+    """Messages in rows: the same memory as bytes, as words and floats of four bytes, and as floats of eight bytes."""
 
     octets: ByteArray
     words: WordArray
     floats: FloatArray
+    singles: NDArray[np.float32]
 
     @staticmethod
     def of(rows: ByteArray) -> MessageRows:
         """Return views of rows of bytes, whose length is a multiple of eight."""
-        return MessageRows(rows, rows.view(np.int32), rows.view(np.float64))
+        return MessageRows(rows, rows.view(np.int32), rows.view(np.float64), rows.view(np.float32))
 
 
 @dataclass(frozen=True)

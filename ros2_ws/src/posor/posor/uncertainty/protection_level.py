@@ -1,19 +1,8 @@
-"""Protection levels of an arm's endpoint: bounds of its error in spite of an undetected error of a single reading.
+"""Protection levels of poses of one joint and of an arm's endpoint, offline: the bounds that ``chain_node`` publishes.
 
-As in receiver autonomous integrity monitoring (RAIM) of satellite navigation. Along and about each axis k of the base,
-
-    PL_k = max over joints and readings |effect_k of the minimal detectable bias|
-           + sum over beams |effect_k of the largest expansion| + K sigma_k,
-
-K the two-sided normal quantile of the integrity risk. An error of a reading beyond its minimal detectable bias passes a
-scan with at most the probability of a missed detection; a smaller one, or none, leaves the error of the endpoint within
-PL_k except with at most the integrity risk. Errors of two readings at once are not covered.
-
-No reading shows the temperature of the measuring beams. Their expansions enter as a sum of amounts, so that the bound
-holds for beams that deviate together, alone or against each other. The covariance does not contain them.
-
-Source: R. G. Brown, *A baseline GPS RAIM scheme and a note on the equivalence of three RAIM methods*, Navigation 39(3),
-1992; RTCA DO-229 (protection levels).
+The definition is that of ``chain.fault_bounds``. An undetected fault of one cause leaves the error within the level
+except with at most the integrity risk. A fault beyond its minimal detectable size passes a scan with at most the
+probability of a missed detection.
 """
 
 from __future__ import annotations
@@ -22,100 +11,60 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.special import ndtri
+import pinocchio as pin
 
-from posor.chain.joint_measurements import MeasuredJoint
+from posor.chain.arm_geometry import BEAM, ELEMENT, NO_INDEX, ArmGeometry
+from posor.chain.endpoint_estimator import EndpointEstimator
+from posor.chain.forward_kinematics import Endpoints
+from posor.errors import ParameterError
 from posor.estimation.posor import Posor
 from posor.uncertainty.budget_poses import model_covariances, scan_at
-from posor.uncertainty.reliability import joint_reliability, transformed
+from posor.uncertainty.reliability import joint_reliability
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    import pinocchio as pin
+    from collections.abc import Mapping
 
     from posor.calibration.calibration_file import Calibration
+    from posor.chain.fault_bounds import EndpointBounds
     from posor.chain.kinematic_chain import Chain
+    from posor.estimation.estimate import Estimates
     from posor.numerics.array_types import FloatArray
     from posor.uncertainty.reliability import Reliability
 
-INTEGRITY_RISK = 1e-5
-"""Probability, of one scan and axis, that noise and calibration errors alone exceed their part of the level."""
-COVERAGE_FACTOR = float(-ndtri(0.5 * INTEGRITY_RISK))
-"""K, 4.42: the standard uncertainties of the endpoint in a protection level."""
-NO_EXPANSIONS: FloatArray = np.zeros((0, 6))  # of an arm without measuring beams, or of a single joint
+_NO_FORCE = np.zeros(3)
 
 
-def endpoint_effects(chain: Chain, T_parent_child: Mapping[str, pin.SE3]) -> dict[str, FloatArray]:
-    """Return how a shift of each joint's transform moves the endpoint.
+def joint_protection_levels(posor: Posor, estimates: Estimates) -> EndpointBounds:
+    """Return the protection levels of the poses of one joint, along and about the axes of the receiving plate.
 
-    The sag of the beams is left out: it changes the levers by less than a thousandth.
+    Args:
+        posor: The estimator of the estimates.
+        estimates: Its estimates with ``fault_effects``.
 
-    ``T_parent_child``: transform of each joint, by name. Returns the matrix (6, 6) of each joint, by name: from a shift
-    of the transform (ROS order, axes of the joint's parent) to one of the endpoint (ROS order, axes of the base, the
-    small turn applied at the endpoint).
+    Returns:
+        The levels; ``causes`` index ``posor.hypotheses.causes``.
+
+    Raises:
+        ParameterError: The estimates have no fault effects.
+
     """
-    pose = chain.links[0].T_nominal
-    axes, centres = {}, {}
-    for joint, link in zip(chain.joints, chain.links[1:], strict=True):
-        axes[joint.name] = pose.rotation
-        pose = pose * T_parent_child[joint.name]
-        centres[joint.name] = pose.translation
-        pose = pose * link.T_nominal
-    return {name: _effect(axes[name], pose.translation - centres[name]) for name in axes}
-
-
-def _effect(rotation: FloatArray, lever: FloatArray) -> FloatArray:
-    x, y, z = lever
-    effect = np.zeros((6, 6))
-    effect[:3, :3] = effect[3:, 3:] = rotation
-    effect[:3, 3:] = np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]]) @ rotation  # turn x lever
-    return effect
-
-
-def expansion_shifts(chain: Chain, T_parent_child: Mapping[str, pin.SE3]) -> FloatArray:
-    """Return how the endpoint moves if each measuring beam has the largest expansion that its temperature may cause.
-
-    A beam of uniform temperature keeps its shape, so its expansion moves the endpoint without turning it. The sag of
-    the beams is left out, as in ``endpoint_effects``.
-
-    ``T_parent_child``: transform of each joint, by name. Returns the shift by each of the b beams between the base and
-    the endpoint, (b, 6), ROS order, axes of the base [m, rad].
-    """
-    moved = [T_parent_child[joint.name].rotation for joint in chain.joints]
-    shifts, rotation = [], np.eye(3)
-    for link, turn in zip(chain.links, [*moved, np.eye(3)], strict=True):
-        if link.beam is not None:
-            shift = rotation @ link.before.rotation @ link.beam.expansion
-            shifts.append(np.concatenate([shift, np.zeros(3)]))
-        rotation = rotation @ link.T_nominal.rotation @ turn
-    return np.reshape(shifts, (-1, 6))
-
-
-def expansion_bound(expansions: FloatArray) -> FloatArray:
-    """Return the bound of the endpoint's error by the temperature of the measuring beams, (6,) [m, rad].
-
-    ``expansions``: of the beams, (b, 6), as ``expansion_shifts``.
-    """
-    return np.asarray(np.abs(expansions).sum(axis=0))
-
-
-def endpoint_protection_level(
-    shifts: Sequence[FloatArray],
-    effects: Sequence[FloatArray],
-    covariance: FloatArray,
-    expansions: FloatArray = NO_EXPANSIONS,
-) -> FloatArray:
-    """Return the protection level of the endpoint along and about X, Y, Z of the base, (6,) [m, rad].
-
-    ``shifts``: of each joint: the undetected shifts of its readings, (m, 6), as ``Reliability.shifts``. ``effects``: of
-    each joint: its matrix of ``endpoint_effects``, (6, 6). ``covariance``: of the endpoint, (6, 6). ``expansions``: of
-    the measuring beams, (b, 6), as ``expansion_shifts``. Returns the levels; infinite where an error that moves the
-    endpoint is not detectable.
-    """
-    moved = np.concatenate([np.abs(transformed(effect, own)) for own, effect in zip(shifts, effects, strict=True)])
-    sigmas = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
-    return np.asarray(np.max(moved, axis=0, initial=0.0) + expansion_bound(expansions) + COVERAGE_FACTOR * sigmas)
+    if estimates.fault_effects is None:
+        what = "the estimates have no fault effects"
+        raise ParameterError(what, where="joint_protection_levels", expected="estimate_all(..., fault_effects=True)")
+    elements = [(index, NO_INDEX, np.eye(3), np.zeros(3)) for index in (0, NO_INDEX)]
+    terms = np.zeros((1, 0), dtype=np.int64), np.zeros((0, 0, 6)), np.zeros((0, 0, 6, 3))
+    geometry = ArmGeometry(
+        np.array(elements, ELEMENT), np.zeros(0, BEAM), np.eye(3)[None], np.zeros((1, 3)), _NO_FORCE, *terms
+    )
+    estimator = EndpointEstimator(geometry, ("joint",))
+    estimator.use_causes([posor.hypotheses.joint_causes()])
+    endpoints = Endpoints.allocate(len(estimates), 1)._replace(
+        poses=estimates.poses,
+        covariances_random=estimates.covariances_random,
+        covariances_systematic=estimates.covariances_systematic,
+        stamp_shifts=estimates.stamp_shifts,
+    )
+    return estimator.bound_all(endpoints, estimates.poses[:, None], estimates.fault_effects[:, None])
 
 
 @dataclass(frozen=True)
@@ -124,11 +73,12 @@ class ArmReliability:
 
     angles: Mapping[str, float]  # of the joints [rad], by name
     joints: Mapping[str, Reliability]  # reliability of each joint
-    # of each joint: change of the endpoint by the minimal detectable bias of each reading, (m, 6), ROS order, axes of
-    # the base [m, rad]; infinite: not bounded
-    endpoint_shifts: Mapping[str, FloatArray]
-    expansions: FloatArray  # change of the endpoint by the largest expansion of each measuring beam, (b, 6), likewise
+    # Largest undetected change of the endpoint by each cause of each joint, (6,), ROS order, axes of the base [m, rad];
+    # infinite: not bounded
+    effects: Mapping[str, Mapping[str, FloatArray]]
+    expansions: FloatArray  # largest change by the temperature of the measuring beams, (6,), likewise
     protection_level: FloatArray  # of the endpoint, (6,)
+    set_by: tuple[tuple[str, str], ...]  # joint and cause that set the level along and about each axis
 
 
 def arm_reliability(
@@ -143,13 +93,38 @@ def arm_reliability(
     """
     poses = {joint.name: chain.nominal_joint(joint.name, angles[joint.name]) for joint in chain.joints}
     random, systematic, shared = model_covariances(calibrations, chain, angles)
-    measured = {name: MeasuredJoint(pose, random[name], systematic[name], shared[name]) for name, pose in poses.items()}
-    joints, endpoint_shifts = {}, {}
-    for name, effect in endpoint_effects(chain, poses).items():
+    joints = {}
+    for name, pose in poses.items():
         posor = Posor(calibrations[name])
-        joints[name] = joint_reliability(posor, scan_at(posor, poses[name]), poses[name])
-        endpoint_shifts[name] = transformed(effect, joints[name].shifts)
-    shifts, unchanged = list(endpoint_shifts.values()), np.eye(6)
-    covariance, expansions = chain.estimate(measured).covariance(), expansion_shifts(chain, poses)
-    level = endpoint_protection_level(shifts, [unchanged] * len(shifts), covariance, expansions)
-    return ArmReliability(angles, joints, endpoint_shifts, expansions, level)
+        joints[name] = joint_reliability(posor, scan_at(posor, pose), pose)
+    estimator = chain.estimator()
+    estimator.use_terms([tuple(shared[name]) for name in poses])
+    causes = [each.hypotheses.joint_causes() for each in joints.values()]
+    estimator.use_causes(causes)
+    packed = np.array([[pin.SE3ToXYZQUAT(pose) for pose in poses.values()]])
+    terms = max(map(len, shared.values()), default=0)
+    by_term = np.zeros((1, len(poses), terms, 6))
+    for j, name in enumerate(poses):
+        for t, effect in enumerate(shared[name].values()):
+            by_term[0, j, t] = effect
+    parts = (np.array([[each[name] for name in poses]]) for each in (random, systematic))
+    endpoints = estimator.estimate_all(packed, *parts, np.zeros(1, dtype=np.int64), None, by_term)
+    effects = np.full((1, *estimator.fault_effects.shape), 0.0, dtype=np.float32)
+    for j, each in enumerate(joints.values()):
+        effects[0, j, : len(each.effects)] = each.effects
+    whole = estimator.bound_all(endpoints, packed, effects)
+    # Alone: one cause of one joint at a time, then none; without any uncertainty.
+    cases = [(j, number, cause) for j, own in enumerate(causes) for number, cause in enumerate(own.names)]
+    alone = np.zeros((len(cases) + 1, *effects.shape[1:]), dtype=np.float32)
+    alone[..., 6] = 1.0
+    for n, (j, number, _) in enumerate(cases):
+        selected = np.flatnonzero(np.array(causes[j].of_effects) == number)
+        alone[n, j, selected] = effects[0, j, selected]
+    exact = Endpoints.allocate(len(alone), len(poses))
+    for numbers in (exact.poses, exact.covariances_random, exact.covariances_systematic, exact.stamp_shifts):
+        numbers[:] = 0.0
+    levels = estimator.bound_all(exact, np.repeat(packed, len(alone), axis=0), alone).levels
+    by_joint: dict[str, dict[str, FloatArray]] = {name: {} for name in poses}
+    for (j, _, cause), level in zip(cases, levels, strict=False):
+        by_joint[estimator.joints[j]][cause] = level - levels[-1]
+    return ArmReliability(angles, joints, by_joint, levels[-1], whole.levels[0], estimator.set_by(whole, 0))

@@ -16,6 +16,7 @@ from posor.bags.reprocess_task import JointSettings, Settings
 from posor.calibration.calibration_file import Calibration
 from posor.calibration.designs import DesignName, design
 from posor.estimation.estimate import Estimates
+from posor.estimation.fault_hypotheses import JointCauses
 from posor.estimation.forward import scans_at
 from posor.estimation.posor import Posor
 from posor.messages.estimate_arrays import estimate_joint
@@ -24,7 +25,7 @@ from posor.model.fault import Fault, State
 from posor.model.native_coordinates import rotation_from_native
 from posor.node_parameters import ChainParameters
 from posor.numerics.stamps import NS
-from posor.uncertainty.protection_level import endpoint_effects
+from posor_lab.harness.endpoint_effects import endpoint_effects
 
 DESIGNS: tuple[DesignName, ...] = ("triad_diodes", "triad_bumpy_ring", "triad_diodes")
 
@@ -97,7 +98,8 @@ def test_limits_of_the_stamps_reach_the_endpoint() -> None:
         )
         frames[name], orders[name] = (calibration.frames.parent, calibration.frames.child), numbers
     parameters = ChainParameters(urdf=str(arm.urdf), endpoint_frame=arm.endpoint_frame)
-    found = EndpointPipeline(chain, parameters, frames, dict.fromkeys(frames, ())).estimate(joints, orders)
+    none, causes = dict.fromkeys(frames, ()), dict.fromkeys(frames, JointCauses())
+    found = EndpointPipeline(chain, parameters, frames, none, causes).estimate(joints, orders)
     assert len(found) > 0.9 * count
     n = int(np.searchsorted(fields["stamps_ns"], found.stamps_ns[-1]))
     transforms = {name: pin.XYZQUATToSE3(each.poses[n]) for name, each in joints.items()}

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 from posor.bags import block_synchroniser
-from posor.bags.block_synchroniser import JOINT_ROWS, BlockSynchroniser
+from posor.bags.block_synchroniser import BlockSynchroniser, joint_rows
 from posor.chain.time_synchroniser import TimeSynchroniser
 
 NAMES = ("a", "b", "c")
@@ -60,7 +60,7 @@ def in_blocks(given: Sequence[Arrival], size: int) -> tuple[list[int], int, dict
             places = np.array(
                 [n for n in range(begin, min(begin + size, len(given))) if given[n][0] == joint], dtype=int
             )
-            rows = np.zeros(len(places), dtype=JOINT_ROWS)
+            rows = np.zeros(len(places), dtype=joint_rows(0))
             rows["order"], rows["stamp_ns"] = places, [given[n][1] for n in places]
             block.append(rows)
         found = synchroniser.join(block)

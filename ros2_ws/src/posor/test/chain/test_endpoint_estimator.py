@@ -16,7 +16,7 @@ from posor.chain.kinematic_chain import Chain, Endpoint
 from posor.model.fault import State
 from posor.model.native_coordinates import native_from_rotation
 from posor.numerics.array_types import FloatArray, IntArray
-from posor.uncertainty.protection_level import endpoint_effects
+from posor_lab.harness.endpoint_effects import endpoint_effects
 
 from .six_axis_arm import FOLDER, JOINTS, PERIOD_NS, SCANS, WINDOW_S, assert_bits, six_axis_chain, swinging
 
@@ -301,7 +301,15 @@ def test_serialised_rows_give_the_bits_of_arrays(chain: Chain, covariances: Part
     poses, stamps = swinging(chain, scans)
     columns = [
         JointRowLayout(
-            8 * (j + 1), 8 * (j + 8), 8 * (j + 14), 8 * (j + 50), shared=0, stamp_shift=8 * (j + 86), state=3, size=776
+            8 * (j + 1),
+            8 * (j + 8),
+            8 * (j + 14),
+            8 * (j + 50),
+            shared=0,
+            effects=0,
+            stamp_shift=8 * (j + 86),
+            state=3,
+            size=776,
         )
         for j in range(JOINTS)
     ]

@@ -8,9 +8,9 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from posor import Estimate, Fault, Posor, Scan, Scans, State, load_calibration, simulate
+from posor.chain.fault_bounds import COVERAGE_FACTOR
 from posor.model.scan import STATED_HOME
 from posor.numerics.array_types import FloatArray
-from posor.uncertainty.protection_level import COVERAGE_FACTOR
 
 from .test_clocks import ARMS, FIRST_NS, JOINTS, PERIOD_S, errors
 

@@ -15,9 +15,12 @@ from numpy.typing import NDArray
 from posor.calibration.designs import DesignName, design
 from posor.chain.arm_geometry import BEAM, ELEMENT, ArmGeometry
 from posor.chain.beam_acceleration import BeamHistory
+from posor.chain.fault_bounds import ArmCauses, EndpointBounds, bound_endpoints
 from posor.chain.forward_kinematics import Endpoints, estimate_endpoints
 from posor.chain.joint_measurements import JointMeasurements
 from posor.estimation import solver
+from posor.estimation.fault_effects import EFFECT
+from posor.estimation.fault_hypotheses import ALWAYS, SECOND, SHARED, JointCauses
 from posor.estimation.posor import Posor
 from posor.estimation.workspace import WORKSPACE
 from posor.messages.message_stream import MessageEstimator
@@ -130,18 +133,21 @@ def arm(rng: np.random.Generator) -> list[float]:
     thetas = rng.uniform(-9.0, 9.0, (scans, 2))
     terms, shared = np.array([[0, 1], [1, -1]]), 1e-8 * rng.normal(size=(scans, 2, 2, 6))
     common = 1e-6 * rng.normal(size=(3, 2, 6)), 1e-8 * rng.normal(size=(3, 2, 6, 3))
+    beams["expansion"] = 1e-6
     endpoints = Endpoints.allocate(scans, 2, 3)
-    estimate_endpoints(
-        ArmGeometry(elements, beams, rotations[:2], np.zeros((2, 3)), np.array([0.1, 0.2, -9.8]), terms, *common),
-        BeamHistory.allocate(3e-6, 2),
-        JointMeasurements(
-            *(stamps, poses, random[:-1], systematic[:-1], thetas, shared, rng.uniform(0.0, 1e-6, (scans, 2, 6)))
-        ),
-        endpoints,
-        0,
+    arm = ArmGeometry(elements, beams, rotations[:2], np.zeros((2, 3)), np.array([0.1, 0.2, -9.8]), terms, *common)
+    shifts = rng.uniform(0.0, 1e-6, (scans, 2, 6))
+    effects = 1e-6 * rng.normal(size=(scans, 2, 4, EFFECT))
+    effects[..., 6] = rng.choice([0.3, 1.0, math.inf], (scans, 2, 4), p=[0.45, 0.45, 0.1])
+    measurements = JointMeasurements(
+        stamps, poses, random[:-1], systematic[:-1], thetas, shared, shifts, effects.astype(np.float32)
     )
+    estimate_endpoints(arm, BeamHistory.allocate(3e-6, 2), measurements, endpoints, 0)
     relative = endpoints.relative_to(endpoints.poses[0])
-    outputs = *endpoints, *relative[:3], relative.stamp_shifts
+    _, causes = ArmCauses.of([JointCauses(("a", "b"), (0, 1, 1, 0), (SHARED, 0, SECOND, ALWAYS))] * 2)
+    bounds = EndpointBounds.allocate(scans)
+    bound_endpoints(arm, causes, measurements, endpoints, np.eye(3), bounds)
+    outputs = *endpoints, *relative[:3], relative.stamp_shifts, *bounds
     return [number for each in outputs for number in each.ravel().tolist()]
 
 
@@ -149,8 +155,8 @@ def raw_scans(name: DesignName) -> FloatArray:
     """Return all that is made of noisy raw scans of a design, from voltages and currents to covariances."""
     posor = Posor(design(name, motion=True))
     scans = turning_scans(posor, THETAS, 8, home=[0])
-    found = posor.estimate_all(scans)
-    arrays = (found.rotations, found.covariances_random, found.covariances_systematic)
+    found = posor.estimate_all(scans, fault_effects=True)
+    arrays = (found.fault_effects, found.rotations, found.covariances_random, found.covariances_systematic)
     others = (found.poses, found.natives, found.residuals)
     return np.concatenate([array.reshape(len(scans), -1) for array in (*arrays, *others)], axis=1)
 

@@ -1,42 +1,39 @@
-"""Protection levels of the endpoint: effects of shifts, and errors in a simulation with a fault."""
+"""Protection levels: the kernel against pinocchio, bounds of beams, and errors in a simulation with faults."""
 
 from __future__ import annotations
 
 import math
 from itertools import product
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
 import pytest
+from posor.calibration.calibration_file import Calibration
+from posor.calibration.causes import Cause
 from posor.calibration.designs import sized_design
 from posor.chain.beams_file import BeamsFile
+from posor.chain.fault_bounds import COVERAGE_FACTOR, INTEGRITY_RISK
 from posor.chain.joint_measurements import MeasuredJoint
 from posor.chain.kinematic_chain import Chain
+from posor.errors import ParameterError
+from posor.estimation.fault_hypotheses import ALWAYS, SECOND, SHARED, JointCauses
 from posor.estimation.forward import scans_at
 from posor.estimation.posor import Posor
-from posor.model.fault import State
 from posor.numerics.array_types import FloatArray
-from posor.uncertainty.protection_level import (
-    COVERAGE_FACTOR,
-    INTEGRITY_RISK,
-    endpoint_effects,
-    endpoint_protection_level,
-    expansion_bound,
-    expansion_shifts,
-)
-from posor.uncertainty.reliability import joint_reliability
+from posor.uncertainty.protection_level import arm_reliability, joint_protection_levels
+from posor_lab.faults.cause_faults import cause_stacks, judge_causes
+from posor_lab.faults.offline_faults import draw_joint_poses
 from posor_lab.harness.beams import beams_file, quantity, uncertainty
+from posor_lab.harness.endpoint_effects import endpoint_effects, expansion_shifts
 from scipy.special import ndtr
-
-from .biased_readings import biased_scans, drawn_stack
 
 URDF = Path(__file__).with_name("two_joints.urdf").read_text(encoding="utf-8")
 ANGLES = {"a": 0.4, "b": -0.7}
 BEAMS = {"f1": ("0.2 0.1 0.6", 23e-6, 5.0), "f2": ("0.1 0 0.4", 12e-6, 2.0)}
 """Beams of the arm: origin in the URDF, coefficient of expansion [1/K], largest deviation [K]."""
-NONE = np.zeros((6, 6))
-DRAWS = 600
+CAUSES = JointCauses(("alone", "pair", "always", "shared"), (0, 1, 1, 2, 2, 3), (0, 0, SECOND, ALWAYS, ALWAYS, SHARED))
 
 
 def disturbed(pose: pin.SE3, error: FloatArray) -> pin.SE3:
@@ -53,39 +50,77 @@ def poses_of(chain: Chain) -> dict[str, pin.SE3]:
     return {name: chain.nominal_joint(name, angle) for name, angle in ANGLES.items()}
 
 
-def endpoint_change(chain: Chain, shifts: dict[str, FloatArray]) -> FloatArray:
-    poses = poses_of(chain)
-    before, after = (
-        chain.estimate({name: MeasuredJoint(pose) for name, pose in case.items()}).T_base_endpoint
-        for case in (poses, {name: disturbed(pose, shifts.get(name, np.zeros(6))) for name, pose in poses.items()})
-    )
-    turn = pin.log3(after.rotation @ before.rotation.T)
-    return np.concatenate([after.translation - before.translation, turn])
+def level_of(
+    chain: Chain, effects: FloatArray, root: FloatArray, causes: JointCauses = CAUSES, home: FloatArray | None = None
+) -> tuple[FloatArray, tuple[tuple[str, str], ...], FloatArray]:
+    """Return level, what sets it, and covariance of an endpoint, given the effects (2, C, 7) of both joints."""
+    poses, estimator = poses_of(chain), chain.estimator()
+    estimator.use_causes([causes] * 2)
+    packed = np.array([[pin.SE3ToXYZQUAT(pose) for pose in poses.values()]])
+    covariance = np.tile(root @ root.T, (1, 2, 1, 1))
+    endpoints = estimator.estimate_all(packed, 0.25 * covariance, 0.75 * covariance, np.zeros(1, dtype=np.int64))
+    endpoints = endpoints if home is None else endpoints.relative_to(home)
+    bounds = estimator.bound_all(endpoints, packed, effects[None].astype(np.float32), home)
+    return bounds.levels[0], estimator.set_by(bounds, 0), endpoints.covariances()[0]
 
 
 @pytest.mark.parametrize("joint", ["a", "b"])
-def test_effects_are_those_of_the_chain(chain: Chain, joint: str, rng: np.random.Generator) -> None:
-    shift = 1e-7 * rng.normal(size=6)
-    effect = endpoint_effects(chain, poses_of(chain))[joint]
-    np.testing.assert_allclose(effect @ shift, endpoint_change(chain, {joint: shift}), rtol=0.0, atol=1e-12)
+def test_the_reference_of_the_kernel_is_that_of_the_chain(chain: Chain, joint: str, rng: np.random.Generator) -> None:
+    shift, poses = 1e-7 * rng.normal(size=6), poses_of(chain)
+    before, after = (
+        chain.estimate({name: MeasuredJoint(pose) for name, pose in case.items()}).T_base_endpoint
+        for case in (poses, {**poses, joint: disturbed(poses[joint], shift)})
+    )
+    turn = pin.log3(after.rotation @ before.rotation.T)
+    change = np.concatenate([after.translation - before.translation, turn])
+    np.testing.assert_allclose(endpoint_effects(chain, poses)[joint] @ shift, change, rtol=0.0, atol=1e-12)
 
 
-def test_the_worst_single_fault_counts(chain: Chain, rng: np.random.Generator) -> None:
-    effects = endpoint_effects(chain, poses_of(chain))
-    shifts = {name: 1e-6 * rng.normal(size=(5, 6)) for name in ANGLES}
-    root = 1e-6 * rng.normal(size=(6, 6))
-    level = endpoint_protection_level([shifts[n] for n in ANGLES], [effects[n] for n in ANGLES], root @ root.T)
-    worst = np.max([np.abs(effects[n] @ shift) for n in ANGLES for shift in shifts[n]], axis=0)
-    np.testing.assert_allclose(level, worst + COVERAGE_FACTOR * np.linalg.norm(root, axis=1))
-    assert 2.0 * (1.0 - ndtr(COVERAGE_FACTOR)) == pytest.approx(INTEGRITY_RISK)
+@pytest.mark.parametrize("turned", [False, True])
+def test_the_worst_fault_counts_and_all_causes_that_are_always_there(
+    chain: Chain, turned: bool, rng: np.random.Generator
+) -> None:
+    effects = np.concatenate([1e-6 * rng.normal(size=(2, 6, 6)), np.ones((2, 6, 1))], axis=2)
+    root = 1e-7 * rng.normal(size=(6, 6))
+    home = pin.SE3ToXYZQUAT(pin.SE3(pin.exp3(rng.normal(size=3)), rng.normal(size=3))) if turned else None
+    axes = np.eye(3) if home is None else pin.XYZQUATToSE3(home).rotation
+    level, set_by, covariance = level_of(chain, effects, root, home=home)
+    turn = np.kron(np.eye(2), axes.T)
+    moved = np.stack([effects[j, :, :6] @ (turn @ matrix).T for j, matrix in enumerate(_matrices(chain))])
+    alone, always = np.abs(moved[:, 0]), np.abs(moved[:, 3:5]).sum(axis=(0, 1))
+    pair, shared = np.hypot(moved[:, 1], moved[:, 2]), np.abs(moved[:, 5]).sum(axis=0)
+    faults = np.vstack([alone, pair, shared[None]])
+    sigmas = np.sqrt(np.diag(covariance))
+    np.testing.assert_allclose(level, COVERAGE_FACTOR * sigmas + faults.max(axis=0) + always, rtol=1e-6)
+    names = [(joint, cause) for cause in ("alone", "pair") for joint in ANGLES]
+    largest_shared = np.array(list(ANGLES))[np.abs(moved[:, 5]).argmax(axis=0)]
+    for k, found in enumerate(set_by):
+        number = int(faults[:, k].argmax())
+        assert found == (names[number] if number < len(names) else (largest_shared[k], "shared"))
+    assert 2.0 * (1.0 - ndtr(COVERAGE_FACTOR)) == pytest.approx(INTEGRITY_RISK, rel=1e-12)
 
 
-def test_an_undetectable_shift_leaves_the_endpoint_unbounded_where_it_acts(chain: Chain) -> None:
-    effects = list(endpoint_effects(chain, poses_of(chain)).values())
-    shifts = [np.zeros((1, 6)), np.array([[math.inf, 0.0, 0.0, 0.0, 0.0, 0.0]])]
-    level = endpoint_protection_level(shifts, effects, NONE)
-    assert np.isinf(level[:3]).any()
+def _matrices(chain: Chain) -> list[FloatArray]:
+    return list(endpoint_effects(chain, poses_of(chain)).values())
+
+
+def test_an_unbounded_effect_leaves_the_endpoint_unbounded_where_it_acts(chain: Chain) -> None:
+    effects = np.zeros((2, 6, 7))
+    effects[..., 6] = 1.0
+    effects[1, 0] = [1.0, 0.0, 0.0, 0.0, 0.0, 0.0, math.inf]
+    level, set_by, _ = level_of(chain, effects, np.zeros((6, 6)))
+    np.testing.assert_array_equal(np.isinf(level), np.abs(_matrices(chain)[1][:, 0]) > 1e-6)
+    assert set_by[int(np.isinf(level).argmax())] == ("b", "alone")
     np.testing.assert_array_equal(level[3:], 0.0)
+    for wrong in (math.nan, -0.1, 1.5):
+        effects[0, 3, 6] = wrong
+        assert np.isnan(level_of(chain, effects, np.zeros((6, 6)))[0]).all()
+
+
+def test_a_joint_without_causes_leaves_the_level_unknown(chain: Chain) -> None:
+    level, set_by, _ = level_of(chain, np.zeros((2, 0, 7)), np.zeros((6, 6)), JointCauses())
+    assert np.isnan(level).all()
+    assert set_by == (("", ""),) * 6
 
 
 def warm_beams() -> BeamsFile:
@@ -111,11 +146,12 @@ def chain_at(deviations: dict[str, float]) -> Chain:
     return Chain(urdf, "tool")
 
 
-def test_beams_that_expand_stay_within_their_bound_and_reach_it(chain: Chain) -> None:
+def test_beams_that_expand_stay_within_the_level_and_reach_it(chain: Chain) -> None:
     with_beams = Chain(URDF, "tool", warm_beams())
-    expansions = expansion_shifts(with_beams, poses_of(with_beams))
-    bound, before = expansion_bound(expansions), chain.nominal_endpoint(ANGLES)
-    largest = np.zeros(6)
+    before, largest = chain.nominal_endpoint(ANGLES), np.zeros(6)
+    expansions, effects = expansion_shifts(with_beams, poses_of(with_beams)), np.zeros((2, 6, 7))
+    effects[..., 6] = 1.0
+    level, _, covariance = level_of(with_beams, effects, np.zeros((6, 6)))
     for shares in product((-1.0, -0.4, 0.0, 0.7, 1.0), repeat=len(BEAMS)):
         if not any(shares):
             continue
@@ -124,54 +160,68 @@ def test_beams_that_expand_stay_within_their_bound_and_reach_it(chain: Chain) ->
         shift = np.concatenate([after.translation - before.translation, pin.log3(after.rotation @ before.rotation.T)])
         np.testing.assert_allclose(shift, shares @ expansions, rtol=0.0, atol=1e-13)
         largest = np.maximum(largest, np.abs(shift))
-    np.testing.assert_allclose(largest, bound, rtol=0.0, atol=1e-13)
-    assert np.all(bound[:3] > 1e-6)
+    np.testing.assert_allclose(largest, level, rtol=0.0, atol=1e-13)
+    np.testing.assert_array_equal(covariance, np.zeros((6, 6)))
+    assert np.all(level[:3] > 1e-6)
 
 
-def test_the_level_contains_the_bound_of_the_beams_and_the_covariance_does_not(chain: Chain) -> None:
-    with_beams, poses = Chain(URDF, "tool", warm_beams()), poses_of(chain)
-    expansions, effects = expansion_shifts(with_beams, poses), list(endpoint_effects(chain, poses).values())
-    shifts = [np.ones((1, 6)) * 1e-6] * 2
-    found = endpoint_protection_level(shifts, effects, NONE, expansions)
-    expected = endpoint_protection_level(shifts, effects, NONE) + expansion_bound(expansions)
-    np.testing.assert_allclose(found, expected, rtol=1e-12)
-    measured = {name: MeasuredJoint(pose) for name, pose in poses.items()}
-    np.testing.assert_array_equal(with_beams.estimate(measured).covariance(), NONE)
-    np.testing.assert_array_equal(expansion_shifts(chain, poses), np.zeros((0, 6)))
+def calibrations_of(causes: tuple[Cause, ...] = ()) -> dict[str, Calibration]:
+    return {
+        name: sized_design("quad_light_ring", 0.15, frames=(f"{name}_r", f"{name}_t"), title=name).model_copy(
+            update={"causes": list(causes)}
+        )
+        for name in ANGLES
+    }
 
 
-def test_undetected_errors_of_a_reading_stay_within_the_level(chain: Chain) -> None:
-    """A bias up to twice the detectable size on any reading; noise and calibration errors in both joints."""
-    poses, stamps, random = poses_of(chain), np.ones(1, dtype=np.int64), np.random.default_rng(16)
-    posors, found, covariances = {}, {}, {}
-    for name, pose in poses.items():
-        frames = (f"{name}_r", f"{name}_t")
-        posors[name] = posor = Posor(sized_design("quad_light_ring", 0.15, frames=frames, title=name))
-        scans = scans_at(posor.stack, pose.rotation[None], pose.translation[None], stamps)
-        found[name] = joint_reliability(posor, scans[0], pose)
-        estimate = posor.estimate_each(scans)
-        covariances[name] = estimate.covariances_random[0] + estimate.covariances_systematic[0]
-    effects = endpoint_effects(chain, poses)
-    covariance = chain.estimate({n: MeasuredJoint(poses[n], covariances[n]) for n in poses}).covariance()
-    level = endpoint_protection_level([found[n].shifts for n in poses], [effects[n] for n in poses], covariance)
-    assert np.isfinite(level).all()
-    within = undetected = 0
-    for n in range(DRAWS):
-        faulty = ("a", "b")[n % 2]
-        i = int(random.integers(len(found[faulty].names)))
-        size = found[faulty].biases[i] * random.uniform(0.0, 2.0)
-        shifts = {}
-        for name, pose in poses.items():
-            biases = np.zeros(len(found[name].names))
-            biases[i] = size if name == faulty else 0.0
-            scans = biased_scans(drawn_stack(posors[name], random), pose, biases, random)
-            estimate = posors[name].estimate_each(scans)
-            if estimate.states[0] != State.OK:
-                break
-            turn = pin.log3(estimate.rotations[0] @ pose.rotation.T)
-            shifts[name] = np.concatenate([estimate.translations[0] - pose.translation, turn])
-        else:
-            undetected += 1
-            within += bool(np.all(np.abs(endpoint_change(chain, shifts)) <= level))
-    assert DRAWS // 4 < undetected < DRAWS
-    assert within >= 0.99 * undetected
+def test_an_arm_has_the_level_of_its_effects_and_names_what_sets_it(chain: Chain) -> None:
+    found = arm_reliability(chain, calibrations_of(), ANGLES)
+    assert np.isfinite(found.protection_level).all()
+    kinds = {cause.name: cause.kind for cause in found.joints["a"].hypotheses.causes}
+    faults, always = [], np.zeros(6)
+    for own in found.effects.values():
+        always += sum((effect for cause, effect in own.items() if kinds[cause] == "always"), np.zeros(6))
+        faults += [effect for cause, effect in own.items() if kinds[cause] == "fault"]
+    rest = found.protection_level - np.max(faults, axis=0) - always - found.expansions
+    assert np.all(rest > 0.0)  # noise and calibration
+    for k, (joint, cause) in enumerate(found.set_by):
+        assert found.effects[joint][cause][k] == pytest.approx(np.max(faults, axis=0)[k])
+
+
+def test_levels_of_estimates_need_their_effects() -> None:
+    posor = Posor(calibrations_of()["a"])
+    scans = scans_at(posor.stack, np.eye(3)[None], np.array([[0.0, 0.0, 7.35e-4]]), np.ones(1, dtype=np.int64))
+    levels = joint_protection_levels(posor, posor.estimate_each(scans, fault_effects=True)).levels
+    assert np.isfinite(levels).all()
+    with pytest.raises(ParameterError, match="no fault effects; expected estimate_all"):
+        joint_protection_levels(posor, posor.estimate_each(scans))
+
+
+STACKS = cause_stacks()
+FAULTS = ["reading", "light spot", "wedge of gaps", "bit of gap converter", "ambient light", "gradient of ring"]
+
+
+def judged(calibration: Calibration, cause: Cause, seed: int, scans: int = 60) -> Any:
+    random = np.random.default_rng(seed)
+    return judge_causes(calibration, [(cause, 1.0)], draw_joint_poses(scans, random), random)
+
+
+@pytest.mark.parametrize("stack", STACKS)
+@pytest.mark.parametrize("name", FAULTS)
+def test_no_undetected_fault_exceeds_the_level_of_its_own_scan(stack: str, name: str) -> None:
+    """A part of ``make faults`` with a fixed seed."""
+    cause = next((each for each in Posor(STACKS[stack]).hypotheses.causes if each.name == name), None)
+    if cause is not None:
+        found = judged(STACKS[stack], cause, 40)
+        assert found.wrong == 0
+        assert found.ok > 0
+
+
+@pytest.mark.parametrize(("stack", "name"), [("quad_light_ring", "light spot"), ("quad_bumpy_ring", "wedge of gaps")])
+def test_levels_of_single_readings_alone_do_not_cover_a_common_cause(stack: str, name: str) -> None:
+    """What was published before causes: each fault moves one reading. The judge notices."""
+    calibration = STACKS[stack]
+    causes = Posor(calibration).hypotheses.causes
+    cause = next(each for each in causes if each.name == name)
+    without = [each.model_copy(update={"bound": 0.0}) for each in causes if not each.unlimited]
+    assert judged(calibration.model_copy(update={"causes": without}), cause, 40, 150).wrong > 5

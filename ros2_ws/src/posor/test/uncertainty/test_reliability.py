@@ -7,13 +7,15 @@ import math
 import numpy as np
 import pinocchio as pin
 import pytest
+from posor.calibration.causes import FALSE_ALARM
 from posor.calibration.designs import design, sized_design
 from posor.estimation.forward import scans_at
 from posor.estimation.posor import Posor
 from posor.model.fault import State
 from posor.model.native_coordinates import rotation_from_native
 from posor.numerics.array_types import FloatArray
-from posor.uncertainty.reliability import Reliability, joint_reliability, noncentrality, transformed
+from posor.estimation.fault_effects import noncentrality
+from posor.uncertainty.reliability import Reliability, joint_reliability
 from scipy.special import chndtr
 
 from .biased_readings import biased_scans, drawn_stack
@@ -83,7 +85,7 @@ def test_three_gap_probes_check_nothing_and_four_check_one_another() -> None:
     np.testing.assert_allclose(four.redundancy_numbers[:4], 0.25, rtol=0.1)
     for found, redundant in ((three, 1), (four, 2)):
         assert found.redundancy_numbers.sum() == pytest.approx(redundant)
-        assert found.false_alarm == pytest.approx(1e-3)
+        assert found.false_alarm == pytest.approx(FALSE_ALARM)
 
 
 def test_without_a_test_no_bias_is_detected() -> None:
@@ -95,7 +97,14 @@ def test_noncentrality_inverts_the_distribution() -> None:
         assert chndtr(12.0, redundant, noncentrality(redundant, 12.0, 0.01)) == pytest.approx(0.01)
 
 
-def test_infinite_components_act_through_coefficients_that_are_not_zero() -> None:
-    matrix = np.array([[1.0, 2.0], [0.0, 3.0], [1e-12, 1.0]])
-    np.testing.assert_array_equal(transformed(matrix, np.array([math.inf, 1.0])), [math.inf, 3.0, 1.0])
-    np.testing.assert_array_equal(transformed(matrix, np.array([-math.inf, 0.0])), [math.inf, 0.0, 0.0])
+@pytest.mark.parametrize("stack", CALIBRATIONS)
+def test_effects_of_single_readings_are_their_undetected_shifts(stack: str) -> None:
+    """Causes that are always there widen what is missed by the same share for all readings."""
+    found = reliability_of(Posor(CALIBRATIONS[stack]))
+    names = [f"reading: {name}" for name in found.names]
+    own = [found.hypotheses.names.index(name) for name in names]
+    effects, bounded = found.effects[own].astype(float), np.isfinite(found.biases)
+    np.testing.assert_array_equal(np.isfinite(effects[:, 6]), bounded)
+    sizes, shifts = np.linalg.norm(effects[bounded, :6], axis=1), np.linalg.norm(found.shifts[bounded], axis=1)
+    np.testing.assert_allclose(sizes / shifts, (sizes / shifts)[0], rtol=2e-3)
+    assert (sizes / shifts)[0] >= 1.0

@@ -1,0 +1,284 @@
+"""What the causes of faults may do to a pose unseen by the residual test, for the pose of one scan.
+
+Baarda's test of several parameters: a fault D b (D the columns of its hypothesis, (m, 1) or (m, 2)) makes the
+chi-square of the redundant readings non-central, lambda = |Z D b|^2, with Z the whitened directions of the residual
+space (``estimation.scan_checks``), ``Z (R + S) Z' = 1``. A scan passes with at least the probability of a missed
+detection where lambda <= lambda_0. Undetected are therefore the b with
+
+    |Z D b|^2 <= lambda_0    and    |b| <= bound,
+
+an intersection of two ellipsoids, which changes the pose by G D b. Causes that are always there may mask a fault:
+sqrt(lambda_0) grows by the sum of their own largest parts in the residual space. A direction of b is not tested where the readings show less than UNCHECKED of its square.
+
+``write_fault_effects`` writes for each column its change of the pose with b along a principal axis of the intersection,
+and a number ``cut``. With f1, f2 the effects of both columns of a hypothesis along any axis and c1, c2 their cuts, the
+largest effect of the hypothesis is the largest f1 u1 + f2 u2 with
+
+    u1^2 + c2 u2^2 <= 1    and    c1 u1^2 + u2^2 <= 1    (``largest_of_pair``),
+
+of one column |f1|. ``cut`` is infinite where the column is not bounded: any effect is infinite.
+
+Source: W. Baarda, *A testing procedure for use in geodetic networks*, Delft 1968; P. J. G. Teunissen, *Testing Theory*,
+Delft 2006 (multidimensional alternatives).
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any
+
+from scipy.special import chndtrinc
+
+from posor.estimation.fault_hypotheses import (
+    ALWAYS,
+    AMBIENT,
+    CONTACT_X,
+    CONTACT_Y,
+    GAIN,
+    LENGTH,
+    SECOND,
+    SUPPLY,
+    TEMPERATURE,
+    VOLTAGE,
+)
+from posor.model.diode import find_ratios
+from posor.model.fault import Fault, State
+from posor.model.readings import DIODE_CURRENTS, GAP_VOLTAGES, PYTHON
+from posor.model.scan import CONTACTS
+from posor.model.spot_map import spot_position
+from posor.numerics.compiled import in_place, inlined
+from posor.numerics.vector import applied, matrix, plus, put, square, times, within
+
+if TYPE_CHECKING:
+    from posor.estimation.workspace import Model
+    from posor.numerics.array_types import FloatArray
+
+MISSED_DETECTION = 1e-2  # probability that a fault of the smallest detectable size passes the test of one scan
+UNCHECKED = 1e-4  # a direction of which the readings show less is not tested: faults of hundreds of sigmas would pass
+LOST, ILL_CONDITIONED = int(State.LOST), int(Fault.ILL_CONDITIONED)
+EFFECT = 7  # numbers of a column: change of the pose in ROS order [m], [rad], and its cut
+
+
+@lru_cache
+def noncentrality(redundant: int, limit: float, missed_detection: float) -> float:
+    """Return the non-centrality at which chi-square of ``redundant`` degrees of freedom passes a limit that rarely."""
+    return float(chndtrinc(limit, redundant, missed_detection))
+
+
+@inlined
+def in_double(value: float) -> float:
+    """Return a number of four bytes in eight, where it is compiled and where it is not."""
+    return float(value) * 1.0
+
+
+@inlined
+def largest_of_pair(first: float, second: float, first_cut: float, second_cut: float) -> float:
+    """Return the largest effect of a hypothesis of two parameters from the effects of its columns along one axis."""
+    f, g, c, d = abs(first), abs(second), first_cut, second_cut
+    if c == 1.0 and d == 1.0:
+        return math.sqrt(f * f + g * g)
+    if d > 0.0 and c * f * f + square(g / d) <= f * f + g * g / d:
+        return math.sqrt(f * f + g * g / d)  # on the first ellipse, inside of the second
+    if c > 0.0 and square(f / c) + d * g * g <= f * f / c + g * g:
+        return math.sqrt(f * f / c + g * g)
+    return (f * math.sqrt(max(1.0 - d, 0.0)) + g * math.sqrt(max(1.0 - c, 0.0))) / math.sqrt(1.0 - c * d)  # in the corner
+
+
+@in_place
+def write_fault_effects(model: Model, scan: Any, estimate: Any, effects: FloatArray) -> None:  # noqa: C901
+    """Write the effects of all columns, (C, EFFECT), at the last estimate; NaN without a pose from its readings alone.
+
+    ``scan``: record of dtype SCAN; ``estimate``: its record of dtype ESTIMATE, the last one of the model.
+    """
+    columns, shifts = model.faults.columns, model.faults.shifts
+    if estimate.state == LOST or estimate.faults & ILL_CONDITIONED:
+        for c in range(columns.shape[0]):
+            for k in range(EFFECT):
+                effects[c, k] = math.nan
+        return
+    _write_sensitivities(model, scan)
+    _write_parity(model)
+    _project_columns(model)
+    root = model.workspace[0].settings.noncentrality_root
+    always = 0.0
+    for c in range(columns.shape[0]):
+        if columns[c].kind & ALWAYS:
+            always += columns[c].bound * math.sqrt(_dot(model.faults.components, c, c))
+    c = 0
+    while c < columns.shape[0]:
+        paired = c + 1 < columns.shape[0] and columns[c + 1].kind & SECOND != 0
+        bound = columns[c].bound
+        if columns[c].kind & ALWAYS:
+            own = bound * math.sqrt(_dot(model.faults.components, c, c))
+            size, cut = bound, 1.0
+            if not paired and own > root + (always - own) and _shown(model, c, 1.0, 0.0) > UNCHECKED:
+                size = bound * (root + (always - own)) / own
+            for k in range(2 if paired else 1):
+                _store(shifts, effects, c + k, size, cut)
+        elif paired:
+            _write_pair(model, effects, c, root + always)
+        else:
+            _write_single(model, effects, c, root + always)
+        c += 2 if paired else 1
+
+
+@inlined
+def _store(shifts: FloatArray, effects: FloatArray, c: int, size: float, cut: float) -> None:
+    """Write the effect of a size of column c."""
+    for k in range(6):
+        effects[c, k] = size * shifts[c, k]
+    effects[c, 6] = cut
+
+
+@inlined
+def _write_single(model: Model, effects: FloatArray, c: int, root: float) -> None:
+    faults = model.faults
+    bound, seen = faults.columns[c].bound, math.sqrt(_dot(faults.components, c, c))
+    size, cut = bound, 1.0
+    if seen > 0.0 and root < bound * seen and _shown(model, c, 1.0, 0.0) > UNCHECKED:
+        size = root / seen
+    if size == math.inf:
+        size, cut = 1.0, math.inf
+    _store(faults.shifts, effects, c, size, cut)
+
+
+@inlined
+def _write_pair(model: Model, effects: FloatArray, c: int, root: float) -> None:
+    """Write both columns of a hypothesis along the principal axes of what the test sees of it."""
+    faults = model.faults
+    bound = faults.columns[c].bound
+    a, b, d = (
+        _dot(faults.components, c, c),
+        _dot(faults.components, c, c + 1),
+        _dot(faults.components, c + 1, c + 1),
+    )
+    angle = 0.5 * math.atan2(2.0 * b, a - d)
+    u, v = math.cos(angle), math.sin(angle)
+    middle, half = 0.5 * (a + d), math.sqrt(square(0.5 * (a - d)) + b * b)
+    seen = math.sqrt(middle + half), math.sqrt(max(middle - half, 0.0))
+    first = seen[0] if root < math.inf and _shown(model, c, u, v) > UNCHECKED else 0.0
+    second = seen[1] if root < math.inf and _shown(model, c, -v, u) > UNCHECKED else 0.0
+    size, other = _least(bound, root, first), _least(bound, root, second)
+    cut = other_cut = 1.0
+    if (size < bound) != (other < bound) and bound < math.inf:  # the test cuts the bound along one axis
+        cut = square(size / bound) if size < bound else square(bound * first / root)
+        other_cut = square(other / bound) if other < bound else square(bound * second / root)
+    if size == math.inf:
+        size, cut = 1.0, math.inf
+    if other == math.inf:
+        other, other_cut = 1.0, math.inf
+    x, y = faults.shifts[c], faults.shifts[c + 1]
+    for k in range(6):
+        effects[c, k], effects[c + 1, k] = size * (u * x[k] + v * y[k]), other * (u * y[k] - v * x[k])
+    effects[c, 6], effects[c + 1, 6] = cut, other_cut
+
+
+@inlined
+def _least(bound: float, root: float, seen: float) -> float:
+    """Return the largest size that is neither beyond the bound nor detected."""
+    return root / seen if seen > 0.0 and root < bound * seen else bound
+
+
+@inlined
+def _dot(rows: FloatArray, i: int, j: int) -> float:
+    total = 0.0
+    for t in range(rows.shape[1]):
+        total += rows[i, t] * rows[j, t]
+    return total
+
+
+@inlined
+def _shown(model: Model, c: int, u: float, v: float) -> float:
+    """Return the share of the square of u times column c plus v times the next one that the residuals show."""
+    workspace, faults = model.workspace[0], model.faults
+    total = shown = 0.0
+    for t in range(workspace.redundant_count):
+        component = 0.0
+        for r in range(workspace.reading_count):
+            entry = u * faults.entries[c, r]
+            if v != 0.0:
+                entry += v * faults.entries[c + 1, r]
+            if t == 0:
+                total += entry * entry * workspace.weights[r]
+            component += workspace.residual_space[t, r] * entry
+        shown += component * component
+    return shown / total if total > 0.0 else 0.0
+
+
+@inlined
+def _write_sensitivities(model: Model, scan: Any) -> None:
+    """Write the sensitivities of all readings at a valid scan."""
+    workspace, out = model.workspace[0], model.faults.sensitivities
+    lacking = math.isnan(scan.supply_voltage), math.isnan(scan.temperature)
+    for r in range(workspace.reading_count):
+        out[r, LENGTH] = 1.0
+        out[r, SUPPLY] = 0.0 if lacking[0] else workspace.sensitivities[r, 0]
+        out[r, TEMPERATURE] = 0.0 if lacking[1] else workspace.sensitivities[r, 1]
+    for s in range(model.sensors.shape[0]):
+        sensor = model.sensors[s]
+        if sensor.source == PYTHON:
+            continue
+        for i in range(sensor.count):
+            if sensor.source == DIODE_CURRENTS:
+                _write_spot_sensitivities(model, scan, i, sensor.first_channel + i, sensor.first_reading + 2 * i)
+            else:
+                r = sensor.first_reading + i
+                volt = scan.gap_voltages[i] if sensor.source == GAP_VOLTAGES else scan.ring_voltages[i]
+                out[r, VOLTAGE] = -model.by_channel[r].zero_shift  # derivative of prediction minus reading
+                out[r, GAIN] = out[r, VOLTAGE] * volt
+
+
+@inlined
+def _write_spot_sensitivities(model: Model, scan: Any, i: int, d: int, r: int) -> None:
+    """Write the sensitivities of both coordinates of the spot on diode i of a scan."""
+    workspace, out, diode = model.workspace[0], model.faults.sensitivities, model.diodes[d]
+    spot = workspace.spot
+    find_ratios(scan.diode_currents, i, diode, spot)
+    spot_position(diode, model.map_parameters[d], spot, model.by_map, r)
+    light = 0.0
+    for contact in range(CONTACTS):
+        light += scan.diode_currents[CONTACTS * i + contact]
+    for axis in range(2):
+        out[r + axis, AMBIENT] = 0.0
+    for axis in range(2):
+        ratio, pair = spot.ratios[axis], scan.diode_currents[CONTACTS * i + axis]
+        pair += scan.diode_currents[CONTACTS * i + axis + 2]
+        for k in range(2):
+            slope = spot.slope[k, axis]
+            out[r + k, CONTACT_X if axis == 0 else CONTACT_Y] = 0.5 * (1.0 - ratio * ratio) * slope
+            out[r + k, AMBIENT] -= 0.5 * ratio * light / pair * slope
+
+
+@inlined
+def _write_parity(model: Model) -> None:
+    """Write the directions of the residual space divided by the Cholesky factor of their covariance."""
+    workspace, out = model.workspace[0], model.faults.parity
+    space, factor = workspace.residual_space, workspace.residual_covariance
+    for t in range(out.shape[0]):
+        for r in range(out.shape[1]):
+            entry = space[t, r]
+            for s in range(t):
+                entry -= factor[t, s] * out[s, r]
+            out[t, r] = entry / factor[t, t]
+
+
+@inlined
+def _project_columns(model: Model) -> None:
+    """Write the entries of all columns, their components in the residual space, and their shifts of the pose."""
+    workspace, faults = model.workspace[0], model.faults
+    axes = matrix(workspace.pose.rotation, 0)
+    for c in range(faults.columns.shape[0]):
+        column = faults.columns[c]
+        v, w = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+        for t in range(faults.components.shape[1]):
+            faults.components[c, t] = 0.0
+        for r in range(column.first, column.end):
+            entry = faults.coefficients[c, r] * faults.sensitivities[r, column.sensitivity]
+            faults.entries[c, r] = entry
+            v = plus(v, times(entry, within(workspace.gain, r, 0)))
+            w = plus(w, times(entry, within(workspace.gain, r, 3)))
+            for t in range(faults.components.shape[1]):
+                faults.components[c, t] += faults.parity[t, r] * entry
+        put(faults.shifts, c, 0, applied(axes, v))
+        put(faults.shifts, c, 3, applied(axes, w))

@@ -1,0 +1,188 @@
+"""The causes of a calibration as hypotheses for the kernels: directions in the space of the linearised readings.
+
+A hypothesis has one or two parameters, each a column: what each of the m readings does per unit of the parameter. The
+entries are constant coefficients times a sensitivity of the reading at the scan (``estimation.fault_effects``).
+"""
+
+from __future__ import annotations
+
+from itertools import combinations
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from posor.calibration.causes import Pattern, Readings, all_causes
+from posor.errors import CalibrationError
+from posor.model.readings import DIODE_CURRENTS, GAP_VOLTAGES, RING_VOLTAGES
+from posor.numerics.compiled import record_view
+from posor.sensors.base import RowSensor
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from numpy.typing import NDArray
+
+    from posor.calibration.calibration_file import Calibration
+    from posor.calibration.causes import Cause
+    from posor.estimation.sensor_stack import Stack
+    from posor.numerics.array_types import FloatArray
+
+LENGTH, VOLTAGE, GAIN, SUPPLY, TEMPERATURE, CONTACT_X, CONTACT_Y, AMBIENT = range(8)
+SENSITIVITIES = 8
+"""Sensitivities of a reading: 1, to its voltage [m/V], to its relative change [m], to supply [m/V] and temperature [m/K]
+as they are measured, to the relative change of a contact current of either axis [m], to ambient light [m]."""
+_BY = {name: number for number, name in enumerate(("length", "voltage", "gain", "supply", "temperature"))}
+MAX_EFFECTS = 255  # bound of the columns of ``posor_msgs/JointTransform``
+
+ALWAYS, SECOND, SHARED = 1, 2, 4
+"""Flags of a column: its cause is always there; it is the second parameter of the hypothesis whose first parameter is
+the column before; its cause is shared by the joints of the arm."""
+
+COLUMN = np.dtype(
+    [
+        ("sensitivity", "i8"),
+        ("first", "i8"),  # reading with an entry, and the one behind the last
+        ("end", "i8"),
+        ("bound", "f8"),  # largest size; infinite: unlimited
+        ("kind", "i8"),  # sum of the flags below
+    ],
+    align=True,
+)
+
+
+class FaultModel(NamedTuple):
+    """Hypotheses for the kernels, and their memory: C columns, m readings, r of them redundant."""
+
+    columns: NDArray[np.void]  # shape (C,), dtype COLUMN
+    coefficients: FloatArray  # of the entries, shape (C, m)
+    entries: FloatArray  # scratch: the columns at a scan, shape (C, m)
+    sensitivities: FloatArray  # scratch, shape (m, SENSITIVITIES)
+    parity: FloatArray  # scratch: directions of the residual test, whitened, shape (r, m)
+    components: FloatArray  # scratch: the columns in them, shape (C, r)
+    shifts: FloatArray  # scratch: change of the pose per unit, ROS order, shape (C, 6)
+
+    @staticmethod
+    def of(columns: Sequence[tuple[tuple[int, FloatArray], float, int]], readings: int) -> FaultModel:
+        """Allocate for columns (sensitivity and coefficients, bound, kind)."""
+        count, redundant = len(columns), max(readings - 6, 0)
+        records = np.zeros(count, dtype=COLUMN)
+        coefficients = np.zeros((count, readings))
+        for record, own, ((sensitivity, entries), bound, kind) in zip(records, coefficients, columns, strict=True):
+            own[:], used = entries, np.flatnonzero(entries)
+            record["sensitivity"], record["bound"], record["kind"] = sensitivity, bound, kind
+            record["first"], record["end"] = used[0], used[-1] + 1
+        return FaultModel(
+            record_view(records),
+            coefficients,
+            np.zeros((count, readings)),
+            np.zeros((readings, SENSITIVITIES)),
+            np.zeros((redundant, readings)),
+            np.zeros((count, redundant)),
+            np.zeros((count, 6)),
+        )
+
+
+class JointCauses(NamedTuple):
+    """The causes of faults of one joint, as ``posor_msgs/JointTransform`` states them."""
+
+    names: tuple[str, ...] = ()
+    of_effects: tuple[int, ...] = ()  # cause of each effect
+    kinds: tuple[int, ...] = ()  # sum of the flags above of each effect
+
+
+class Hypotheses(NamedTuple):
+    """The hypotheses of a calibration: for each column its cause, its name and its parameter."""
+
+    causes: tuple[Cause, ...]
+    of_columns: tuple[int, ...]  # cause of each column
+    names: tuple[str, ...]  # of each column: the cause, and which readings of several
+    model: FaultModel
+
+    @staticmethod
+    def of(calibration: Calibration, stack: Stack) -> Hypotheses:
+        """Return the hypotheses of a calibration. Raises CalibrationError: they need too many columns."""
+        causes: list[Cause] = []
+        of_columns, names, columns = [], [], []
+        for cause in all_causes(calibration.causes):
+            found = [] if cause.bound == 0.0 else list(_hypotheses(cause, calibration, stack))
+            if found:
+                causes.append(cause)
+            for part, parameters in found:
+                kind = (ALWAYS if cause.kind == "always" else 0) | (SHARED if cause.shared_by == "arm" else 0)
+                for number, parameter in enumerate(parameters):
+                    of_columns.append(len(causes) - 1)
+                    names.append(f"{cause.name}: {part}" if part else cause.name)
+                    columns.append((parameter, cause.limit, kind | (SECOND if number else 0)))
+        if len(columns) > MAX_EFFECTS:
+            what, where = f"causes with {len(columns)} parameters", f"calibration '{calibration.name}'"
+            raise CalibrationError(what, where=where, expected=f"at most {MAX_EFFECTS}; 'some probes' has the most")
+        return Hypotheses(tuple(causes), tuple(of_columns), tuple(names), FaultModel.of(columns, stack.readings))
+
+    def joint_causes(self) -> JointCauses:
+        """Return the causes as the messages of the joint state them."""
+        kinds = tuple(self.model.columns["kind"].tolist())
+        return JointCauses(tuple(cause.name for cause in self.causes), self.of_columns, kinds)
+
+
+def _hypotheses(
+    cause: Cause, calibration: Calibration, stack: Stack
+) -> Iterator[tuple[str, list[tuple[int, FloatArray]]]]:
+    """Yield which readings each hypothesis of a cause moves, and its columns: sensitivity and coefficients (m,)."""
+    readings, pattern, by = cause.move.readings, cause.move.pattern, cause.move.units[cause.unit]
+    rows, places = _readings(readings, calibration, stack)
+    one, name = np.eye(stack.readings), stack.reading_names
+    if readings is Readings.DIODES:
+        pairs = [(rows[i], rows[i + 1]) for i in range(0, len(rows), 2)]
+        yield from _of_diodes(pattern, by, one, [(name[x].removeprefix("spot x "), x, y) for x, y in pairs])
+    elif pattern is Pattern.EACH:
+        yield from ((name[r], [(_BY[by], one[r])]) for r in rows)
+    elif pattern is Pattern.COMMON and rows:
+        yield "", [(_BY[by], one[rows].sum(axis=0))]
+    elif pattern is Pattern.SUBSETS:
+        for count in range(2, len(rows) + 1):
+            for chosen in combinations(rows, count):
+                yield ", ".join(name[r] for r in chosen), [(_BY[by], one[list(chosen)].sum(axis=0))]
+    elif pattern is Pattern.GRADIENT and len(rows) > 1:
+        offsets = places - places.mean(axis=0)
+        offsets /= np.linalg.norm(offsets, axis=1).max()
+        yield "", [(LENGTH, one[rows].T @ offsets[:, k]) for k in range(2)]
+
+
+def _of_diodes(
+    pattern: Pattern, by: str, one: FloatArray, diodes: Sequence[tuple[str, int, int]]
+) -> Iterator[tuple[str, list[tuple[int, FloatArray]]]]:
+    """Yield the hypotheses of diodes: name, reading of x and of y."""
+    of_both = [one[x] + one[y] for _, x, y in diodes]
+    if by == "length":
+        of_axes = [[(LENGTH, one[x]), (LENGTH, one[y])] for _, x, y in diodes]
+    elif by == "contact":
+        of_axes = [[(CONTACT_X, both), (CONTACT_Y, both)] for both in of_both]
+    else:
+        of_axes = [[(AMBIENT, both)] for both in of_both]
+    if pattern in {Pattern.PLANE_EACH, Pattern.DIODE_EACH}:
+        yield from ((diode[0], columns) for diode, columns in zip(diodes, of_axes, strict=True))
+    elif pattern is Pattern.EACH:
+        for (name, _, _), columns in zip(diodes, of_axes, strict=True):
+            yield from ((f"{axis} of {name}", [column]) for axis, column in zip("xy", columns, strict=True))
+    elif diodes:
+        parameters = zip(*of_axes, strict=True)
+        yield "", [(own[0][0], np.sum([entries for _, entries in own], axis=0)) for own in parameters]
+
+
+def _readings(readings: Readings, calibration: Calibration, stack: Stack) -> tuple[list[int], FloatArray]:
+    """Return the readings that a cause may move, and the places of their probes along X and Y of R, (n, 2) [m]."""
+    if readings is Readings.ALL:
+        return list(range(stack.readings)), np.zeros((stack.readings, 2))
+    wanted = {
+        Readings.GAPS: {GAP_VOLTAGES},
+        Readings.RING: {RING_VOLTAGES},
+        Readings.PROBES: {GAP_VOLTAGES, RING_VOLTAGES},
+        Readings.DIODES: {DIODE_CURRENTS},
+    }[readings]
+    rows: list[int] = []
+    places = []
+    for sensor, own, first in zip(stack.sensors, calibration.sensors, stack.first_readings, strict=True):
+        if isinstance(sensor, RowSensor) and sensor.reading_source.source in wanted:
+            rows += range(first, first + len(sensor.reading_names))
+            places += [probe.tip.array[:2] for probe in getattr(own, "probes", ())]
+    return rows, np.reshape(places, (-1, 2))
