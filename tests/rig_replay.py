@@ -15,7 +15,7 @@ from posor.chain.kinematic_chain import Chain
 from posor.estimation.posor import Posor
 from posor_bringup.installed import JOINT, Bag, CalibrationName, bag_path, calibration_path, urdf_path
 from posor_bringup.supervisor import Supervisor
-from posor_lab.harness.message_conversion import is_usable, scan_from_message, transform_message
+from posor_lab.harness.message_conversion import estimate_with_effects, is_usable, scan_from_message, transform_message
 from posor_lab.harness.ros_domain import leased_domain
 from posor_lab.replay_1985.replay import Replay, ReplayPlan, StepCollector
 from posor_msgs.msg import JointTransform, RawScan
@@ -68,7 +68,9 @@ def estimate_transforms(plan: ReplayPlan, raw: Sequence[bytes]) -> list[JointTra
     posor, frames = Posor(calibration), calibration.frames
     scans = [deserialize_message(data, RawScan) for data in raw]
     return [
-        transform_message(scan, posor.estimate(scan_from_message(scan)), frames.parent, frames.child) for scan in scans
+        transform_message(scan, estimate, frames.parent, frames.child, (posor.hypotheses.joint_causes(), effects))
+        for scan in scans
+        for estimate, effects in [estimate_with_effects(posor, scan_from_message(scan))]
     ]
 
 

@@ -148,7 +148,7 @@ def test_every_public_name_exists_and_others_do_not(library: ModuleType) -> None
 
 def test_an_arm_gives_joints_and_endpoint_with_covariances_as_arrays() -> None:
     arm = posor.load_arm(find_arm("five_axis"))
-    estimates = arm.estimate(BAG)
+    estimates = arm.estimate(BAG, false_alarm=1e-3)
     assert list(estimates.joints) == list(arm.calibrations)
     elbow, endpoint = estimates.joints["elbow"], estimates.endpoint
     assert elbow.covariances().shape == (len(elbow), 6, 6)

@@ -104,9 +104,7 @@ def _moves(
     return out
 
 
-def _inject_currents(
-    pattern: Pattern, by: str, sizes: FloatArray, scans: Scans, random: np.random.Generator
-) -> Scans:
+def _inject_currents(pattern: Pattern, by: str, sizes: FloatArray, scans: Scans, random: np.random.Generator) -> Scans:
     """Return scans with another gain of contacts, or with ambient light as a share of the source's."""
     currents, count = scans.diode_currents.copy(), len(sizes)
     diodes, each = currents.shape[1], np.arange(count)
@@ -166,10 +164,7 @@ class CauseCount:
 
 
 def judge_causes(
-    calibration: Calibration,
-    causes: Sequence[tuple[Cause, float]],
-    truth: PoseArray,
-    random: np.random.Generator,
+    calibration: Calibration, causes: Sequence[tuple[Cause, float]], truth: PoseArray, random: np.random.Generator
 ) -> CauseCount:
     """Return what becomes of scans of one drawn device with faults of all ``causes`` at once.
 
@@ -177,16 +172,19 @@ def judge_causes(
     """
     posor = Posor(calibration)
     stack = draw_sensors(posor, random)
-    scans = sound_scans(posor, stack, truth, random)
+    scans = sound_scans(stack, truth, random)
     for cause, share in causes:
         scans = inject(cause, draw_sizes(cause, share, len(truth), random), scans, stack, random)
     thetas = thetas_of(truth.rotations) if posor.counts_bumps else None
     return judge_levels(posor, posor.estimate_each(scans, thetas, fault_effects=True), truth)
 
 
-def sound_scans(posor: Posor, stack: Stack, truth: PoseArray, random: np.random.Generator) -> Scans:
+def sound_scans(stack: Stack, truth: PoseArray, random: np.random.Generator) -> Scans:
     """Return scans of a device with noise, at the references of supply and temperature."""
-    numbers: dict[str, Any] = {"supply_voltages": np.full(len(truth), 15.0), "temperatures": np.full(len(truth), 293.15)}
+    numbers: dict[str, Any] = {
+        "supply_voltages": np.full(len(truth), 15.0),
+        "temperatures": np.full(len(truth), 293.15),
+    }
     stamps = np.arange(1, len(truth) + 1, dtype=np.int64) * 1_000_000
     return scans_at(stack, truth.rotations, truth.translations, stamps, noise=random, **numbers)
 

@@ -21,6 +21,7 @@ from posor_drivers.simulator.arm_simulation import ArmSimulation
 from rich.table import Table
 from scipy.stats import betabinom
 
+from posor_lab.faults.cause_faults import SCANS, run_causes
 from posor_lab.faults.device_run import DeviceRun
 from posor_lab.faults.fault_table import (
     CYCLE_S,
@@ -33,7 +34,6 @@ from posor_lab.faults.fault_table import (
 from posor_lab.faults.injection_run import ReadingRun
 from posor_lab.faults.message_run import MessageRun
 from posor_lab.faults.node_storm import run_node_storm
-from posor_lab.faults.cause_faults import SCANS, run_causes
 from posor_lab.faults.offline_faults import CASES, run_ambient, run_hidden, run_slips
 from posor_lab.faults.process_run import ProcessRun
 from posor_lab.faults.storm import run_storm, storm_calibrations

@@ -16,6 +16,7 @@ from posor.messages.message_definitions import MessageTypes
 from posor.model.fault import State
 from posor.node_parameters import RECORDING
 from posor.ros_names import RAW_SCAN, RAW_TOPIC, TRANSFORM_TOPIC
+from posor.uncertainty.protection_level import joint_protection_levels
 from posor_bringup.supervisor import ProgramCommand
 from posor_drivers.message_builder import raw_scan, scan_fields
 from posor_msgs.msg import JointTransform, RawScan
@@ -58,9 +59,13 @@ def run_node_storm(
         states, faults = np.array([(each.state, each.faults) for each in found], dtype=np.int64).T
         covariances = np.reshape([each.covariance_random + each.covariance_systematic for each in found], (-1, 6, 6))
         expected = estimate_storm(maker.posor, storm)
-        levels = joint_protection_levels(maker.posor, with_effects(expected, found)).levels
+        effects = np.reshape([each.effects for each in found], np.shape(expected.fault_effects))
         same = (states == expected.states) & (faults == expected.faults)
         same &= np.all((poses.translations == expected.translations) | (states == State.LOST)[:, None], axis=1)
+        same &= np.array(
+            [np.array_equal(*each, equal_nan=True) for each in zip(effects, expected.fault_effects, strict=True)]
+        )
+        levels = joint_protection_levels(maker.posor, expected).levels  # of the published effects, as they are the same
         block = count_storm(storm, states, faults, poses, covariances, levels)
         return replace(block, different=int(np.count_nonzero(~same)))
 

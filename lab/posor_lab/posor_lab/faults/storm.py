@@ -216,12 +216,7 @@ def estimate_storm(posor: Posor, storm: Storm, encoder: np.random.Generator | No
 
 
 def count_storm(
-    storm: Storm,
-    states: IntArray,
-    faults: IntArray,
-    poses: PoseArray,
-    covariances: FloatArray,
-    levels: FloatArray,
+    storm: Storm, states: IntArray, faults: IntArray, poses: PoseArray, covariances: FloatArray, levels: FloatArray
 ) -> StormCount:
     """Return the figures of a storm by the results of each of its scans.
 

@@ -26,9 +26,9 @@ from posor.messages.message_stream import RawScanStream
 from posor.messages.message_table import LEAD
 from posor.messages.raw_scan import scan_of
 from posor.model.fault import USABLE_STATES
+from posor.model.scan import Scans
 from posor.ros_names import JOINT_TRANSFORM, RAW_SCAN
 from posor.uncertainty.protection_level import joint_protection_levels
-from posor.uncertainty.reliability import joint_reliability
 from posor_drivers.message_builder import SimulatedMessages
 from posor_drivers.simulator.arm_simulation import ArmSimulation
 from posor_drivers.simulator.imperfections import Imperfections
@@ -238,11 +238,12 @@ class ScanFuzz(MessageFuzz):
     def _protection_level(self, n: int) -> FloatArray:
         """Return the bound of the error of pose n by one reading, (6,)."""
         if n not in self._levels:
-            posor, estimate = self.recording.posor, self.recording.estimates[n]
-            found = joint_reliability(posor, scan_of(self.recording.scans[n]), _pose_of(estimate))
-            shifts = sensor_shifts(posor.calibration, found.shifts)
-            covariance = estimate["random"] + estimate["systematic"]
-            self._levels[n] = endpoint_protection_level([shifts], [np.eye(6)], covariance)
+            recording, tracker = self.recording, self.recording.posor.tracker.copy()
+            recording.posor.model.workspace["tracker"] = recording.trackers[n]
+            scans = Scans.of([scan_of(recording.scans[n])])
+            found = recording.posor.estimate_all(scans, fault_effects=True)
+            recording.posor.model.workspace["tracker"] = tracker
+            self._levels[n] = joint_protection_levels(recording.posor, found).levels[0]
         return self._levels[n]
 
 

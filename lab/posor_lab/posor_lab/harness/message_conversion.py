@@ -7,14 +7,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from geometry_msgs.msg import Pose
+from posor.estimation.estimate import ESTIMATE, estimate_of
 from posor.model.fault import USABLE_STATES
-from posor.model.scan import Scan, split_by_diode
+from posor.model.scan import Scan, Scans, split_by_diode
 from posor.numerics.stamps import time_ns
 from posor_msgs.msg import EndpointState, JointTransform, RawScan
 
 if TYPE_CHECKING:
     import pinocchio as pin
+    from numpy.typing import NDArray
     from posor.estimation.estimate import Estimate
+    from posor.estimation.fault_model import JointCauses
+    from posor.estimation.posor import Posor
     from sensor_msgs.msg import JointState
 
 
@@ -55,8 +59,21 @@ def pose_from_message(message: Pose) -> pin.SE3:
     return pin.XYZQUATToSE3(np.array([p.x, p.y, p.z, q.x, q.y, q.z, q.w]))
 
 
-def transform_message(raw: RawScan, estimate: Estimate, parent: str, child: str) -> JointTransform:
-    """Return the joint transform of an estimate and its raw scan."""
+def estimate_with_effects(posor: Posor, scan: Scan) -> tuple[Estimate, NDArray[np.float32]]:
+    """Return the estimate of the next scan of a POSOR, and its fault effects."""
+    effects, records = posor.allocate_effects(1), np.zeros(1, dtype=ESTIMATE)
+    posor.estimate_records(Scans.of([scan])._records.copy(), records, effects)
+    return estimate_of(records, 0, posor.reason(scan, records[0])), effects[0]
+
+
+def transform_message(
+    raw: RawScan,
+    estimate: Estimate,
+    parent: str,
+    child: str,
+    faults: tuple[JointCauses, NDArray[np.float32]] | None = None,
+) -> JointTransform:
+    """Return the joint transform of an estimate and its raw scan; ``faults``: causes and their effects."""
     message = JointTransform()
     message.header.stamp = raw.header.stamp
     message.header.frame_id = parent
@@ -72,6 +89,10 @@ def transform_message(raw: RawScan, estimate: Estimate, parent: str, child: str)
     message.state = int(estimate.state)
     message.faults = int(estimate.faults)
     message.scan_status = raw.status
+    if faults is not None:
+        causes, effects = faults
+        message.causes, message.effect_causes, message.effect_kinds = (list(each) for each in causes)
+        message.effects = effects.ravel()
     return message
 
 

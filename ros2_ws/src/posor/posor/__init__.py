@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from posor.model.fault import Fault, State
     from posor.model.scan import Scan, Scans
     from posor.uncertainty.first_order import ErrorBudget, error_budget
+    from posor.uncertainty.protection_level import joint_protection_levels
     from posor.uncertainty.reliability import Reliability, joint_reliability
 
 __all__ = [
@@ -56,6 +57,7 @@ __all__ = [
     "ShapeError",
     "State",
     "error_budget",
+    "joint_protection_levels",
     "joint_reliability",
     "load_arm",
     "load_calibration",
@@ -77,6 +79,7 @@ _MODULES = {
     "estimation.posor": ("Posor",),
     "model.scan": ("Scan", "Scans"),
     "uncertainty.first_order": ("ErrorBudget", "error_budget"),
+    "uncertainty.protection_level": ("joint_protection_levels",),
     "uncertainty.reliability": ("Reliability", "joint_reliability"),
 }
 _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}

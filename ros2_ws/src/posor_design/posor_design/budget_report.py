@@ -17,7 +17,7 @@ from posor.uncertainty.first_order import ContributionKind
 
 from posor_design.data_file import read_data
 from posor_design.monte_carlo import COVERAGE
-from posor_design.reliability_report import arm_json, arm_table, reliability_json, reliability_table
+from posor_design.reliability_report import arm_json, arm_table, causes_table, reliability_json, reliability_table
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -165,7 +165,8 @@ class BudgetReport:
 
     def reliability_tables(self) -> list[ReportTable]:
         """Return the minimal detectable biases, and with an arm the protection level of its endpoint."""
-        return [reliability_table(self.reliability), *([arm_table(self.arm)] if self.arm else [])]
+        tables = [reliability_table(self.reliability), causes_table(self.reliability)]
+        return [*tables, arm_table(self.arm)] if self.arm else tables
 
     def write_csv(self, path: Path) -> None:
         """Write the contributions in order of rank, SI units."""

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any
 
+from posor.chain.fault_bounds import COVERAGE_FACTOR, INTEGRITY_RISK
 from posor.reporting.report_table import ReportTable
-from posor.uncertainty.protection_level import COVERAGE_FACTOR, INTEGRITY_RISK, expansion_bound
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -49,23 +49,43 @@ def reliability_table(reliability: Reliability) -> ReportTable:
     )
 
 
+def causes_table(reliability: Reliability) -> ReportTable:
+    """Return the bound of each cause of faults, and the largest change of the pose that the test may miss."""
+    effects = reliability.cause_effects()
+    return ReportTable(
+        "Causes of faults",
+        ("cause", "kind", "bound", *_SHIFT_COLUMNS, "source of the bound"),
+        [
+            [
+                cause.name,
+                cause.kind,
+                "unlimited" if cause.unlimited else f"{cause.bound:g} {cause.unit}",
+                *map(_micro, effects[cause.name]),
+                cause.source,
+            ]
+            for cause in reliability.hypotheses.causes
+        ],
+        "Largest change of the pose along and about each axis by a fault of one cause that the test of one scan misses "
+        "and that does not exceed its bound (docs/integrity.md). ∞: not bounded.",
+        left=3,
+    )
+
+
 def arm_table(arm: ArmReliability) -> ReportTable:
-    """Return the change of the endpoint by each reading of each joint, the bound of the beams, and the level."""
-    rows = [
-        [joint, name, _micro(bias, NOT_DETECTABLE), *map(_micro, shift)]
-        for joint, own in arm.joints.items()
-        for name, bias, shift in zip(own.names, own.biases, arm.endpoint_shifts[joint], strict=True)
-    ]
-    rows.append(["beams", "temperature", "", *map(_micro, expansion_bound(arm.expansions))])
-    rows.append(["all", "protection level", "", *map(_micro, arm.protection_level)])
+    """Return the change of the endpoint by each cause of each joint, the bound of the beams, and the level."""
+    rows = [[joint, cause, *map(_micro, effect)] for joint, own in arm.effects.items() for cause, effect in own.items()]
+    rows.append(["beams", "temperature", *map(_micro, arm.expansions)])
+    rows.append(["all", "protection level", *map(_micro, arm.protection_level)])
+    rows.append(["all", "set by", *(f"{joint}: {cause}" for joint, cause in arm.set_by)])
     angles = ", ".join(f"{name} {angle:g}" for name, angle in arm.angles.items())
     return ReportTable(
         "Protection level of the endpoint",
-        ("joint", "reading", "detectable bias [µm]", *_SHIFT_COLUMNS),
+        ("joint", "cause", *_SHIFT_COLUMNS),
         rows,
         f"Endpoint at the angles {angles} rad, axes of the base. Protection level: the largest change by an undetected "
-        f"bias of one reading, the bound of the temperature of the measuring beams, and {COVERAGE_FACTOR:.3g} standard "
-        f"uncertainties (integrity risk {INTEGRITY_RISK:g} for one scan and axis). ∞: not bounded.",
+        "fault of one cause, the sum of the causes that are always there, the bound of the temperature of the beams, "
+        f"and {COVERAGE_FACTOR:.3g} standard uncertainties (integrity risk {INTEGRITY_RISK:g} for one scan and axis). "
+        "∞: not bounded.",
         left=2,
     )
 
@@ -85,6 +105,7 @@ def reliability_json(reliability: Reliability) -> dict[str, Any]:
             }
             for i, name in enumerate(reliability.names)
         ],
+        "causes": {name: _finite(effect) for name, effect in reliability.cause_effects().items()},
     }
 
 
@@ -93,11 +114,15 @@ def arm_json(arm: ArmReliability) -> dict[str, Any]:
     return {
         "angles": dict(arm.angles),
         "joints": {
-            name: {**reliability_json(own), "endpoint_shifts": [_finite(row) for row in arm.endpoint_shifts[name]]}
+            name: {
+                **reliability_json(own),
+                "endpoint_effects": {cause: _finite(effect) for cause, effect in arm.effects[name].items()},
+            }
             for name, own in arm.joints.items()
         },
-        "beam_temperature_bound": _finite(expansion_bound(arm.expansions)),
+        "beam_temperature_bound": _finite(arm.expansions),
         "protection_level": _finite(arm.protection_level),
+        "set_by": [f"{joint}: {cause}" for joint, cause in arm.set_by],
         "integrity_risk": INTEGRITY_RISK,
         "coverage_factor": COVERAGE_FACTOR,
     }

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from posor.calibration.causes import FALSE_ALARM
 from posor.calibration.designs import design
 from posor_design.budget_command import OUTPUT_FILES, main
 from posor_design.budget_report import CSV_COLUMNS
@@ -108,7 +109,7 @@ def test_the_table_ends_with_totals_and_names_correlated_quantities(
 
 def test_a_triad_says_that_its_biases_are_not_detectable(made: Path) -> None:
     reliability = json.loads((made / "budget.json").read_text(encoding="utf-8"))["reliability"]
-    assert (reliability["false_alarm"], reliability["missed_detection"]) == pytest.approx((1e-3, 1e-2))
+    assert (reliability["false_alarm"], reliability["missed_detection"]) == pytest.approx((FALSE_ALARM, 1e-2))
     gaps = [reading for reading in reliability["readings"] if reading["name"].startswith("gap ")]
     assert len(gaps) == 3
     for reading in gaps:
@@ -128,13 +129,15 @@ def test_an_arm_gets_the_protection_level_of_its_endpoint(
     found = json.loads((tmp_path / "budget.json").read_text(encoding="utf-8"))["arm"]
     assert tuple(found["angles"].values()) == angles
     level = np.array(found["protection_level"])
-    shifts = np.abs([shift for joint in found["joints"].values() for shift in joint["endpoint_shifts"]])
+    effects = [joint["endpoint_effects"] for joint in found["joints"].values()]
+    shifts = np.array([effect for own in effects for effect in own.values()])
     bound = np.array(found["beam_temperature_bound"])
     assert np.all(bound[:3] > 1e-6)
     assert np.all(level > shifts.max(axis=0) + bound)
     out = capsys.readouterr().out
     assert "protection level" in out
     assert "temperature" in out
+    assert all(": " in each for each in found["set_by"])
     assert "Protection level of the endpoint" in (tmp_path / "budget.html").read_text(encoding="utf-8")
 
 

@@ -24,7 +24,7 @@ from posor.model.scan import Scan
 from posor.numerics.stamps import NS
 from posor_lab.harness.case_tables import refusal
 from posor_lab.harness.graph import scan_message
-from posor_lab.harness.message_conversion import transform_message
+from posor_lab.harness.message_conversion import estimate_with_effects, transform_message
 from posor_lab.harness.random_poses import STACKS, TICK_NS
 from posor_msgs.msg import JointTransform, RawScan
 from posor_ros.message_classes import schema_of_class
@@ -63,10 +63,12 @@ def expected(posor: Posor, messages: Sequence[RawScan]) -> list[bytes]:
     """Return the transforms that the core's estimates of scans make, scan by scan, as rclpy's messages."""
     frames = posor.calibration.frames
     scans = [scan_of(RAW_SCAN.serialize(message)) for message in messages]
-    return [
-        JOINT_TRANSFORM.serialize(transform_message(message, posor.estimate(scan), frames.parent, frames.child))
-        for message, scan in zip(messages, scans, strict=True)
-    ]
+    transforms, causes = [], posor.hypotheses.joint_causes()
+    for message, scan in zip(messages, scans, strict=True):
+        estimate, effects = estimate_with_effects(posor, scan)
+        transform = transform_message(message, estimate, frames.parent, frames.child, (causes, effects))
+        transforms.append(JOINT_TRANSFORM.serialize(transform))
+    return transforms
 
 
 def decode(data: bytes | None) -> JointTransform:
@@ -117,7 +119,9 @@ def test_many_rows_at_once_are_the_bytes_of_one_after_the_other(stack: DesignNam
     wanted = [stream.estimate_message(data) for data in raw]
     layout, transforms = (
         TableLayout.of(raw[0], RAW_SCAN),
-        joint_transform_layout(JOINT_TRANSFORM, "receiving", "target"),
+        joint_transform_layout(
+            JOINT_TRANSFORM, "receiving", "target", (), Posor(calibration).hypotheses.joint_causes()
+        ),
     )
     starts = np.arange(COUNT) * len(raw[0])
     rows = layout.read(np.frombuffer(b"".join(raw), dtype=np.uint8), starts, np.full(COUNT, len(raw[0])))

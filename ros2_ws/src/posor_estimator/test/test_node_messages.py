@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
+import pytest
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 from posor.chain.joint_measurements import JointMeasurements, read_row
 from posor.errors import TopicError
@@ -113,21 +114,45 @@ def test_a_transform_is_recognised_and_read_for_the_chain() -> None:
         assert rows[n, kind.row_layout.state] == message.state
 
 
-def test_shared_terms_are_found_behind_names_of_any_length() -> None:
+def test_shared_terms_and_causes_are_found_behind_names_of_any_length() -> None:
     scan, estimate = next(scans((3, 0, 8))), next(estimates())
     kind, chance = JointTransformFormat("plate_r", "plate_t"), np.random.default_rng(3)
     for names in ((), ("scale",), ("scale", "temperature_of_the_bench"), tuple("abcdefgh"), ()):
         message = transform_message(scan, estimate, "plate_r", "plate_t")
         message.shared_terms, message.shared_effects = list(names), chance.normal(size=6 * len(names))
-        data = JOINT_TRANSFORM.serialize(message)
-        for written in (data, data + b"surplus", serialize_message(message)):
-            found, part = kind.shared_terms(written)
-            assert kind.matches(written)
-            assert found == names
-            assert written[part] == np.asarray(message.shared_effects).tobytes()
-    message.shared_terms, message.shared_effects = ["scale"], [0.0] * 5
-    error = refusal(TopicError, kind.shared_terms, JOINT_TRANSFORM.serialize(message))
-    assert (error.what, error.expected) == ("a message has 5 shared_effects", "6, six for each shared term")
+        for causes in ((), names, tuple(reversed(names))):
+            message.causes, message.effect_causes = list(causes), list(range(len(causes)))
+            message.effect_kinds = [0] * len(causes)
+            message.effects = chance.normal(size=7 * len(causes)).astype(np.float32)
+            data = JOINT_TRANSFORM.serialize(message)
+            for written in (data, data + b"surplus", serialize_message(message)):
+                found = kind.tail(written)
+                assert kind.matches(written)
+                assert (found.terms, found.causes.names) == (names, causes)
+                assert written[found.shared] == np.asarray(message.shared_effects).tobytes()
+                assert written[found.effects] == np.asarray(message.effects, dtype=np.float32).tobytes()
+
+
+@pytest.mark.parametrize(
+    ("change", "what", "expected"),
+    [
+        ({"shared_terms": ["scale"], "shared_effects": [0.0] * 5}, "a message has 5 shared_effects", "6"),
+        ({"causes": ["a"], "effect_causes": [0], "effect_kinds": [0], "effects": [0.0] * 6}, "6 effects", "7"),
+        ({"causes": ["a"], "effect_causes": [0], "effects": [0.0] * 7}, "a message has 0 effect_kinds", "1"),
+        (
+            {"causes": ["a"], "effect_causes": [1], "effect_kinds": [0], "effects": [0.0] * 7},
+            "effect_causes has 1",
+            "less than 1",
+        ),
+    ],
+)
+def test_terms_and_causes_that_do_not_fit_are_refused(change: dict[str, Any], what: str, expected: str) -> None:
+    message = transform_message(next(scans((3, 0, 8))), next(estimates()), "plate_r", "plate_t")
+    for name, value in change.items():
+        setattr(message, name, value)
+    error = refusal(TopicError, JointTransformFormat("plate_r", "plate_t").tail, JOINT_TRANSFORM.serialize(message))
+    assert what in error.what
+    assert error.expected == expected
 
 
 def test_a_transform_between_other_plates_is_not_taken() -> None:

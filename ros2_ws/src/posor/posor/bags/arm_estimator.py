@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from posor.calibration.calibration_file import Calibration
     from posor.chain.forward_kinematics import Endpoints
     from posor.chain.kinematic_chain import Chain
-    from posor.estimation.fault_hypotheses import JointCauses
+    from posor.estimation.fault_model import JointCauses
     from posor.messages.raw_scan import RecordedScans
     from posor.node_parameters import ChainParameters
     from posor.numerics.array_types import BoolArray, FloatArray, IntArray
@@ -242,8 +242,8 @@ class EndpointPipeline:
 
 def _joint_rows(estimates: Estimates, order: IntArray, effects: int) -> NDArray[np.void]:
     rows: NDArray[np.void] = np.empty(len(estimates), dtype=joint_rows(effects))
-    own = np.zeros((0, 0, 0)) if estimates.fault_effects is None else estimates.fault_effects
-    rows["fault_effects"][:, : own.shape[1]] = own
+    if estimates.fault_effects is not None:
+        rows["fault_effects"][:, : estimates.fault_effects.shape[1]] = estimates.fault_effects
     rows["order"], rows["log_time_ns"], rows["stamp_ns"] = order, estimates.log_times_ns, estimates.stamps_ns
     rows["state"], rows["theta"], rows["pose"] = estimates.states, estimates.thetas, estimates.poses
     rows["covariance_random"] = estimates.covariances_random

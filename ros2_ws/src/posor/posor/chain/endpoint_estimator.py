@@ -20,7 +20,7 @@ from posor.chain.forward_kinematics import (
 from posor.chain.joint_measurements import FAULT_TEXTS, JointMeasurements, JointRows
 from posor.errors import ChainError
 from posor.estimation.fault_effects import EFFECT
-from posor.estimation.fault_hypotheses import JointCauses
+from posor.estimation.fault_model import JointCauses
 from posor.numerics.compiled import compile_for
 from posor.numerics.vector import rotation_of_pose
 
@@ -62,7 +62,7 @@ class EndpointEstimator:
         faults: Of the joints, (j,): zero, or a key of ``joint_measurements.FAULT_TEXTS``.
         shared_terms: Names of the shared terms of beams and joints, see ``use_terms``.
         stamp_shift: Largest error of the endpoint by errors of the stamps, along and about each axis, (6,) [m], [rad].
-        fault_effects: What faults of the joints may do to their poses, (j, C, EFFECT), see ``use_causes``; NaN: not known.
+        fault_effects: What faults may do to the joints' poses, (j, C, EFFECT), see ``use_causes``; NaN: not known.
         protection_level: Of the endpoint, written by ``bound_error``, (6,) [m], [rad].
         relative_pose: Endpoint in the axes at home, (7,), written by ``estimate_relative_to``.
         relative_covariance_random: Of the same, (6, 6).

@@ -20,12 +20,12 @@ from __future__ import annotations
 
 import math
 from itertools import chain
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import numpy as np
 
 from posor.estimation.fault_effects import in_double, largest_of_pair
-from posor.estimation.fault_hypotheses import ALWAYS, SECOND, SHARED
+from posor.estimation.fault_model import ALWAYS, SECOND, SHARED
 from posor.numerics.compiled import in_place, inlined
 from posor.numerics.vector import applied, at, cross, matrix, minus, plus, product, rotation_of_pose, transposed
 
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from posor.chain.arm_geometry import ArmGeometry
     from posor.chain.forward_kinematics import Endpoints
     from posor.chain.joint_measurements import JointMeasurements
-    from posor.estimation.fault_hypotheses import JointCauses
+    from posor.estimation.fault_model import JointCauses
     from posor.numerics.array_types import FloatArray, IntArray
     from posor.numerics.vector import Matrix, Vector
 
@@ -44,6 +44,8 @@ INTEGRITY_RISK = 1e-5
 COVERAGE_FACTOR = 4.417173413469022
 """K: the standard uncertainties of the endpoint in a protection level, two-sided normal quantile of the risk."""
 UNKNOWN = -1  # in place of the joint and the cause that set a level
+Shift: TypeAlias = tuple[float, float, float, float, float, float]  # ROS order
+NOT_MOVED: Shift = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 SMALLEST = 1e-6  # share of the largest component below which a component of an unbounded effect is rounding
 
 
@@ -209,32 +211,24 @@ def _add_joint(
             own[c, k] = 0.0
     i = 0
     while i < kinds.shape[0] and of_effects[i] != UNKNOWN:
-        cause, cut, paired = of_effects[i], in_double(effects[i, 6]), i + 1 < kinds.shape[0] and kinds[i + 1] & SECOND
-        shift, turn = _moved(effects, i, rotation, lever)
-        next_shift, next_turn, next_cut = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 1.0
-        if paired:
-            next_shift, next_turn = _moved(effects, i + 1, rotation, lever)
-            next_cut = in_double(effects[i + 1, 6])
-        least = SMALLEST * (_size(shift) + _size(turn))
-        next_least = SMALLEST * (_size(next_shift) + _size(next_turn))
+        cause, cut, moved = of_effects[i], in_double(effects[i, 6]), _moved(effects, i, rotation, lever)
+        other_cut, other, step = 1.0, NOT_MOVED, 1
+        if i + 1 < kinds.shape[0] and kinds[i + 1] & SECOND:
+            other_cut, other, step = in_double(effects[i + 1, 6]), _moved(effects, i + 1, rotation, lever), 2
         for k in range(6):
-            first = shift[k] if k < 3 else turn[k - 3]
-            second = next_shift[k] if k < 3 else next_turn[k - 3]
-            if cut == math.inf:
-                first = math.inf if abs(first) > least else 0.0
-            if next_cut == math.inf:
-                second = math.inf if abs(second) > next_least else 0.0
-            if first == math.inf or second == math.inf:
-                size = math.inf
-            elif not paired or cut == math.inf or next_cut == math.inf:
-                size = abs(first) + abs(second)  # one of them is zero
-            else:
-                size = largest_of_pair(first, second, cut, next_cut)
+            size = _largest(moved[k], other[k], cut, other_cut, SMALLEST * _size(moved), SMALLEST * _size(other))
             if kinds[i] & ALWAYS:
                 level[k] += size
             elif size > own[cause, k]:
                 own[cause, k] = size
-        i += 2 if paired else 1
+        i += step
+    _add_totals(causes, j)
+
+
+@inlined
+def _add_totals(causes: ArmCauses, j: int) -> None:
+    """Add the largest effects of the causes of joint j, ``causes.own``, to those of the arm."""
+    own = causes.own
     for c in range(own.shape[0]):
         for k in range(6):
             if own[c, k] > causes.largest[c, k]:
@@ -246,13 +240,32 @@ def _add_joint(
 
 
 @inlined
-def _moved(effects: FloatArray, i: int, rotation: Matrix, lever: Vector) -> tuple[Vector, Vector]:
-    """Return shift and turn of the endpoint by effect i."""
-    shift = applied(rotation, (in_double(effects[i, 0]), in_double(effects[i, 1]), in_double(effects[i, 2])))
-    turn = applied(rotation, (in_double(effects[i, 3]), in_double(effects[i, 4]), in_double(effects[i, 5])))
-    return plus(shift, cross(turn, lever)), turn
+def _largest(first: float, second: float, cut: float, other_cut: float, least: float, other_least: float) -> float:
+    """Return the largest effect of a hypothesis along an axis from those of its columns; the second may be zero.
+
+    ``least``, ``other_least``: effects of unbounded columns that are rounding errors.
+    """
+    if not math.isinf(cut) and not math.isinf(other_cut):
+        return largest_of_pair(first, second, cut, other_cut)
+    bounded = 0.0
+    for effect, own_cut, own_least in ((first, cut, least), (second, other_cut, other_least)):
+        if not math.isinf(own_cut):
+            bounded += abs(effect)
+        elif abs(effect) > own_least:
+            return math.inf
+    return bounded
 
 
 @inlined
-def _size(v: Vector) -> float:
-    return abs(v[0]) + abs(v[1]) + abs(v[2])
+def _moved(effects: FloatArray, i: int, rotation: Matrix, lever: Vector) -> Shift:
+    """Return shift and turn of the endpoint by effect i."""
+    shift = applied(rotation, (in_double(effects[i, 0]), in_double(effects[i, 1]), in_double(effects[i, 2])))
+    turn = applied(rotation, (in_double(effects[i, 3]), in_double(effects[i, 4]), in_double(effects[i, 5])))
+    x, y, z = plus(shift, cross(turn, lever))
+    return x, y, z, turn[0], turn[1], turn[2]
+
+
+@inlined
+def _size(moved: Shift) -> float:
+    x, y, z, a, b, c = moved
+    return abs(x) + abs(y) + abs(z) + abs(a) + abs(b) + abs(c)

@@ -51,7 +51,16 @@ LARGEST_FLOAT = sys.float_info.max
 ROW_LAYOUT = np.dtype(
     [
         (name, np.int64)
-        for name in ("pose", "native", "covariance_random", "covariance_systematic", "shared", "effects", "stamp_shift", "state")
+        for name in (
+            "pose",
+            "native",
+            "covariance_random",
+            "covariance_systematic",
+            "shared",
+            "effects",
+            "stamp_shift",
+            "state",
+        )
     ]
 )
 """Where a row of message bytes holds its fields: indices of 8-byte numbers, and of the byte ``state``."""
@@ -82,7 +91,7 @@ class JointMeasurements(NamedTuple):
     thetas: FloatArray  # counted large rotations [rad], (n, j); NaN: not counted; infinite: see NATIVE_DISAGREES
     shared_effects: FloatArray  # as ``MeasuredJoint.shared_effects``, (n, j, T, 6), see ``ArmGeometry.joint_terms``
     stamp_shifts: FloatArray  # as ``posor_msgs/JointTransform.stamp_shift``, (n, j, 6) [m], [rad]
-    # As ``estimation.fault_effects`` gives them, C of a joint at most, (n, j, C, EFFECT), floats of 4 bytes; NaN: not known
+    # As ``estimation.fault_effects``, C of a joint at most, (n, j, C, EFFECT), floats of 4 bytes; NaN: not known
     fault_effects: FloatArray
 
     @classmethod

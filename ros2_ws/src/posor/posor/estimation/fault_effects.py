@@ -8,7 +8,8 @@ detection where lambda <= lambda_0. Undetected are therefore the b with
     |Z D b|^2 <= lambda_0    and    |b| <= bound,
 
 an intersection of two ellipsoids, which changes the pose by G D b. Causes that are always there may mask a fault:
-sqrt(lambda_0) grows by the sum of their own largest parts in the residual space. A direction of b is not tested where the readings show less than UNCHECKED of its square.
+sqrt(lambda_0) grows by the sum of their own largest parts in the residual space. A direction of b is not tested where
+the readings show less than UNCHECKED of its square.
 
 ``write_fault_effects`` writes for each column its change of the pose with b along a principal axis of the intersection,
 and a number ``cut``. With f1, f2 the effects of both columns of a hypothesis along any axis and c1, c2 their cuts, the
@@ -30,7 +31,7 @@ from typing import TYPE_CHECKING, Any
 
 from scipy.special import chndtrinc
 
-from posor.estimation.fault_hypotheses import (
+from posor.estimation.fault_model import (
     ALWAYS,
     AMBIENT,
     CONTACT_X,
@@ -76,13 +77,17 @@ def in_double(value: float) -> float:
 def largest_of_pair(first: float, second: float, first_cut: float, second_cut: float) -> float:
     """Return the largest effect of a hypothesis of two parameters from the effects of its columns along one axis."""
     f, g, c, d = abs(first), abs(second), first_cut, second_cut
+    if g == 0.0:
+        return f
     if c == 1.0 and d == 1.0:
         return math.sqrt(f * f + g * g)
     if d > 0.0 and c * f * f + square(g / d) <= f * f + g * g / d:
         return math.sqrt(f * f + g * g / d)  # on the first ellipse, inside of the second
     if c > 0.0 and square(f / c) + d * g * g <= f * f / c + g * g:
         return math.sqrt(f * f / c + g * g)
-    return (f * math.sqrt(max(1.0 - d, 0.0)) + g * math.sqrt(max(1.0 - c, 0.0))) / math.sqrt(1.0 - c * d)  # in the corner
+    return (f * math.sqrt(max(1.0 - d, 0.0)) + g * math.sqrt(max(1.0 - c, 0.0))) / math.sqrt(
+        1.0 - c * d
+    )  # in the corner
 
 
 @in_place
@@ -148,11 +153,7 @@ def _write_pair(model: Model, effects: FloatArray, c: int, root: float) -> None:
     """Write both columns of a hypothesis along the principal axes of what the test sees of it."""
     faults = model.faults
     bound = faults.columns[c].bound
-    a, b, d = (
-        _dot(faults.components, c, c),
-        _dot(faults.components, c, c + 1),
-        _dot(faults.components, c + 1, c + 1),
-    )
+    a, b, d = (_dot(faults.components, c, c), _dot(faults.components, c, c + 1), _dot(faults.components, c + 1, c + 1))
     angle = 0.5 * math.atan2(2.0 * b, a - d)
     u, v = math.cos(angle), math.sin(angle)
     middle, half = 0.5 * (a + d), math.sqrt(square(0.5 * (a - d)) + b * b)

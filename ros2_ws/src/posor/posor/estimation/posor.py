@@ -424,12 +424,7 @@ class Posor:
                 done += 1
 
     def _estimate_scans(
-        self,
-        scans: NDArray[np.void],
-        estimates: NDArray[np.void],
-        effects: NDArray[np.float32],
-        begin: int,
-        end: int,
+        self, scans: NDArray[np.void], estimates: NDArray[np.void], effects: NDArray[np.float32], begin: int, end: int
     ) -> tuple[int, int]:
         if not self._plain.present:
             return estimate_scans(self.model, scans, estimates, effects, begin, end)
@@ -442,12 +437,7 @@ class Posor:
         return end, DONE
 
     def finish_scan(
-        self,
-        scans: NDArray[np.void],
-        estimates: NDArray[np.void],
-        effects: NDArray[np.float32],
-        n: int,
-        left: int,
+        self, scans: NDArray[np.void], estimates: NDArray[np.void], effects: NDArray[np.float32], n: int, left: int
     ) -> None:
         """Do what ``estimate_scans`` left to do for scan n: start from a closed form, or retry from there.
 

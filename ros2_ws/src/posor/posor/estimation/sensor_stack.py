@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from posor.errors import CalibrationError
-from posor.estimation.fault_hypotheses import FaultModel
+from posor.estimation.fault_model import FaultModel
 from posor.estimation.linearise import linearise_scans
 from posor.estimation.solver import SINGULAR, solve_start
 from posor.estimation.workspace import (

@@ -18,7 +18,7 @@ from posor.model.scan import CONTACTS, MAX_DIODES, MAX_GAP_PROBES, MAX_RING_PROB
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from posor.estimation.fault_hypotheses import FaultModel
+    from posor.estimation.fault_model import FaultModel
     from posor.numerics.array_types import FloatArray, IntArray
 
 LONGEST_LOOP = 64  # loops of fewer scans are detected

@@ -13,7 +13,7 @@ from posor.chain.joint_measurements import JointRowLayout
 from posor.errors import TopicError
 from posor.estimation.estimate_scan import LOST
 from posor.estimation.fault_effects import EFFECT
-from posor.estimation.fault_hypotheses import MAX_EFFECTS, JointCauses
+from posor.estimation.fault_model import MAX_EFFECTS, JointCauses
 from posor.messages.cdr_schema import LITTLE_ENDIAN, STAMP
 from posor.messages.message_definitions import installed_schema
 from posor.messages.message_table import LEAD, MessageRows, MessageTable, TableLayout
@@ -238,7 +238,9 @@ class JointTransformFormat:
             causes = JointCauses(tuple(values["causes"]), tuple(of_effects), tuple(kinds))
             self._tail = TransformTail(tuple(terms), shared.part, causes, effects.part)
             self._least, self._begin_causes = layout.size, layout.lengths["causes"]
-            self._known_terms = data[self._begin_shared : shared.offset if terms else layout.lengths["shared_effects"] + 4]
+            self._known_terms = data[
+                self._begin_shared : shared.offset if terms else layout.lengths["shared_effects"] + 4
+            ]
             self._known_causes = data[self._begin_causes : effects.offset if count else layout.size]
         return self._tail
 

@@ -73,8 +73,8 @@ class ArmReliability:
 
     angles: Mapping[str, float]  # of the joints [rad], by name
     joints: Mapping[str, Reliability]  # reliability of each joint
-    # Largest undetected change of the endpoint by each cause of each joint, (6,), ROS order, axes of the base [m, rad];
-    # infinite: not bounded
+    # Largest undetected change of the endpoint by each cause of each joint, in metres and radians along and about the
+    # axes of the base, (6,); infinite: not bounded
     effects: Mapping[str, Mapping[str, FloatArray]]
     expansions: FloatArray  # largest change by the temperature of the measuring beams, (6,), likewise
     protection_level: FloatArray  # of the endpoint, (6,)

@@ -24,7 +24,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.special import chdtrc
 
-from posor.estimation.fault_effects import MISSED_DETECTION, UNCHECKED
+from posor.chain.fault_bounds import SMALLEST
+from posor.estimation.fault_effects import MISSED_DETECTION, UNCHECKED, largest_of_pair
+from posor.estimation.fault_model import SECOND
 from posor.model.native_coordinates import native_from_rotation
 from posor.model.scan import Scans
 from posor.numerics.array_types import freeze_arrays
@@ -74,6 +76,24 @@ class Reliability:
     def __post_init__(self) -> None:
         """Make the arrays read-only."""
         freeze_arrays(self)
+
+    def cause_effects(self) -> dict[str, FloatArray]:
+        """Return the largest undetected change of the pose by each cause, (6,), ROS order; infinite: not bounded."""
+        largest = {cause.name: np.zeros(6) for cause in self.hypotheses.causes}
+        columns, effects = self.hypotheses.model.columns, self.effects.astype(float)
+        sizes = np.abs(effects[:, :6])
+        tiny = SMALLEST * sizes.max(axis=1, keepdims=True)
+        sizes = np.where(np.isinf(effects[:, 6:]), np.where(sizes > tiny, math.inf, 0.0), sizes)
+        for c, number in enumerate(self.hypotheses.of_columns):
+            own = sizes[c]
+            if columns[c]["kind"] & SECOND:
+                cuts = effects[c - 1 : c + 1, 6].tolist()
+                pairs = zip(sizes[c - 1].tolist(), sizes[c].tolist(), strict=True)
+                if max(cuts) < math.inf:
+                    own = np.array([largest_of_pair(one, other, *cuts) for one, other in pairs])
+            name = self.hypotheses.causes[number].name
+            largest[name] = np.maximum(largest[name], own)
+        return largest
 
     def __repr__(self) -> str:
         """Return the number of readings, and how many of them are not checked."""

@@ -16,7 +16,7 @@ from posor.bags.reprocess_task import JointSettings, Settings
 from posor.calibration.calibration_file import Calibration
 from posor.calibration.designs import DesignName, design
 from posor.estimation.estimate import Estimates
-from posor.estimation.fault_hypotheses import JointCauses
+from posor.estimation.fault_model import JointCauses
 from posor.estimation.forward import scans_at
 from posor.estimation.posor import Posor
 from posor.messages.estimate_arrays import estimate_joint

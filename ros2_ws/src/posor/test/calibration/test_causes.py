@@ -44,7 +44,7 @@ def test_invalid_entries_are_named_with_what_is_right(case: str) -> None:
     sentence = str(caught.value)
     line = next(n for n, each in enumerate(text.splitlines(), 1) if each.startswith("causes"))
     assert sentence.startswith("posor.yaml, line ")
-    assert int(sentence.split("line ")[1].split(",")[0]) > line
+    assert int(sentence.split("line ")[1].split(",", maxsplit=1)[0]) > line
     for part in (key.split(".")[0], what, expected):
         assert part in sentence
 
@@ -63,9 +63,7 @@ def test_an_entry_replaces_the_default_of_its_name_and_zero_removes_it() -> None
     assert "light spots" not in found
 
 
-@pytest.mark.parametrize(
-    ("name", "causes"), [("quad_diodes", 14), ("triad_bumpy_ring", 11), ("quad_light_ring", 14)]
-)
+@pytest.mark.parametrize(("name", "causes"), [("quad_diodes", 14), ("triad_bumpy_ring", 11), ("quad_light_ring", 14)])
 def test_each_design_has_the_causes_of_its_sensors(name: DesignName, causes: int) -> None:
     hypotheses = Posor(design(name)).hypotheses
     assert len(hypotheses.causes) == causes

@@ -118,7 +118,10 @@ def test_the_covariance_contains_the_square_of_each_sum(measured: dict[str, Meas
 
 
 def test_one_scan_many_scans_rows_and_axes_at_home_give_the_same(measured: dict[str, MeasuredJoint]) -> None:
-    layouts = [JointRowLayout(8, 64, 112, 400, shared=688, effects=0, stamp_shift=1072, state=3, size=1120) for _ in range(JOINTS)]
+    layouts = [
+        JointRowLayout(8, 64, 112, 400, shared=688, effects=0, stamp_shift=1072, state=3, size=1120)
+        for _ in range(JOINTS)
+    ]
     chain = chain_with(terms=True)
     one, rows = (chain.estimator(row_layouts=layouts) for _ in range(2))
     one.set_measurements(measured)

@@ -17,7 +17,9 @@ from posor.uncertainty.budget_poses import scan_at
 from posor_lab.faults.cause_faults import inject, with_readings
 from scipy.special import chndtr
 
-POSE = pin.SE3(pin.exp3(np.array([1e-4, -2e-4, 0.0])) @ pin.exp3(np.array([0.0, 0.0, 0.01])), np.array([1e-5, 0.0, 7.4e-4]))
+POSE = pin.SE3(
+    pin.exp3(np.array([1e-4, -2e-4, 0.0])) @ pin.exp3(np.array([0.0, 0.0, 0.01])), np.array([1e-5, 0.0, 7.4e-4])
+)
 STACKS = {
     stack: sized_design(stack, 0.15, frames=("receiving", "target"), title=stack)  # type: ignore[arg-type]
     for stack in ("quad_light_ring", "quad_bumpy_ring")
@@ -58,10 +60,7 @@ def test_the_direction_is_that_of_changed_raw_readings(stack: str, cause: dict[s
     random = np.random.default_rng(1)
     after = estimated(posor, inject(posor.hypotheses.causes[0], np.array([size]), scan, posor.stack, random))
     moved = np.concatenate(
-        [
-            after.translations[0] - before.translations[0],
-            pin.log3(after.rotations[0] @ before.rotations[0].T),
-        ]
+        [after.translations[0] - before.translations[0], pin.log3(after.rotations[0] @ before.rotations[0].T)]
     )
     expected = before.fault_effects[0, 0, :6].astype(float)
     for part in (slice(3), slice(3, 6)):

@@ -123,7 +123,7 @@ def test_faults_and_limits_of_motion() -> None:
     thetas = np.concatenate([np.arange(20) * 1e-4, 0.05 + np.arange(20) * 1e-4])  # a jump by 48 mrad in a millisecond
     scans = turning_scans(rows, thetas, seed=6)
     scans.diode_currents[7] = np.nan
-    scans.diode_currents[9, 0, :2] *= 1.01
+    scans.diode_currents[9, 0, :2] *= 1.02
     expected = rows.estimate_all(scans)
     assert expected.faults[7] == Fault.BAD_READING
     assert expected.faults[9] & Fault.RESIDUAL

@@ -18,7 +18,7 @@ from posor.chain.fault_bounds import COVERAGE_FACTOR, INTEGRITY_RISK
 from posor.chain.joint_measurements import MeasuredJoint
 from posor.chain.kinematic_chain import Chain
 from posor.errors import ParameterError
-from posor.estimation.fault_hypotheses import ALWAYS, SECOND, SHARED, JointCauses
+from posor.estimation.fault_model import ALWAYS, SECOND, SHARED, JointCauses
 from posor.estimation.forward import scans_at
 from posor.estimation.posor import Posor
 from posor.numerics.array_types import FloatArray
@@ -78,7 +78,7 @@ def test_the_reference_of_the_kernel_is_that_of_the_chain(chain: Chain, joint: s
 
 @pytest.mark.parametrize("turned", [False, True])
 def test_the_worst_fault_counts_and_all_causes_that_are_always_there(
-    chain: Chain, turned: bool, rng: np.random.Generator
+    chain: Chain, *, turned: bool, rng: np.random.Generator
 ) -> None:
     effects = np.concatenate([1e-6 * rng.normal(size=(2, 6, 6)), np.ones((2, 6, 1))], axis=2)
     root = 1e-7 * rng.normal(size=(6, 6))

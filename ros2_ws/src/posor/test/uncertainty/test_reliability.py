@@ -9,12 +9,12 @@ import pinocchio as pin
 import pytest
 from posor.calibration.causes import FALSE_ALARM
 from posor.calibration.designs import design, sized_design
+from posor.estimation.fault_effects import noncentrality
 from posor.estimation.forward import scans_at
 from posor.estimation.posor import Posor
 from posor.model.fault import State
 from posor.model.native_coordinates import rotation_from_native
 from posor.numerics.array_types import FloatArray
-from posor.estimation.fault_effects import noncentrality
 from posor.uncertainty.reliability import Reliability, joint_reliability
 from scipy.special import chndtr
 
