@@ -72,8 +72,12 @@ def transform_message(
     parent: str,
     child: str,
     faults: tuple[JointCauses, NDArray[np.float32]] | None = None,
+    calibration: int = 0,
 ) -> JointTransform:
-    """Return the joint transform of an estimate and its raw scan; ``faults``: causes and their effects."""
+    """Return the joint transform of an estimate and its raw scan.
+
+    ``faults``: causes and their effects; ``calibration``: its id, 0: not stated.
+    """
     message = JointTransform()
     message.header.stamp = raw.header.stamp
     message.header.frame_id = parent
@@ -93,6 +97,7 @@ def transform_message(
         causes, effects = faults
         message.causes, message.effect_causes, message.effect_kinds = (list(each) for each in causes)
         message.effects = effects.ravel()
+    message.calibration = calibration
     return message
 
 

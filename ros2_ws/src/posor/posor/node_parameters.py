@@ -180,6 +180,14 @@ class ChainParameters(AlarmParameters):
         default="",
         description="path of the beams file: uncertainty, sag, temperature of the beams; empty: straight and exact",
     )
+    commissioning: str = Field(
+        default="",
+        description="path of the commissioning record; where the arm differs from it, the endpoint is DEGRADED; empty: "
+        "nothing is compared",
+    )
+    require_commissioned: bool = Field(
+        default=False, description="no pose where the arm differs from its commissioning record"
+    )
     acceleration_window: Annotated[float, Field(ge=0.0, le=10.0)] = Field(
         default=0.0,
         description="motion [s] from which the beams' accelerations are estimated, for their sag; 0: assume rest",
@@ -199,6 +207,13 @@ class ChainParameters(AlarmParameters):
     tf_rate: Annotated[float, Field(ge=0.0, le=1000.0)] = Field(
         default=30.0, description="how often /tf is published [1/s], with the stamp of the last pose; 0: not at all"
     )
+
+    @model_validator(mode="after")
+    def _check_commissioning(self) -> ChainParameters:
+        if self.require_commissioned and not self.commissioning:
+            text = "'require_commissioned' is true without 'commissioning'; expected the path of a commissioning record"
+            raise ValueError(text)
+        return self
 
     @field_validator("tf_rate")
     @classmethod

@@ -52,6 +52,7 @@ from sensor_msgs.msg import JointState
 from posor_estimator.alarm_rate import AlarmRate
 from posor_estimator.endpoint_verdict import SOUND, JointStatus, degraded_verdict, unusable_verdict
 from posor_estimator.frame_publisher import FramePublisher, StampedPoses
+from posor_estimator.identity_check import IdentityCheck
 
 if TYPE_CHECKING:
     from posor.chain.endpoint_estimator import EndpointEstimator
@@ -81,6 +82,7 @@ class ChainNode(PosorNode[ChainParameters]):
     _kinds: dict[str, JointTransformFormat]
     _home: FloatArray | None
     _frames: FramePublisher
+    _identity: IdentityCheck
     _pose_stamp: bytes  # of the last complete scan; empty: it has no pose
     _reported: object
     _alarms: AlarmRate
@@ -123,6 +125,7 @@ class ChainNode(PosorNode[ChainParameters]):
         )
         self._is_relative = self.parameters.reference == "home"
         frame = f"{self.parameters.endpoint_frame}_home" if self._is_relative else chain.base_frame
+        self._identity = IdentityCheck(self.parameters, names)
         self._writer = EndpointWriter(self._estimator, frame, relative=self._is_relative)
         endpoint = self.parameters.endpoint_frame
         self._state_writer = EndpointStateWriter(self._estimator, frame, endpoint, relative=self._is_relative)
@@ -259,8 +262,9 @@ class ChainNode(PosorNode[ChainParameters]):
             if not self._inputs.silent:
                 self._report_refused_scan(verdict)
 
-    def _publish_endpoint(self, scan: dict[str, bytes], stamp_ns: int) -> None:
-        estimator, terms, causes = self._estimator, [], []
+    def _fill_rows(self, scan: dict[str, bytes]) -> bytes:
+        """Copy the transforms of a scan with shared terms, causes and calibrations; return the bytes of its stamp."""
+        terms, causes, ids = [], [], []
         for name, kind, row, shared, effects in self._buffers:
             data = scan[name]
             row[:] = data if len(data) == kind.size else data[: kind.size]
@@ -271,15 +275,25 @@ class ChainNode(PosorNode[ChainParameters]):
                 effects[: tail.effects.stop - tail.effects.start] = data[tail.effects]
             terms.append(tail.terms)
             causes.append(tail.causes)
-        estimator.use_terms(terms)
-        estimator.use_causes(causes)
-        stamp = self._last_stamp = data[STAMP]
+            ids.append(data[kind.calibration])
+        self._estimator.use_terms(terms)
+        self._estimator.use_causes(causes)
+        if ids != self._identity.ids:
+            self._identity.update(ids)
+            self._state_writer.identity = self._identity.sha256
+        return data[STAMP]
+
+    def _publish_endpoint(self, scan: dict[str, bytes], stamp_ns: int) -> None:
+        estimator, identity = self._estimator, self._identity
+        stamp = self._last_stamp = self._fill_rows(scan)
         refusal = self._inputs.refusal(stamp_ns)
         if refusal:
             self._refuse_scan(stamp, stamp_ns, EndpointVerdict(EndpointState.STATE_LOST, 0, "", refusal))
             return
-        if (worst := estimator.estimate_rows(stamp_ns)) < 0:
-            self._refuse_scan(stamp, stamp_ns, unusable_verdict(self._joints_of(scan)))
+        worst = estimator.estimate_rows(stamp_ns)
+        if worst < 0 or identity.refuses:
+            verdict = unusable_verdict(self._joints_of(scan)) if worst < 0 else identity.verdict
+            self._refuse_scan(stamp, stamp_ns, verdict)
             return
         self._pose_stamp = stamp
         if self._is_relative:
@@ -292,6 +306,7 @@ class ChainNode(PosorNode[ChainParameters]):
         if self._joint_states.has_subscriptions:
             self._joint_states.publish(writer.joint_states.write(stamp))
         verdict = SOUND if worst == State.OK else degraded_verdict(self._joints_of(scan))
+        verdict = identity.degraded(verdict)
         self._publish_state(stamp, stamp_ns, verdict)
         self.timing.record(stamp_ns)
         self._poses += 1

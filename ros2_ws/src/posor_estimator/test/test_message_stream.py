@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from posor.calibration.designs import BUMPS, DesignName, design
+from posor.chain.identity import calibration_id
 from posor.errors import TopicError
 from posor.estimation.forward import scans_at
 from posor.estimation.posor import Posor
@@ -61,12 +62,12 @@ def moving(posor: Posor, *, start: float = 0.05) -> list[RawScan]:
 
 def expected(posor: Posor, messages: Sequence[RawScan]) -> list[bytes]:
     """Return the transforms that the core's estimates of scans make, scan by scan, as rclpy's messages."""
-    frames = posor.calibration.frames
+    frames, number = posor.calibration.frames, calibration_id(posor.calibration)
     scans = [scan_of(RAW_SCAN.serialize(message)) for message in messages]
     transforms, causes = [], posor.hypotheses.joint_causes()
     for message, scan in zip(messages, scans, strict=True):
         estimate, effects = estimate_with_effects(posor, scan)
-        transform = transform_message(message, estimate, frames.parent, frames.child, (causes, effects))
+        transform = transform_message(message, estimate, frames.parent, frames.child, (causes, effects), number)
         transforms.append(JOINT_TRANSFORM.serialize(transform))
     return transforms
 
@@ -120,7 +121,12 @@ def test_many_rows_at_once_are_the_bytes_of_one_after_the_other(stack: DesignNam
     layout, transforms = (
         TableLayout.of(raw[0], RAW_SCAN),
         joint_transform_layout(
-            JOINT_TRANSFORM, "receiving", "target", (), Posor(calibration).hypotheses.joint_causes()
+            JOINT_TRANSFORM,
+            "receiving",
+            "target",
+            (),
+            Posor(calibration).hypotheses.joint_causes(),
+            calibration_id(calibration),
         ),
     )
     starts = np.arange(COUNT) * len(raw[0])
@@ -129,6 +135,18 @@ def test_many_rows_at_once_are_the_bytes_of_one_after_the_other(stack: DesignNam
     rows_stream = MessageStream.of(layout, transforms, rows.rows, out.rows)
     assert MessageEstimator(Posor(calibration), rows_stream).estimate_rows()
     assert [message.tobytes() for message in out.messages] == wanted
+
+
+@pytest.mark.parametrize("number", [0, 1, 0x7FF0000000000001, 0xFFF8000000000001, 2**64 - 1])
+def test_an_id_that_would_be_no_number_keeps_its_bits(number: int) -> None:
+    posor = Posor(design("triad_diodes"))
+    raw = TableLayout.of(RAW_SCAN.serialize(moving(posor)[0]), RAW_SCAN)
+    transforms = joint_transform_layout(JOINT_TRANSFORM, "receiving", "target", calibration=number)
+    out = transforms.copies(1)
+    for each in (posor, in_python(posor)):
+        out.rows[:] = 0
+        assert MessageEstimator(each, MessageStream.of(raw, transforms, raw.row[None].copy(), out.rows)).estimate_rows()
+        assert decode(out.messages[0].tobytes()).calibration == number
 
 
 def in_python(posor: Posor) -> Posor:

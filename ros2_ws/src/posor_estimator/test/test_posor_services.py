@@ -202,6 +202,7 @@ def test_reload_uses_the_new_file_without_a_restart(rig: NodeRig) -> None:
     assert (success, message) == (True, f"calibration 'triad_diodes', hash {digest}")
     after = rig.send(20)
     assert {transform.state for transform in after} == {JointTransform.STATE_OK}
+    assert {f"{transform.calibration:016x}" for transform in after} == {digest[:16]}
     assert abs(natives(after)[:, 2].mean() - GAP) < 2e-7
     assert abs(before[2] - GAP) > 1e-6
     status = wait_for_value(rig.graph, "/posor_node: estimate", "scans", "40")

@@ -10,6 +10,7 @@ import numpy as np
 from posor.bags.block_synchroniser import BlockSynchroniser, joint_rows
 from posor.bags.reprocess_task import EndpointSummary, JointSummary
 from posor.calibration.shared_terms import check_same_terms
+from posor.chain.identity import calibration_id
 from posor.errors import ChainError
 from posor.estimation.estimate import Estimates
 from posor.estimation.posor import Posor
@@ -41,6 +42,7 @@ class ArmEstimator:
         frames: Receiving and target frame of each joint.
         shared_terms: Names of the shared terms of each joint.
         causes: Of faults of each joint.
+        calibration_ids: Id of each joint's calibration.
         endpoint: The kinematic chain; None: joints only.
 
     """
@@ -54,6 +56,7 @@ class ArmEstimator:
         }
         self.shared_terms = {name: tuple(each.shared) for name, each in calibrations.items()}
         self.causes = {name: joint.causes for name, joint in self._joints.items()}
+        self.calibration_ids = {name: calibration_id(each) for name, each in calibrations.items()}
         loaded = settings.load_chain()
         self.endpoint = (
             None if loaded is None else EndpointPipeline(*loaded, self.frames, self.shared_terms, self.causes)

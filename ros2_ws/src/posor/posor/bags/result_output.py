@@ -60,7 +60,11 @@ class BagOutput:
             name: (
                 self._add_topic(topic, JOINT_TRANSFORM, topics.offered),
                 joint_transform_layout(
-                    transform, *estimator.frames[name], estimator.shared_terms[name], estimator.causes[name]
+                    transform,
+                    *estimator.frames[name],
+                    estimator.shared_terms[name],
+                    estimator.causes[name],
+                    estimator.calibration_ids[name],
                 ),
             )
             for name, topic in topics.transforms.items()

@@ -2,7 +2,8 @@
 
 Versions of the format:
 
-1. First version: ``urdf``, ``endpoint_frame``, ``beams``, ``joints``, ``chain``, ``driver``, ``scenario``.
+1. First version: ``urdf``, ``endpoint_frame``, ``beams``, ``joints``, ``chain``, ``driver``, ``scenario``; later
+   ``serial`` and ``commissioning``, which may be left out.
 """
 
 from __future__ import annotations
@@ -81,9 +82,11 @@ class ArmFileContent(FrozenModel):
     version: Literal[1]
     name: Name
     provenance: Provenance
+    serial: str = ""
     urdf: str
     endpoint_frame: str = "endpoint"
     beams: str = ""
+    commissioning: str = ""
     joints: dict[str, JointFile]
     chain: ChainFile = ChainFile()
     driver: DriverFile
@@ -102,9 +105,11 @@ class ArmFile:
 
     path: Path  # the arm file
     name: str  # the arm's name, also its ROS namespace
+    serial: str  # serial number of the arm; empty: not stated
     urdf: Path  # path of the URDF
     endpoint_frame: str  # link of the endpoint
     beams: Path | None  # path of the beams file; None: straight and exact beams
+    commissioning: Path | None  # path of the commissioning record, which may not exist yet; None: not named
     calibrations: Mapping[str, Path]  # path of each joint's calibration file, in the order of the chain
     sessions: Mapping[str, str]  # session of each joint's calibration
     # ROS parameters of each joint's posor_node, besides calibration and session
@@ -158,9 +163,11 @@ def load_arm_file(path: Path) -> ArmFile:
     return ArmFile(
         path=path,
         name=content.name,
+        serial=content.serial,
         urdf=folder / content.urdf,
         endpoint_frame=content.endpoint_frame,
         beams=folder / content.beams if content.beams else None,
+        commissioning=folder / content.commissioning if content.commissioning else None,
         calibrations={name: folder / joint.calibration for name, joint in content.joints.items()},
         sessions={name: joint.session for name, joint in content.joints.items()},
         posor_parameters={name: joint.parameters for name, joint in content.joints.items()},
@@ -186,6 +193,8 @@ def chain_parameters(arm: ArmFile) -> dict[str, ParameterValue]:
     parameters: dict[str, ParameterValue] = {"urdf": str(arm.urdf), "endpoint_frame": arm.endpoint_frame}
     if arm.beams is not None:
         parameters["beams"] = str(arm.beams)
+    if arm.commissioning is not None:
+        parameters["commissioning"] = str(arm.commissioning)
     return _checked(arm, "", ChainParameters, {**parameters, **arm.chain_parameters})
 
 

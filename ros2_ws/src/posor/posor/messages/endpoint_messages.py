@@ -116,21 +116,26 @@ class EndpointVerdict(NamedTuple):
 
 
 class EndpointStateWriter:
-    """Writes ``EndpointState``; pose, covariances and protection level are NaN without a pose."""
+    """Writes ``EndpointState``; pose, covariances and protection level are NaN without a pose.
+
+    Attributes:
+        identity: Of the arm, 64 hexadecimal digits; empty: not known yet.
+
+    """
 
     def __init__(self, estimator: EndpointEstimator, frame: str, child_frame: str, *, relative: bool) -> None:
         pose, random, systematic = estimator.result(relative=relative)
         self._estimator, self._is_relative = estimator, relative
         self._causes: tuple[tuple[str, str], ...] = ()
-        self._age = np.full(1, np.nan)
+        self.identity, self._age = "", np.full(1, np.nan)
         endpoint = {POSE: pose, "covariance_random": random, "covariance_systematic": systematic}
         endpoint["protection_level"] = estimator.protection_level
         nothing = {name: np.full(numbers.shape, np.nan) for name, numbers in endpoint.items()}
         frames = {"header.frame_id": frame, "child_frame_id": child_frame}
 
         @lru_cache(maxsize=WRITERS)
-        def writer_of(verdict: EndpointVerdict, causes: tuple[tuple[str, str], ...]) -> MessageWriter:
-            values: dict[str, Any] = {"state": verdict.state, "faults": verdict.faults}
+        def writer_of(verdict: EndpointVerdict, causes: tuple[tuple[str, str], ...], identity: str) -> MessageWriter:
+            values: dict[str, Any] = {"state": verdict.state, "faults": verdict.faults, "identity": identity}
             for name, text, limit in (("joint", verdict.joint, MAX_JOINT), ("reason", verdict.reason, MAX_REASON)):
                 values |= {name: text.encode()[:limit].decode(errors="ignore")}
             values["protection_causes"] = [f"{joint}: {cause}" if cause else "" for joint, cause in causes]
@@ -146,4 +151,4 @@ class EndpointStateWriter:
     def write(self, stamp: bytes, age_s: float, verdict: EndpointVerdict) -> bytes:
         """Return the message; ``stamp``: its eight bytes (``STAMP``); ``age_s``: until now [s], NaN: no scan yet."""
         self._age[0] = age_s
-        return self._writer_of(verdict, self._causes if verdict.has_pose else ()).write(stamp)
+        return self._writer_of(verdict, self._causes if verdict.has_pose else (), self.identity).write(stamp)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from posor.chain.identity import NOT_STATED
 from posor.chain.joint_measurements import JointRowLayout
 from posor.errors import TopicError
 from posor.estimation.estimate_scan import LOST
@@ -52,20 +53,32 @@ TRANSFORM_LAYOUT = np.dtype([*((name, "i8") for name in FIELDS), ("shared_count"
 NO_CAUSES = JointCauses()
 _STAMP = struct.Struct("<iI")
 _FAULTS = struct.Struct("<I")
+_CALIBRATION = struct.Struct("<Q")
 
 
 def joint_transform_layout(
-    schema: Schema, parent: str, child: str, shared: Sequence[str] = (), causes: JointCauses = NO_CAUSES
+    schema: Schema,
+    parent: str,
+    child: str,
+    shared: Sequence[str] = (),
+    causes: JointCauses = NO_CAUSES,
+    calibration: int = NOT_STATED,
 ) -> TableLayout:
-    """Return the layout of transforms between two frames.
+    """Return the layout of transforms between two frames, and what is the same in all.
 
-    ``schema``: JointTransform; ``shared``: its shared terms; ``causes``: of faults, with their effects.
+    ``schema``: JointTransform; ``shared``: its shared terms; ``causes``: of faults, with their effects;
+    ``calibration``: ``calibration_id`` of that in force.
     """
-    return TableLayout.of(_example(schema, parent, child, shared, causes), schema)
+    return TableLayout.of(_example(schema, parent, child, shared, causes, calibration), schema)
 
 
 def _example(
-    schema: Schema, parent: str, child: str, shared: Sequence[str] = (), causes: JointCauses = NO_CAUSES
+    schema: Schema,
+    parent: str,
+    child: str,
+    shared: Sequence[str] = (),
+    causes: JointCauses = NO_CAUSES,
+    calibration: int = NOT_STATED,
 ) -> bytes:
     terms = {"shared_terms": list(shared), "shared_effects": [0.0] * (6 * len(shared))}
     faults = {
@@ -74,7 +87,8 @@ def _example(
         "effect_kinds": list(causes.kinds),
         "effects": [0.0] * (EFFECT * len(causes.kinds)),
     }
-    return schema.encode({"header.frame_id": parent, "child_frame_id": child, **terms, **faults})
+    frames = {"header.frame_id": parent, "child_frame_id": child, "calibration": calibration}
+    return schema.encode({**frames, **terms, **faults})
 
 
 def packing_layout(transforms: TableLayout) -> NDArray[np.void]:
@@ -181,6 +195,7 @@ class JointTransformFormat:
 
     Attributes:
         size: Of a message without shared terms and causes [bytes]; surplus bytes at its end are ignored.
+        calibration: Bytes of the id of the calibration in force, see ``unpack_calibration``.
         row_layout: Offsets of the fields in a row with the message.
 
     """
@@ -199,6 +214,7 @@ class JointTransformFormat:
         self._unpack = layout.unpacker(("header.frame_id", "child_frame_id")).unpack_from
         self._unpacked_frames = self._unpack(example)
         self._state, self._faults = layout["state"].offset, layout["faults"].offset
+        self.calibration = layout["calibration"].part
 
     def matches(self, data: bytes) -> bool:
         """Return whether a message is a transform between these plates, with the terms and causes seen last."""
@@ -252,3 +268,8 @@ class JointTransformFormat:
     def read_state(self, data: bytes) -> tuple[int, int]:
         """Return ``State`` and ``Fault`` of a message as plain numbers."""
         return data[self._state], int(_FAULTS.unpack_from(data, self._faults)[0])
+
+
+def unpack_calibration(data: bytes) -> int:
+    """Return the id of a calibration from its eight bytes in a transform."""
+    return int(_CALIBRATION.unpack(data)[0])

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from posor.chain.identity import calibration_id
 from posor.estimation.estimate_scan import DONE, LOST, estimate_scan, write_lost
 from posor.estimation.fault_effects import EFFECT, write_fault_effects
 from posor.messages.cdr_schema import STAMP
@@ -256,7 +257,8 @@ class RawScanStream:
         raw = TableLayout.of(example, installed_schema(RAW_SCAN))
         shared = list(posor.calibration.shared)
         schema, causes = installed_schema(JOINT_TRANSFORM), posor.hypotheses.joint_causes()
-        transform = joint_transform_layout(schema, frames.parent, frames.child, shared, causes)
+        number = calibration_id(posor.calibration)
+        transform = joint_transform_layout(schema, frames.parent, frames.child, shared, causes, number)
         self._posor, self._parent, self.frame = posor, frames.parent, raw.strings["header.frame_id"]
         row, out = raw.row[None].copy(), transform.row[None].copy()
         self._estimator = MessageEstimator(posor, MessageStream.of(raw, transform, row, out, check=True))
