@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 import yaml
+from posor.calibration.calibration_file import load_calibration
+from posor.calibration.designs import design
 from posor.chain.arm_file import ArmFile, load_arm_file
 from posor_bringup.arms import ARM_FILE, find_arm
 from posor_drivers.simulator.imperfections import Imperfections
@@ -20,12 +22,15 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
 
-RATES: Mapping[str, int] = {"six_axis": 50, "five_axis": 50, "test_rig": 100}
+RATES: Mapping[ArmName, int] = {"six_axis": 50, "five_axis": 50, "test_rig": 100, "quad_rig": 100}
 """Scans per second that two processors can follow with all drivers and nodes."""
-AMPLITUDES: Mapping[str, float] = {"six_axis": 0.03, "five_axis": 0.06, "test_rig": 0.03}
+AMPLITUDES: Mapping[ArmName, float] = {"six_axis": 0.03, "five_axis": 0.06, "test_rig": 0.03, "quad_rig": 0.03}
 """Of the motion about home [rad]: bumpy rings move by more than a bump and pass their home marks once a second."""
 CYCLE_S = 20  # usual duration of the scenario's cycle
 WAYPOINT_S = 1.0  # usual time between two waypoints of the motion
+REST_S = 0.5  # duration of a rest between two parts of the motion
+STACKS: Mapping[str, str] = {"quad_rig": "test_rig"}
+"""Arms whose joints get four gap probes and fixed diodes, and the installed arm that is copied."""
 IMPERFECTIONS = Imperfections(dropouts=False, zero_drift=False)
 """Zero drift is not part of the stated covariance, and dropouts are faults themselves."""
 IMPERFECTION_PARAMETERS = {f"simulated.{name}": getattr(IMPERFECTIONS, name) for name in ("dropouts", "zero_drift")}
@@ -44,28 +49,44 @@ def write_fault_arm(
     seed: int,
     faults: Sequence[dict[str, Any]] = (),
     waypoint_s: float = WAYPOINT_S,
+    amplitude: float = 0.0,
+    rests: int = 0,
+    rate: int = 0,
 ) -> ArmFile:
     """Write a copy of an installed arm into a new folder and return it.
 
     Its scenario has a cycle of ``duration_s``, a motion that changes its direction every ``waypoint_s``, and
-    ``faults``.
+    ``faults``. ``amplitude``: of the motion [rad]; 0: the usual one. ``rests``: how often it rests for REST_S.
+    ``rate``: scans per second; 0: the usual ones.
     """
-    shutil.copytree(find_arm(name).parent, folder)
+    shutil.copytree(find_arm(STACKS.get(name, name)).parent, folder)
     _allow_releases(folder / ARM_FILE)
     arm = load_arm_file(folder / ARM_FILE)
     joints = list(arm.calibrations)
-    count = round(duration_s / waypoint_s)
-    signs = np.where(np.arange(count) % 2, 1.0, -1.0)[:, None]
-    waypoints = AMPLITUDES[name] * signs * np.random.default_rng(seed).uniform(0.5, 1.0, (count, len(joints)))
-    waypoints[-1] = 0.0
+    if name in STACKS:
+        for path in arm.calibrations.values():
+            frames = load_calibration(path).frames
+            stack = design("quad_diodes", motion=True, converter=True, frames=(frames.parent, frames.child))
+            path.write_text(yaml.safe_dump(stack.model_dump(mode="json", exclude_defaults=True)), encoding="utf-8")
+    parts = max(1, rests)
+    part_s = duration_s / parts - (REST_S if rests else 0.0)
+    count = round(part_s / waypoint_s)
+    signs = np.where(np.arange(parts * count) % 2, 1.0, -1.0)[:, None]
+    waypoints = signs * np.random.default_rng(seed).uniform(0.5, 1.0, (parts * count, len(joints)))
+    waypoints *= amplitude or AMPLITUDES[name]
+    waypoints[count - 1 :: count] = 0.0
     path = folder / "scenario.yaml"
     content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    spline = {"kind": "spline", "duration": quantity(duration_s, "s"), "joints": joints}
+    motion = []
+    for through in np.split(waypoints, parts):
+        spline = {"kind": "spline", "duration": quantity(part_s, "s"), "joints": joints}
+        motion += [{"kind": "rest", "duration": quantity(REST_S, "s")}] if rests else []
+        motion.append({**spline, "through": {"value": through.tolist(), "unit": "rad"}})
     content |= {
         "seed": seed,
-        "rate": quantity(RATES[name], "Hz"),
+        "rate": quantity(rate or RATES[name], "Hz"),
         "duration": quantity(duration_s, "s"),
-        "motion": [{**spline, "through": {"value": waypoints.tolist(), "unit": "rad"}}],
+        "motion": motion,
         "faults": list(faults),
         "truth": "independent",
     }
@@ -85,10 +106,10 @@ def _allow_releases(path: Path) -> None:
 
 FaultKind = Literal["off", "stuck", "garbage", "wrong", "slow", "clock", "network"]
 """Failure types of PX4's fault injection, and faults of clock and network."""
-ArmName = Literal["six_axis", "five_axis", "test_rig"]
-"""Installed arms: light rings and four gap probes; bumpy rings and three; fixed diodes and three."""
+ArmName = Literal["six_axis", "five_axis", "test_rig", "quad_rig"]
+"""Installed arms: light rings and four gap probes; bumpy rings and three; fixed diodes and three; and with four."""
 ARMS: tuple[ArmName, ...] = get_args(ArmName)
-TIME_RUNS = ("times", "stamps")
+TIME_RUNS = ("times", "stamps", "offline_times")
 """Sections whose faults cost scans, but never a wrong pose."""
 COVERED_SHARE = 0.99  # least share of cases in which the protection level covers a fault that is not observable
 
@@ -106,6 +127,10 @@ class FaultRow:
     quick: bool = False
     most_lost: int | None = None  # most scans without a pose while the fault lasts; None: not judged
     least_usable: float | None = None  # least share of scans with a pose while the fault lasts; None: not judged
+    # Of faults of time without nodes: whether the joint must have a pose at the end, and whether a count of theta may
+    # be given up until the next home mark
+    recovers: bool = True
+    uncounts: bool = False
     run: str = ""  # section of the table: the run that injects the fault
     inject: Mapping[str, Any] = field(default_factory=dict)
 
@@ -127,7 +152,8 @@ def _load_table() -> tuple[Mapping[FaultKind, float], tuple[FaultRow, ...]]:
     for run, of_run in content.items():
         for row in of_run:
             words = [word for name in row.pop("named_by", ()) for word in groups.get(name, [name])]
-            rows.append(FaultRow(run=run, named_by=tuple(words), **row))
+            arms = row.pop("arms", None) or [row.pop("arm")]
+            rows += [FaultRow(run=run, arm=arm, named_by=tuple(words), **row) for arm in arms]
     return limits, tuple(rows)
 
 

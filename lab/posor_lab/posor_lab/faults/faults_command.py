@@ -35,9 +35,10 @@ from posor_lab.faults.injection_run import ReadingRun
 from posor_lab.faults.message_run import MessageRun
 from posor_lab.faults.node_storm import run_node_storm
 from posor_lab.faults.offline_faults import CASES, run_ambient, run_hidden, run_slips
+from posor_lab.faults.offline_time import run_offline_times
 from posor_lab.faults.process_run import ProcessRun
 from posor_lab.faults.storm import run_storm, storm_calibrations
-from posor_lab.faults.time_run import ScatterRun, TimeRun
+from posor_lab.faults.time_run import AgedRun, ScatterRun, TimeRun
 from posor_lab.reports.arrival_receiver import ArrivalReceiver
 from posor_lab.reports.findings import Finding, Findings, Verdict
 from posor_lab.reports.graph_receiver import running_graph
@@ -127,6 +128,7 @@ LIVE_RUNS: Mapping[str, type[InjectionRun]] = {  # live runs by section of the t
     "messages": MessageRun,
     "times": TimeRun,
     "stamps": ScatterRun,
+    "aged": AgedRun,
     "processes": ProcessRun,
     "devices": DeviceRun,
 }
@@ -136,6 +138,7 @@ TITLES = {  # titles of the runs by section of the table; rows of the same title
     "causes": "causes of faults",
     "slips": "slips of sources",
     "ambient": "ambient light",
+    "offline_times": "time of {0.arm} without nodes",
 }
 
 
@@ -175,6 +178,8 @@ def _run_group(rows: Sequence[FaultRow], title: str, trial: Trial) -> list[RowRe
         return LIVE_RUNS[run](rows, trial.subfolder(title), options.seed, trial.interrupted).run()
     if run == "causes":
         return [run_causes(row, options.seed, QUICK_SCANS if options.quick else SCANS) for row in rows]
+    if run == "offline_times":
+        return run_offline_times(rows, trial.subfolder(title), options.seed)
     if run in {"slips", "ambient"}:
         of_row = run_slips if run == "slips" else run_ambient
         return [of_row(row, options.seed) for row in rows]

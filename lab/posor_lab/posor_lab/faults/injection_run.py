@@ -172,7 +172,7 @@ class InjectionRun:
 class ReadingRun(InjectionRun):
     """Faults that the simulator injects into readings, scans and stamps, one in each slot of the scenario.
 
-    ``inject`` of a row is the entry of the scenario file.
+    ``inject`` of a row is the entry of the scenario file; ``also``: further ones at the same time.
     """
 
     TITLE, ATTEMPTS = "readings of {0.arm}", 3
@@ -190,7 +190,9 @@ class ReadingRun(InjectionRun):
         entries = []
         for row in self.rows:
             joint, begin_s = self._places[row.title]
-            entries.append(fault_entry(joint, row.inject, begin_s - self.LEAD_S, begin_s + self.FAULT_S))
+            first = {key: value for key, value in row.inject.items() if key != "also"}
+            span_s = begin_s - self.LEAD_S, begin_s + self.FAULT_S
+            entries += [fault_entry(joint, each, *span_s) for each in (first, *row.inject.get("also", ()))]
         return write_fault_arm(name, self.folder / name, self._cycle_s, seed, entries)
 
     def _joint_of(self, row: FaultRow) -> str:

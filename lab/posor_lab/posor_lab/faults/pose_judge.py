@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from posor.estimation.estimate import Estimates
-    from posor.numerics.array_types import BoolArray, FloatArray
+    from posor.numerics.array_types import BoolArray, FloatArray, IntArray
     from posor_drivers.simulator.arm_simulation import ArmSimulation
 
     from posor_lab.reports.arrival_receiver import Arrival, ArrivalReceiver
@@ -55,6 +55,16 @@ def estimated_poses(estimates: Estimates) -> tuple[PoseArray, FloatArray]:
     """Return the poses of estimates, (n), and their total covariances, (n, 6, 6)."""
     covariances = estimates.covariances()
     return PoseArray(estimates.rotations, estimates.translations), covariances
+
+
+def true_poses(simulation: ArmSimulation, times_ns: IntArray, joint: str = "") -> PoseArray:
+    """Return the true poses of a joint, or without ``joint`` of the endpoint, at times [ns], (n,)."""
+    rate = simulation.scenario.ticks_per_second
+    ticks = np.rint(times_ns * (rate / NS)).astype(np.int64)
+    around = [simulation.truth(ticks + n) for n in (-1, 0, 1)]
+    poses = [each.T_parent_child[joint] if joint else each.endpoint for each in around]
+    shares: FloatArray = np.asarray((times_ns - tick_stamp_ns(ticks, rate)) * (rate / NS), dtype=np.float64)
+    return poses_between(poses[1], poses, shares[:, None]) if np.any(shares) else poses[1]
 
 
 class PoseJudge:
@@ -99,13 +109,7 @@ class PoseJudge:
 
     def _truth(self, arrivals: Sequence[Arrival], joint: str) -> PoseArray:
         """Return the true poses of the endpoint or a joint at the times of messages."""
-        rate = self._simulation.scenario.ticks_per_second
-        times_ns = np.array([self._time_of(each) for each in arrivals])
-        ticks = np.rint(times_ns * (rate / NS)).astype(np.int64)
-        around = [self._simulation.truth(ticks + n) for n in (-1, 0, 1)]
-        poses = [each.T_parent_child[joint] if joint else each.endpoint for each in around]
-        shares: FloatArray = np.asarray((times_ns - tick_stamp_ns(ticks, rate)) * (rate / NS), dtype=np.float64)
-        return poses_between(poses[1], poses, shares[:, None]) if np.any(shares) else poses[1]
+        return true_poses(self._simulation, np.array([self._time_of(each) for each in arrivals]), joint)
 
     def _count_wrong(self, parts: Sequence[tuple[Arrival, Any]], joint: str = "") -> int:
         if not parts:

@@ -12,13 +12,16 @@ from typing import TYPE_CHECKING
 from posor.model.fault import USABLE_STATES
 from posor.numerics.stamps import NS, tick_stamp_ns
 from posor.ros_names import TRANSFORM_TOPIC
+from posor_bringup.arm_programs import arm_programs, group_programs
 
-from posor_lab.faults.fault_table import RATES
+from posor_lab.faults.fault_table import IMPERFECTION_PARAMETERS, RATES
 from posor_lab.faults.injection_run import ReadingRun
 from posor_lab.faults.pose_judge import PoseJudge
 from posor_lab.harness.message_conversion import stamp_ns
 
 if TYPE_CHECKING:
+    from posor_bringup.supervisor import ProgramCommand
+
     from posor_lab.faults.fault_table import FaultRow, RowResult
     from posor_lab.faults.injection_run import Span
     from posor_lab.reports.arrival_receiver import Arrival
@@ -61,6 +64,16 @@ class TimeRun(ReadingRun):
                 problem = problem or "the driver missed one of the exchanged scans: the host is overloaded"
         seen = f"{found.seen}; {lost} of {scans} scans lost"
         return replace(found, lost=lost, scans=scans, seen=seen, problem=problem)
+
+
+class AgedRun(TimeRun):
+    """Content that is older than its stamp by what the drivers state: within the protection level."""
+
+    TITLE, STAMP_LIMIT_S = "age of {0.arm}", 0.04
+
+    def _programs(self) -> list[ProgramCommand]:
+        parameters = {**IMPERFECTION_PARAMETERS, "time.stamp_limit": self.STAMP_LIMIT_S}
+        return group_programs(arm_programs(self.arm, driver_parameters=parameters), self.LAYOUT, self.folder)
 
 
 class ScatterRun(TimeRun):

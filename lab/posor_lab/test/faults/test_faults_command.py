@@ -19,6 +19,7 @@ from posor_lab.faults.fault_table import FAULT_TABLE, NAMING_LIMITS_S, FaultRow,
 from posor_lab.faults.faults_command import PROGRAM, TITLES, main
 from posor_lab.faults.message_run import change_message
 from posor_lab.faults.offline_faults import run_ambient, run_slips
+from posor_lab.faults.offline_time import OfflineArm, run_offline_times
 from posor_lab.faults.pose_judge import SIGMAS, wrong_poses
 from posor_lab.faults.storm import StormMaker, count_storm, estimate_storm, storm_calibrations
 from posor_msgs.msg import JointTransform, RawScan
@@ -32,7 +33,7 @@ QUICK_ROWS = {row.title for row in FAULT_TABLE if row.quick}
 def test_the_table_has_every_kind_stack_and_run_with_unique_names() -> None:
     assert len({row.title for row in FAULT_TABLE}) == len(FAULT_TABLE) == ROWS
     assert {row.kind for row in FAULT_TABLE} == {"off", "stuck", "garbage", "wrong", "slow", "clock", "network"}
-    assert {row.arm for row in FAULT_TABLE} == {"six_axis", "five_axis", "test_rig"}
+    assert {row.arm for row in FAULT_TABLE} == {"six_axis", "five_axis", "test_rig", "quad_rig"}
     assert {row.run for row in FAULT_TABLE} == set(TITLES)
     assert {row.name.removeprefix("device ") for row in FAULT_TABLE if row.run == "devices"} == set(ACTIONS)
     assert len(QUICK_ROWS) > 5
@@ -105,6 +106,22 @@ def test_a_row_fails_for_each_missed_aim() -> None:
     assert lucky.failures == []
     assert "0.0 %" in replace(lucky, covered=0.0).failures[0]
     assert replace(lucky, naming_s=None).failures == ["not named"]
+
+
+def test_faults_of_time_without_nodes(tmp_path: Path) -> None:
+    words = "two ticks back while", "back by 0.5 s", "all joints 80 ms", "rms", "drawn at random"
+    rows = [row for row in FAULT_TABLE if row.run == "offline_times" and row.arm == "quad_rig"]
+    chosen = [row for row in rows if any(word in row.name for word in words)]
+    assert len(chosen) == len(words) + 1
+    results = run_offline_times(chosen, tmp_path, seed=3)
+    assert [result.row.name for result in results if result.failures] == []
+
+
+def test_content_that_is_older_than_stated_is_wrong(tmp_path: Path) -> None:
+    arm = OfflineArm("test_rig", tmp_path / "arm", seed=3)
+    faults = [{"aged": 0.04, "at": 0.0}]
+    assert arm.run(arm.joints, faults, stamp_limit=0.04).wrong == 0
+    assert arm.run(arm.joints, faults).wrong > 1000
 
 
 def test_wrong_poses() -> None:

@@ -66,6 +66,8 @@ def make_parser() -> CommandLineParser:
         action.add_argument("--force", action="store_true", help="replace these files; the old OUT.yaml is kept")
         text = "shared term and relative standard uncertainty of the length scale of the references; may be repeated"
         action.add_argument("--length-scale", action="append", default=[], metavar="NAME=S", help=text)
+        text = "shared term and standard uncertainty [K] of the thermometer of the plate; may be repeated"
+        action.add_argument("--thermometer", action="append", default=[], metavar="NAME=K", help=text)
         add_options(action, procedure.options)
     return parser
 
@@ -132,9 +134,16 @@ def calibrate(options: argparse.Namespace, report: Callable[[str], object]) -> F
     recording, instruments = _read_recording(options, calibration, report)
     report(f"{procedure.name}: fitting")
     given = given_options(procedure.options, options)
-    scales = {name: _parse_scale(name, sigma) for name, sigma in _split("--length-scale", options.length_scale)}
+    terms = [
+        {name: _parse_sigma(option, name, sigma) for name, sigma in _split(option, entries)}
+        for option, entries in (("--length-scale", options.length_scale), ("--thermometer", options.thermometer))
+    ]
     return fit_recording(
-        procedure, calibration, recording, instruments, settings, given, text=text, source=source, scales=scales
+        *(procedure, calibration, recording, instruments, settings, given),
+        text=text,
+        source=source,
+        scales=terms[0],
+        thermometers=terms[1],
     )
 
 
@@ -238,12 +247,11 @@ def _split(option: str, given: Sequence[str]) -> list[tuple[str, str]]:
     return pairs
 
 
-def _parse_scale(name: str, text: str) -> float:
+def _parse_sigma(option: str, name: str, text: str) -> float:
     try:
         return float(text)
     except ValueError:
-        where = f"option --length-scale {name}"
-        raise ParameterError(f"'{text}'", where=where, expected="a relative standard uncertainty") from None
+        raise ParameterError(f"'{text}'", where=f"option {option} {name}", expected="a standard uncertainty") from None
 
 
 def _parse_sigmas(topic: str, text: str) -> list[float]:

@@ -181,6 +181,7 @@ def fit_recording(
     text: str = "",
     source: str = "",
     scales: Mapping[str, float] | None = None,
+    thermometers: Mapping[str, float] | None = None,
 ) -> FitResult:
     """Run a procedure on a recording.
 
@@ -194,6 +195,7 @@ def fit_recording(
         text: The calibration file; empty: the calibration has no file.
         source: Name of the file for error messages.
         scales: Relative standard uncertainty of the references' length scale, by the name of its shared term.
+        thermometers: Standard uncertainty of the plate's thermometer [K], by the name of its shared term.
 
     Raises:
         PosorError: The data or the new values are invalid.
@@ -205,7 +207,8 @@ def fit_recording(
     new = calibration
     if outcome.replacements or outcome.parts:
         texts = {name: _option_text(value) for name, value in given.items()}
-        context = FitContext(procedure.name, texts, instruments, dt.datetime.now(tz=dt.UTC), scales or {})
+        date = dt.datetime.now(tz=dt.UTC)
+        context = FitContext(procedure.name, texts, instruments, date, scales or {}, thermometers or {})
         if text:
             text = update_text(text, source, outcome, recording, context)
             new = parse_calibration(text, source)

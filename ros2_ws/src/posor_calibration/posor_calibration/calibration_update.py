@@ -18,7 +18,7 @@ from posor.errors import CalibrationError
 from pydantic import ValidationError
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Collection, Mapping, Sequence
 
     from posor.bags.recording import Recording
     from posor.calibration.calibration_file import Calibration
@@ -38,6 +38,8 @@ class FitContext:
     date: dt.datetime
     # Relative standard uncertainty of the length scale of the reference by name of the shared term
     scales: Mapping[str, float] = field(default_factory=dict)
+    # Standard uncertainty of the thermometer of the plate by name of the shared term [K]
+    thermometers: Mapping[str, float] = field(default_factory=dict)
 
 
 def update_text(text: str, source: str, outcome: Outcome, recording: Recording, context: FitContext) -> str:
@@ -84,15 +86,15 @@ def _list_changes(
         changes[part.key] = _to_yaml(part.content)
     fits = [*calibration.fits, _make_record(calibration, outcome, recording, context)]
     changes["fits"] = [fit.model_dump(mode="json", exclude_defaults=True) for fit in fits]
-    if calibration.shared or context.scales:
-        changes["shared"] = _shared_terms(calibration, outcome, context.scales)
+    if calibration.shared or context.scales or context.thermometers:
+        changes["shared"] = _shared_terms(calibration, outcome, context)
     return changes
 
 
-def _shared_terms(calibration: Calibration, outcome: Outcome, scales: Mapping[str, float]) -> dict[str, Any]:
+def _shared_terms(calibration: Calibration, outcome: Outcome, context: FitContext) -> dict[str, Any]:
     """Return the shared terms of the new file: former ones no longer hold for replaced values, new ones do.
 
-    Raises CalibrationError: the file states another uncertainty of a scale.
+    Raises CalibrationError: the file states another uncertainty of a scale or a thermometer.
     """
     replaced = [*(new.key for new in outcome.replacements), *(part.key for part in outcome.parts)]
     terms: dict[str, Any] = {}
@@ -104,14 +106,31 @@ def _shared_terms(calibration: Calibration, outcome: Outcome, scales: Mapping[st
             terms[name] = {kind: part for kind, part in content.items() if part}
     units = {new.key: _find_quantity(calibration, new.key).unit for new in outcome.replacements}
     lengths = {key: {"value": 1.0, "unit": "1"} for key, unit in units.items() if unit == "m" or unit.startswith("m/")}
-    for name, sigma in scales.items() if lengths else ():
-        new = {"uncertainty": {"value": sigma, "unit": "1"}, "relative": lengths}
-        known = terms.setdefault(name, new)
-        if known["uncertainty"] != new["uncertainty"]:
-            what = f"shared term '{name}' has the standard uncertainty {known['uncertainty']['value']:g}"
-            raise CalibrationError(what, where=f"calibration '{calibration.name}'", expected=f"{sigma:g}, as given")
-        known["relative"] = {**known.get("relative", {}), **lengths}
+    kinds = (
+        ("relative", "1", lengths, context.scales),
+        ("change", "K", _gaps_per_kelvin(calibration, units), context.thermometers),
+    )
+    for kind, unit, effects, sigmas in kinds:
+        for name, sigma in sigmas.items() if effects else ():
+            new = {"uncertainty": {"value": sigma, "unit": unit}}
+            known = terms.setdefault(name, new)
+            if known["uncertainty"] != new["uncertainty"]:
+                what = f"shared term '{name}' has the standard uncertainty {known['uncertainty']['value']:g}"
+                raise CalibrationError(what, where=f"calibration '{calibration.name}'", expected=f"{sigma:g}, as given")
+            known[kind] = {**known.get(kind, {}), **effects}
     return terms
+
+
+def _gaps_per_kelvin(calibration: Calibration, replaced: Collection[str]) -> dict[str, Any]:
+    """Return the change of replaced linearisations by an error of 1 K of the thermometer of the plate."""
+    changes = {}
+    for s, sensor in enumerate(calibration.sensors):
+        for p, probe in enumerate(getattr(sensor, "probes", ())):
+            key, quantity = f"sensors[{s}].probes[{p}].volts_to_gap", probe.volts_to_gap
+            if key in replaced and probe.temperature is not None:
+                value = [probe.temperature.sensitivity.number, *[0.0] * (quantity.array.size - 1)]
+                changes[key] = {"value": value, "unit": f"{quantity.unit}/K"}
+    return changes
 
 
 def _find_quantity(calibration: Calibration, key: str) -> Quantity:

@@ -104,6 +104,23 @@ def test_a_replaced_value_loses_its_shared_terms_and_gets_that_of_its_reference(
     assert (error.what, error.expected) == ("shared term 'cmm' has the standard uncertainty 1e-06", "2e-06, as given")
 
 
+def test_a_thermometer_that_served_several_joints_is_a_shared_term_of_the_gaps() -> None:
+    calibration, key = design("quad_bumpy_ring"), "sensors[0].probes[1].volts_to_gap"
+    probe: Any = calibration.sensors[0].probes[1]  # type: ignore[attr-defined]
+    coefficients = probe.volts_to_gap.array.tolist()
+    values = replace(outcome(), parts=(), replacements=(Replacement(key, coefficients, 0.0), *outcome().replacements))
+    new = update_calibration(calibration, values, RECORDING, replace(CONTEXT, thermometers={"pt100": 0.05}))
+    [(name, term)] = new.shared.items()
+    assert (name, term.uncertainty.number, term.uncertainty.unit, set(term.change)) == ("pt100", 0.05, "K", {key})
+    assert term.change[key].array.tolist() == [probe.temperature.sensitivity.number, *[0.0] * (len(coefficients) - 1)]
+    effects = Posor(new).shared_effects
+    assert effects.shape[1] == 1
+    assert np.count_nonzero(effects) == 1
+    values = replace(outcome(), parts=())
+    without = update_calibration(calibration, values, RECORDING, replace(CONTEXT, thermometers={"pt100": 0.05}))
+    assert not without.shared  # no replaced value depends on the temperature
+
+
 @pytest.mark.parametrize(
     ("replacement", "words"),
     [

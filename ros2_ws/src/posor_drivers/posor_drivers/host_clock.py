@@ -11,6 +11,7 @@ import re
 import subprocess
 import time
 from shutil import which
+from threading import Thread
 from typing import TYPE_CHECKING
 
 from posor.numerics.stamps import NS
@@ -49,24 +50,28 @@ SERVICES = {
 
 
 class HostClock:
-    """Asks the time service now and then.
-
-    Attributes:
-        limit_s: Largest error of the clock [s]; 0: not stated.
-
-    """
+    """Asks the time service now and then, in a thread of its own: the service may take a second to answer."""
 
     def __init__(self) -> None:
-        """Ask for the first time."""
-        self.limit_s, self._text, self._next_s = 0.0, "", 0.0
-        self.read()
+        """Ask for the first time, and wait for the answer."""
+        self._thread = Thread()
+        self._ask()
+
+    @property
+    def limit_s(self) -> float:
+        """Largest error of the clock by the latest answer [s]; 0: not stated."""
+        return self._answer[0]
 
     def read(self) -> tuple[str, str, Mapping[str, float]]:
-        """Return a fault (never one), which service states what, and the limit; ask again after 10 s."""
-        if time.monotonic() >= self._next_s:
-            self._next_s = time.monotonic() + READ_EVERY_S
-            self.limit_s, self._text = _ask()
-        return "", self._text, {"clock_limit": self.limit_s}
+        """Return no fault, the service of the latest answer, and the limit; after 10 s, ask again without waiting."""
+        limit_s, text = self._answer
+        if time.monotonic() >= self._next_s and not self._thread.is_alive():
+            self._thread = Thread(target=self._ask, name="host_clock", daemon=True)
+            self._thread.start()
+        return "", text, {"clock_limit": limit_s}
+
+    def _ask(self) -> None:
+        self._answer, self._next_s = _ask(), time.monotonic() + READ_EVERY_S
 
 
 def _ask() -> tuple[float, str]:

@@ -208,7 +208,7 @@ def test_incomplete_record_is_published_before_the_program_ends(tmp_path: Path) 
         raw = graph.collect(RawScan, "/joint1/raw", raw=True)
         with replay(bag, on_end="stay") as program:
             assert program.wait() == 1
-            sentence = f"{bag}: holds 20 messages of /joint1/raw; expected 21, as its index says."
+            sentence = f"{bag}: holds 20 messages of /joint1/raw; expected 21, as the index of the bag states."
             assert program.errors == [sentence]
         graph.wait_until(lambda: len(raw) == len(RAW), "the scans before")
         assert graph.wait_for_status(STATUS, sentence).level == b"\x02"

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import os
+import time
 from pathlib import Path
 
+import posor_drivers.host_clock
 import pytest
 from posor_drivers.host_clock import HostClock
 
@@ -36,3 +38,24 @@ def test_the_limit_is_that_of_the_service_that_is_synchronised(
     _, text, values = clock.read()
     assert words in text
     assert values["clock_limit"] == clock.limit_s
+
+
+def test_a_service_that_takes_its_time_is_not_waited_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    answer, begun, gate = tmp_path / "answer", tmp_path / "begun", tmp_path / "gate"
+    answer.write_text(CHRONY.format("Normal"), encoding="utf-8")
+    (tmp_path / "chronyc").write_text(f"#!/bin/sh\ncat {answer}\n", encoding="utf-8")
+    (tmp_path / "chronyc").chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tmp_path}{os.pathsep}/usr/bin{os.pathsep}/bin")
+    monkeypatch.setattr(posor_drivers.host_clock, "READ_EVERY_S", 0.0)
+    monkeypatch.setattr(posor_drivers.host_clock, "TIMEOUT_S", 60.0)
+    clock = HostClock()
+    os.mkfifo(gate)
+    (tmp_path / "chronyc").write_text(f"#!/bin/sh\ntouch {begun}\ncat {gate}\n", encoding="utf-8")
+    clock.read()
+    while not begun.exists():
+        time.sleep(0.01)
+    assert clock.read()[2] == {"clock_limit": 2.5e-4}  # while the service is still asked
+    gate.write_text(CHRONY.format("Normal").replace("0.000100", "0.000200"), encoding="utf-8")
+    while clock.limit_s == 2.5e-4:
+        time.sleep(0.01)
+    assert clock.limit_s == pytest.approx(3.5e-4)

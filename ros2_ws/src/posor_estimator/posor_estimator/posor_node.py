@@ -277,7 +277,7 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
         if stream is None or (identity := stream.identity(data)) is None:
             return None
         if last := stream.last_stamp_and_number():
-            kind, text = self._order.describe(identity, last)
+            kind, text = self._order.describe(identity, last, stream.newest_number())
             if kind:
                 self._inputs.note(kind, text)
             if kind == REPEATED:

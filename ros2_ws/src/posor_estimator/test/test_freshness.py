@@ -89,6 +89,13 @@ def test_missing_repeated_and_backward_numbers_are_counted() -> None:
     assert order.counts == {"numbers_missing": 2, "scans_repeated": 1, "numbers_backward": 2}
 
 
+def test_the_scan_after_a_late_one_is_not_missing() -> None:
+    order = ScanOrder()
+    seen = [order.describe(*scans)[0] for scans in (((2, 9), (1, 7), 7), ((1, 8), (2, 9), 9), ((3, 10), (1, 8), 9))]
+    assert seen == ["numbers_missing", "numbers_backward", ""]
+    assert order.describe((5, 12), (1, 8), 10) == ("numbers_missing", "scans missing before scan 12: 1")
+
+
 class Rig:
     """A posor_node with the limits of a live source."""
 
@@ -179,6 +186,9 @@ def test_scans_out_of_order_are_named_and_a_repeated_scan_is_dropped(rig: Rig) -
     rig.wait_for_sound_scan()
     for key, count in (("scans_repeated", 1), ("numbers_missing", 5), ("numbers_backward", 1)):
         rig.wait_for_count(key, count)
+    sender.number += 3  # after the late scan, the next one in order
+    rig.wait_for_sound_scan()
+    rig.wait_for_count("numbers_missing", 5)
     assert sum(t.scan == sender.number for t in rig.transforms[before:]) <= 1
 
 

@@ -67,10 +67,11 @@ class ScanOrder:
     def __init__(self) -> None:
         self.counts = {MISSING: 0, REPEATED: 0, BACKWARD: 0}
 
-    def describe(self, identity: tuple[int, int], last: tuple[int, int]) -> tuple[str, str]:
+    def describe(self, identity: tuple[int, int], last: tuple[int, int], newest: int = 0) -> tuple[str, str]:
         """Count a scan that is out of order, by its stamp [ns] and number and those of the scan before.
 
-        Return the kind and the sentence, both empty for a scan in order. A repeated scan is to be dropped.
+        ``newest``: number of the newest scan in order, where the scan before was late. Return the kind and the
+        sentence, both empty for a scan in order. A repeated scan is to be dropped.
         """
         number, last_number = identity[1], last[1]
         if identity == last:
@@ -79,7 +80,7 @@ class ScanOrder:
         if number <= last_number:
             self.counts[BACKWARD] += 1
             return BACKWARD, f"scan {number} came after scan {last_number}"
-        if missing := number - last_number - 1:
+        if (missing := number - max(last_number, newest) - 1) > 0:
             self.counts[MISSING] += missing
             return MISSING, f"scans missing before scan {number}: {missing}"
         return "", ""

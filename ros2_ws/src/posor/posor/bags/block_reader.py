@@ -51,7 +51,9 @@ def read_blocks(reader: OrderedReader, topics: Sequence[str], where: str) -> Ite
     expected = sum(connection.msgcount for connection in reader.connections if connection.topic in topics)
     if count != expected:
         raise BagError(
-            f"holds {count} messages of {', '.join(topics)}", where=where, expected=f"{expected}, as its index says"
+            f"holds {count} messages of {', '.join(topics)}",
+            where=where,
+            expected=f"{expected}, as the index of the bag states",
         )
 
 
@@ -159,7 +161,7 @@ class _ChunkReader:
                 f"the chunk at byte {first.offset} holds messages logged from {block.times_ns[0]} to "
                 f"{block.times_ns[-1]} ns",
                 where=self._place(first.file),
-                expected=f"from {first.time_ns} to {chunk.message_end_time} ns, as its index says",
+                expected=f"from {first.time_ns} to {chunk.message_end_time} ns, as the index of the file states",
             )
         return block
 

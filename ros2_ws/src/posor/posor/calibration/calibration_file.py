@@ -5,7 +5,8 @@ Versions of the format:
 1. First version: ``sensors`` by type, ``sessions``, ``tilt_angle``, ``motion``. Still read.
 2. ``fits``: recording, method, residuals and covariances of fitted values.
 3. ``environment``: valid ranges of supply and temperature; ``converter``: its steps; ``shared``: errors that several
-   quantities share, also of other files; ``causes``: causes of faults and their bounds.
+    quantities share, also of other files; ``acceleration`` of ``motion``; ``causes``: causes of faults and their
+    bounds.
 """
 
 from __future__ import annotations
@@ -65,6 +66,18 @@ class Frames(FrozenModel):
         return self
 
 
+class Acceleration(FrozenModel):
+    """Largest acceleration of the target relative to the receiving plate, as ``Motion``.
+
+    Bounds the error of a pose whose stamp may be wrong (``estimation.stamp_limit``). The motion is not checked against
+    the acceleration.
+    """
+
+    translation: Annotated[Quantity, measured("m/s^2")]
+    lean: Annotated[Quantity, measured("rad/s^2")]
+    theta: Annotated[Quantity, measured("rad/s^2")]
+
+
 class Motion(FrozenModel):
     """Largest velocity of the target relative to the receiving plate.
 
@@ -76,6 +89,7 @@ class Motion(FrozenModel):
     translation: Annotated[Quantity, measured("m/s")]
     lean: Annotated[Quantity, measured("rad/s")]
     theta: Annotated[Quantity, measured("rad/s")]
+    acceleration: Acceleration | None = None
 
 
 class EnvironmentRange(FrozenModel):
@@ -182,6 +196,9 @@ class Calibration(FrozenModel):
                 what = f"{key} in a file of version {self.version}"
                 raise EntryError(what, key=(key,), expected=f"version {VERSION}")
         check_causes(self.causes)
+        if self.motion is not None and self.motion.acceleration is not None and self.version < VERSION:
+            what = f"acceleration in a file of version {self.version}"
+            raise EntryError(what, key=("motion", "acceleration"), expected=f"version {VERSION}")
         return self
 
     @model_validator(mode="after")

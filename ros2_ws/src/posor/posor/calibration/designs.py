@@ -98,6 +98,16 @@ def velocity_limits(translation: float, lean: float = 0.02, theta: float = 3.0) 
     }
 
 
+def assumed_motion(translation: float) -> Part:
+    """Return the largest velocities and accelerations of a design; ``translation``: velocity [m/s]."""
+    acceleration = {
+        "translation": quantity_entry(0.1, "m/s^2"),
+        "lean": quantity_entry(0.5, "rad/s^2"),
+        "theta": quantity_entry(30.0, "rad/s^2"),
+    }
+    return {**velocity_limits(translation), "acceleration": acceleration}
+
+
 def environment_ranges(supply_spread: float) -> Part:
     """Return ranges of supply and temperature; ``supply_spread``: uncertainty of a supply not measured [V]."""
     return {
@@ -171,7 +181,7 @@ def design(
         sensors.append(diodes(_DIODE, positions, positions))
     else:
         sensors.append(bumpy_ring(_PROBE, _RING, ring_probes))
-    limits, environment = velocity_limits(1e-3) if motion else None, environment_ranges(_PROBE.supply_sigma)
+    limits, environment = assumed_motion(1e-3) if motion else None, environment_ranges(_PROBE.supply_sigma)
     steps = converter_steps(CONVERTER_BITS) if converter else None
     return design_calibration(name, "assumed design", (), frames, limits, environment, steps, sensors)
 
@@ -226,5 +236,5 @@ def sized_design(name: SizedDesignName, outside_diameter: float, *, frames: tupl
     source = f"assumed design of {outside_diameter / inch:g} in outside diameter"
     environment = environment_ranges(SIZED_GAP_PROBE.supply_sigma)
     return design_calibration(
-        title, source, tuple(notes), frames, velocity_limits(0.02), environment, converter_steps(bits), sensors
+        title, source, tuple(notes), frames, assumed_motion(0.02), environment, converter_steps(bits), sensors
     )

@@ -27,10 +27,12 @@ from posor.chain.joint_measurements import (
     shared_fault,
     stamp_shift_fault,
 )
+from posor.chain.stamp_bound import add_amounts, bound_stamp_shift
 from posor.estimation.fault_effects import EFFECT
 from posor.model.fault import USABLE_STATES
 from posor.numerics.compiled import in_place, inlined
 from posor.numerics.vector import (
+    IDENTITY,
     ZERO_MATRIX,
     Matrix,
     Vector,
@@ -64,7 +66,6 @@ UpperTriangle: TypeAlias = tuple[float, float, float, float, float, float]  # of
 Blocks: TypeAlias = tuple[UpperTriangle, Matrix, UpperTriangle]
 _ZERO_TRIANGLE: UpperTriangle = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 ZERO_COVARIANCE: Blocks = (_ZERO_TRIANGLE, ZERO_MATRIX, _ZERO_TRIANGLE)
-IDENTITY: Matrix = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 
 class Endpoints(NamedTuple):
@@ -327,50 +328,6 @@ def compute_endpoint(
     write_pose(rotation, translation, endpoints.poses[scan])
 
 
-@in_place
-def bound_stamp_shift(
-    arm: ArmGeometry, history: BeamHistory, measurements: JointMeasurements, endpoints: Endpoints, scan: int
-) -> None:
-    """Write the largest error of an endpoint by errors of the joints' stamps: the sum of the amounts that each may add.
-
-    ``endpoints``: ``poses`` are read, ``stamp_shifts`` are written; ``history``: ``transforms`` are read.
-    """
-    shifts, bound, poses = measurements.stamp_shifts[scan], endpoints.stamp_shifts[scan], measurements.poses[scan]
-    stated = False
-    for k in range(6):
-        bound[k] = 0.0
-        for j in range(shifts.shape[0]):
-            stated |= shifts[j, k] > 0.0
-    if not stated:
-        return
-    end = within(endpoints.poses, scan)
-    rotation, translation = IDENTITY, (0.0, 0.0, 0.0)
-    for n in range(arm.elements.shape[0]):
-        element = arm.elements[n]
-        translation = plus(translation, applied(rotation, at(element["translation"], 0)))
-        rotation = product(rotation, matrix(element["rotation"], 0))
-        j, b = element["joint"], element["beam"]
-        if j >= 0:
-            translation = plus(translation, applied(rotation, within(poses, j)))
-            axes, lever = transposed(rotation), minus(end, translation)
-            for k in range(3):
-                _add_amounts(bound, 0, axes[k], shifts[j, k])
-                _add_amounts(bound, 0, cross(axes[k], lever), shifts[j, 3 + k])
-                _add_amounts(bound, 3, axes[k], shifts[j, 3 + k])
-            rotation = product(rotation, rotation_of_pose(poses[j]))
-        elif b >= 0:
-            translation = plus(translation, applied(rotation, within(history.transforms, b)))
-            rotation = product(rotation, rotation_of_pose(history.transforms[b]))
-
-
-@inlined
-def _add_amounts(bound: FloatArray, first: int, effect: Vector, shift: float) -> None:
-    """Add the amounts of a shift times its effect; an infinite shift without effect adds nothing."""
-    for i in range(3):
-        if effect[i] != 0.0:
-            bound[first + i] += abs(effect[i]) * shift
-
-
 @inlined
 def joint_angle(pose: FloatArray, origin: FloatArray, theta: float) -> float:
     """Return the angle of a joint about its nominal axis [rad]: the heading of the target's Y axis about that axis.
@@ -418,7 +375,8 @@ def estimate_endpoints(
             forget_after_gap(stamp_ns, history)
             estimate_accelerations(history)
         compute_endpoint(arm, history, measurements, endpoints, n)
-        bound_stamp_shift(arm, history, measurements, endpoints, n)
+        shifts, end = measurements.stamp_shifts[n], within(endpoints.poses, n)
+        bound_stamp_shift(arm, history.transforms, poses, shifts, end, endpoints.stamp_shifts[n])
         if not is_finite(endpoints, n):
             write_nan(endpoints, n)
             for j in range(faults.shape[0]):
@@ -518,4 +476,4 @@ def write_relative(home: FloatArray, endpoints: Endpoints, relative: Endpoints) 
             for k in range(3):
                 shifts[first + k] = 0.0
             for k in range(3):
-                _add_amounts(shifts, first, (back[0][k], back[1][k], back[2][k]), own[first + k])
+                add_amounts(shifts, first, (back[0][k], back[1][k], back[2][k]), own[first + k])

@@ -35,6 +35,7 @@ CLOCK_STEP_S = 1.0  # smallest step back by which stamps show, beside the number
 FITTED_SCANS = 16  # scans after which the line can be contradicted
 MEMORY = 256  # scans in the memory of the line and of the scatter
 NEW_RATE_RUN = 14  # scans in a row off the line after which a new line begins, because their rate is another one
+FAILED_LINES = 3  # lines in a row, left within FITTED_SCANS, after which the stamps scatter
 LATE_RUN = 10  # scans in a row, below the last number or off the line, that are a restart or a clock that was set
 RESTART_RUN = 3  # the same where the numbers are RESTART_NUMBERS, or the stamps CLOCK_STEP_S, before the last
 RESTART_NUMBERS = 64
@@ -94,7 +95,19 @@ def _begin_line(clocks: Any, scan: Any, stamp: float) -> None:
 @inlined
 def _accept(clocks: Any, scan: Any, stamp: float) -> None:
     clocks.number, clocks.stamp = scan.number, stamp
-    clocks.refused, clocks.late = 0, 0
+    clocks.refused, clocks.late, clocks.agreeing = 0, 0, 0
+
+
+@inlined
+def _follow_run(clocks: Any, scan: Any, stamp: float) -> None:
+    """Count the scans in a row, late or refused, that agree with one another."""
+    steps = float(scan.number - clocks.refused_number)
+    since = stamp - clocks.refused_stamp
+    agrees = clocks.agreeing > 0 and scan.number > clocks.refused_number and since > 0.0
+    if clocks.fitted > 1:
+        agrees = agrees and abs(since - steps * clocks.period) <= _tolerance(clocks, steps)
+    clocks.agreeing = clocks.agreeing + 1 if agrees else 1
+    clocks.refused_number, clocks.refused_stamp = scan.number, stamp
 
 
 @in_place
@@ -119,8 +132,8 @@ def follow_clocks(model: Model, scan: Any) -> int:
     if (off_line and clocks.fitted >= FITTED_SCANS) or (elapsed <= 0.0 and (off_line or clocks.fitted == 1)):
         return _refuse(model, scan, stamp, elapsed)
     if off_line:
-        _begin_line(clocks, scan, stamp)
         tracker.time += elapsed
+        _begin_again(model, scan, stamp, abs(deviation))
         return IN_ORDER
     if clocks.fitted > 1 and abs(deviation) > _tolerance(clocks, 1.0):
         clocks.line = stamp  # the clocks drifted while no scan came
@@ -130,6 +143,29 @@ def follow_clocks(model: Model, scan: Any) -> int:
     tracker.time += steps * clocks.period if by_numbers else elapsed
     _accept(clocks, scan, stamp)
     return IN_ORDER
+
+
+@in_place
+def _begin_again(model: Model, scan: Any, stamp: float, deviation: float) -> None:
+    """Begin a new line where the first scans leave it, by ``deviation`` [s]; the third time, stamps scatter.
+
+    The period is then that of the scans since the first time. If no line has held before, the elapsed times were wrong
+    since the first scan: the recording begins here.
+    """
+    tracker = model.workspace[0].tracker
+    clocks = tracker.clocks
+    clocks.failed += 1
+    first_number, first_stamp = clocks.first_number, clocks.first_stamp
+    if clocks.failed == 1:
+        clocks.first_number, clocks.first_stamp = scan.number, stamp
+    _begin_line(clocks, scan, stamp)
+    clocks.deviation = deviation
+    if clocks.failed < FAILED_LINES:
+        return
+    clocks.period = (stamp - first_stamp) / float(scan.number - first_number)
+    clocks.fitted, clocks.variance = FITTED_SCANS, square(deviation) / 12.0
+    if not clocks.held:
+        tracker.initialised, tracker.counted, tracker.theta, tracker.latch = 0, 0, 0.0, 0
 
 
 @inlined
@@ -150,6 +186,8 @@ def _fit(clocks: Any, steps: float, deviation: float) -> None:
     clocks.deviation = abs(deviation) if clocks.fitted > 1 else 0.0
     clocks.fitted = min(clocks.fitted + 1, MEMORY)
     n = clocks.fitted
+    if n == FITTED_SCANS:
+        clocks.held, clocks.failed = 1, 0
     if n > 2:  # noqa: PLR2004  two scans fit any line
         # The innovation has the variance of a stamp times 1 + 2 (2 n - 1) / ((n - 1)(n - 2)), n - 1 scans fitted before
         share = 1.0 + 2.0 * (2.0 * n - 1.0) / ((n - 1.0) * (n - 2.0))
@@ -163,14 +201,8 @@ def _refuse(model: Model, scan: Any, stamp: float, elapsed: float) -> int:
     """Refuse a scan whose stamp contradicts its number, unless so many before it agree with it: the clock was set."""
     tracker = model.workspace[0].tracker
     clocks = tracker.clocks
-    steps = float(scan.number - clocks.refused_number)
-    since = stamp - clocks.refused_stamp
-    agrees = scan.number > clocks.refused_number and since > 0.0
-    if clocks.fitted > 1:
-        agrees = agrees and abs(since - steps * clocks.period) <= _tolerance(clocks, steps)
-    clocks.agreeing = clocks.agreeing + 1 if clocks.refused > 0 and agrees else 1
+    _follow_run(clocks, scan, stamp)
     clocks.refused += 1
-    clocks.refused_number, clocks.refused_stamp = scan.number, stamp
     has_new_rate = clocks.refused >= NEW_RATE_RUN
     if clocks.agreeing < LATE_RUN and not has_new_rate:
         return CONTRADICTORY
@@ -195,7 +227,8 @@ def _follow_back(model: Model, scan: Any, stamp: float, elapsed: float) -> int:
     clocks = tracker.clocks
     advances = scan.number > clocks.refused_number or (clocks.fitted == 1 and scan.number == clocks.number)
     clocks.late = clocks.late + 1 if clocks.late > 0 and advances and stamp > clocks.refused_stamp else 1
-    clocks.refused_number, clocks.refused_stamp, clocks.refused = scan.number, stamp, 0
+    clocks.refused = 0
+    _follow_run(clocks, scan, stamp)
     far = clocks.number - scan.number >= RESTART_NUMBERS or elapsed < -CLOCK_STEP_S
     if clocks.late < (RESTART_RUN if far else LATE_RUN):
         return LATE

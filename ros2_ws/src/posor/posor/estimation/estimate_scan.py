@@ -43,6 +43,7 @@ from posor.estimation.tracking import (
     add_prior,
     copy_pose,
     forget_pose,
+    needs_start,
     predict,
     turn_about_z,
     update_tracker,
@@ -85,7 +86,7 @@ def estimate_scan(model: Model, scan: Any, estimate: Any) -> int:
     tracker = workspace.tracker
     if not begin_scan_estimate(model, scan, estimate, linearise_scan(model, scan, estimate)):
         return DONE
-    if not tracker.initialised and not tracker.start_given:
+    if needs_start(workspace.settings, tracker):
         return START
     activate_rows(model)
     write_start(workspace.settings, tracker, workspace.pose)
@@ -281,8 +282,10 @@ def solve_and_check(
     differentiate_by_parameters(workspace.rows, workspace.reading_count, pose, model.by_row)
     _write_covariances(model, estimate)
     sigma = stamp_sigma(tracker, scan)
+    theta = theta_in_kernel(pose.rotation)
     if sigma > 0.0:
-        checks.faults |= add_stamp_variance(workspace, sigma, estimate.random, estimate.systematic)
+        since = checks.elapsed if tracker.initialised and not checks.recounted else math.nan
+        checks.faults |= add_stamp_variance(workspace, sigma, theta, since, estimate.random, estimate.systematic)
     checks.allowance = motion_allowance(tracker, scan)
     estimate.residual = 0.0
     if workspace.redundant_count > 0 and not bridged:
@@ -290,7 +293,6 @@ def solve_and_check(
     checks.contradictory = 0 if estimate.residual <= settings.residual_limit else 1
     if checks.contradictory and may_retry:
         return RETRY
-    theta = theta_in_kernel(pose.rotation)
     if workspace.is_dark:
         return _write_dark(workspace, scan, theta, estimate)
     check_residuals(workspace)
@@ -356,13 +358,12 @@ def _write_unsolved(workspace: Any, outcome: int, flagged: int, estimate: Any) -
 @inlined
 def _bound_stamp_shift(workspace: Any, limit: float, theta: float, estimate: Any) -> None:
     """Write the largest error of an accepted pose by its stamp; zero where no limit [s] is known."""
-    tracker, checks = workspace.tracker, workspace.checks
+    checks = workspace.checks
     if not limit > 0.0:
-        tracker.motion.followed = 0.0
         for i in range(6):
             estimate.stamp_shift[i] = 0.0
     elif checks.accepted and not checks.contradictory:
-        moved_from_previous = tracker.initialised and not checks.recounted
+        moved_from_previous = workspace.tracker.initialised and not checks.recounted
         elapsed = checks.elapsed if moved_from_previous else math.nan
         write_stamp_shift(workspace, limit, theta, elapsed, estimate)
 

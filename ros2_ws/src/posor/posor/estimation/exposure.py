@@ -24,7 +24,7 @@ from posor.model.fault import Fault
 from posor.model.reading_rows import predict_readings
 from posor.model.scan import CONTACTS
 from posor.numerics.compiled import in_place, inlined
-from posor.numerics.vector import square
+from posor.numerics.vector import square, wrapped
 
 if TYPE_CHECKING:
     from posor.estimation.workspace import Model
@@ -145,13 +145,30 @@ def move_to_stamp(workspace: Any) -> bool:
     return doubtful
 
 
+@inlined
+def _renew_twist(workspace: Any, theta: float, elapsed: float) -> None:
+    """Write the twist over the last interval; its change from that before is part of the uncertainty."""
+    previous, pose = workspace.tracker.pose, workspace.pose
+    turn = wrapped(theta - workspace.tracker.theta)
+    for i in range(6):
+        moved = turn * pose.rotation[i - 3, 2] if i >= 3 else pose.translation[i] - previous.translation[i]  # noqa: PLR2004  translation first
+        change = moved / elapsed - workspace.twist[i]
+        workspace.twist[i] += change
+        workspace.twist_sigmas[i] = max(abs(change), workspace.twist_sigmas[i])
+
+
 @in_place
-def add_stamp_variance(workspace: Any, sigma: float, random: FloatArray, systematic: FloatArray) -> int:
+def add_stamp_variance(
+    workspace: Any, sigma: float, theta: float, elapsed: float, random: FloatArray, systematic: FloatArray
+) -> int:
     """Add the covariance from the standard uncertainty of the stamp, ``sigma`` [s], to ``random`` (ROS order).
 
+    ``theta``: of the pose [rad]; ``elapsed``: time since the tracker's pose [s], NaN: the motion from there is unknown.
     Return the fault TIME where a variance grows by more than TIME_SHARE allows, else 0.
     """
     fault = 0
+    if elapsed > 0.0:
+        _renew_twist(workspace, theta, elapsed)
     for i in range(6):
         added = square(sigma) * (square(workspace.twist[i]) + square(workspace.twist_sigmas[i]))
         if added > square(TIME_SHARE) * (random[i, i] + systematic[i, i]):

@@ -46,6 +46,10 @@ if TYPE_CHECKING:
 PHASE_GUESSES = 8  # starts within one bump that are tried where theta is unknown
 LIKELY_RUNOUT = 1e-4  # scale [m]: of starts that fit alike, as with three ring probes, the one of least runout is taken
 LARGEST_SIGMA = 0.1  # largest standard uncertainty of a reference of theta, in periods: five of them are half a period
+_MOTION_LIMITS = (  # settings of the largest velocities and accelerations, in the order of the calibration file
+    ("max_velocity", "max_lean_rate", "max_theta_rate"),
+    ("max_acceleration", "max_lean_acceleration", "max_theta_acceleration"),
+)
 COUNT_WINDOW = 0.52  # largest distance of a solution from a theta that is known to half a bump, in bumps
 
 
@@ -109,9 +113,11 @@ class Posor:
         if self.redundancy > 0 and self._false_alarm > 0.0:
             settings["residual_limit"] = limit = chdtri(self.redundancy, self._false_alarm)
             settings["noncentrality_root"] = math.sqrt(noncentrality(self.redundancy, limit, MISSED_DETECTION))
-        limits = (motion.translation, motion.lean, motion.theta) if motion is not None else (None, None, None)
-        for name, limit in zip(("max_velocity", "max_lean_rate", "max_theta_rate"), limits, strict=True):
-            settings[name] = math.inf if limit is None else limit.number
+        acceleration = None if motion is None else motion.acceleration
+        velocities, accelerations = _MOTION_LIMITS
+        for names, limits in ((velocities, motion), (accelerations, acceleration)):
+            for name, key in zip(names, ("translation", "lean", "theta"), strict=True):
+                settings[name] = math.inf if limits is None else getattr(limits, key).number
         for sensor in self.calibration.sensors:
             if sensor.bump_angle > 0.0 and settings["bump_angle"] == 0.0:
                 settings["bump_angle"], settings["home_theta"] = sensor.bump_angle, sensor.home_theta
@@ -460,7 +466,8 @@ class Posor:
         selected = self.stack.reading_rows[workspace["selected_rows"][:m]]
         pose = workspace["pose"]
         bump, known = float(self.settings["bump_angle"]), self._known_theta
-        guesses = [(known or 0.0) + bump * (i / PHASE_GUESSES - 0.5) for i in range(PHASE_GUESSES)]
+        near = float(self.tracker["theta"]) if known is None and self.tracker["initialised"] else known or 0.0
+        guesses = [near + bump * (i / PHASE_GUESSES - 0.5) for i in range(PHASE_GUESSES)]
         workspace["rows_active"] = 0
         best = math.inf
         for start in start_poses(selected, values, guesses if self.counts_bumps else [0.0]):

@@ -20,7 +20,7 @@ import math
 from typing import TYPE_CHECKING, Any
 
 from posor.estimation.time_offset import follow_offset
-from posor.estimation.tracking import LONGEST_GAP, copy_pose, turn_about_z
+from posor.estimation.tracking import LONGEST_GAP, REGAIN_GAP, copy_pose, count_is_stale, turn_about_z
 from posor.model.fault import Fault
 from posor.model.scan import STATED_HOME
 from posor.numerics.compiled import in_place, inlined
@@ -32,8 +32,6 @@ if TYPE_CHECKING:
     from posor.numerics.vector import Vector
 
 
-REGAIN_GAP = 4.5  # intervals after the last accepted pose within which motion is regained: three bad scans in a row
-FIRST_GAP_S = 0.2  # the same after a scan that counted theta anew, whose motion is not known yet [s]
 MARKS = 6  # consecutive scans with agreeing home marks that count theta; so many disagreeing marks are a fault
 RESIDUAL_RUN = 10  # scans in a row that fail the residual test before the joint is latched, or pass before release
 REFERENCE_SIGMAS = 5.0  # standard deviations within which a reference of theta agrees
@@ -53,8 +51,7 @@ def begin_checks(workspace: Any) -> None:
     checks.elapsed = tracker.time - tracker.stamp
     checks.faults, checks.contradictory, checks.accepted = 0, 0, 1
     checks.recounted, checks.confirmed, checks.marks, checks.marks_off = 0, 0, 0, 0.0
-    limited = workspace.settings.max_velocity < math.inf
-    if limited and tracker.initialised and count_is_stale(workspace.settings, tracker, checks.elapsed):
+    if tracker.initialised and count_is_stale(workspace.settings, tracker, checks.elapsed):
         tracker.counted = 0
     checks.counted = tracker.counted
 
@@ -108,13 +105,16 @@ def check_motion(workspace: Any, theta: float, estimate: Any) -> None:
             checks.accepted = 0
             if _position_jumped(workspace, estimate):
                 tracker.latch_about_theta = 0
-    elif tracker.initialised and settings.max_velocity < math.inf and not checks.recounted:
-        position, about_z = motion_gate(workspace, tracker.pose, checks.elapsed, estimate.random)
+    elif tracker.initialised and settings.max_velocity < math.inf:
+        if checks.recounted:  # a period more or less changes theta, and X and Y a little
+            position, about_z = _plane_gate(workspace, tracker.pose, checks.elapsed, estimate.random), 0.0
+        else:
+            position, about_z = motion_gate(workspace, tracker.pose, checks.elapsed, estimate.random)
         if max(position, about_z) > 1.0:
             checks.faults |= INNOVATION
             slipped = settings.period > 0.0 and abs(wrapped(theta - tracker.theta)) > 0.5 * settings.period
             latch(tracker, INNOVATION, 1 if position <= 1.0 or slipped else 0, checks.elapsed)
-            checks.accepted = 0
+            checks.accepted = checks.recounted = 0
 
 
 @in_place
@@ -220,19 +220,34 @@ def motion_gate(workspace: Any, previous: Any, elapsed: float, covariance: Float
     ``elapsed`` [s]: time between them, to which the allowance for scattered stamps is added.
     """
     settings, pose = workspace.settings, workspace.pose
+    largest = _plane_gate(workspace, previous, elapsed, covariance)
     elapsed += workspace.checks.allowance
-    largest = 0.0
-    for i in range(3):
-        allowed = settings.max_velocity * elapsed + NOISE_ALLOWANCE * math.sqrt(2.0 * covariance[i, i])
-        largest = max(largest, abs(pose.translation[i] - previous.translation[i]) / allowed)
+    for i in range(2):
+        largest = max(largest, _shifted(workspace, previous, elapsed, covariance, i))
+    turned = abs(wrapped(theta_in_kernel(pose.rotation) - theta_in_kernel(previous.rotation)))
+    allowed = settings.max_theta_rate * elapsed + NOISE_ALLOWANCE * math.sqrt(2.0 * covariance[5, 5])
+    return largest, turned / allowed
+
+
+@inlined
+def _shifted(workspace: Any, previous: Any, elapsed: float, covariance: FloatArray, i: int) -> float:
+    """Return the shift along axis i as a share of the largest one possible."""
+    allowed = workspace.settings.max_velocity * elapsed + NOISE_ALLOWANCE * math.sqrt(2.0 * covariance[i, i])
+    return float(abs(workspace.pose.translation[i] - previous.translation[i]) / allowed)
+
+
+@inlined
+def _plane_gate(workspace: Any, previous: Any, elapsed: float, covariance: FloatArray) -> float:
+    """Return the motion of the target plane, gap and lean, as a share of the largest one possible."""
+    settings, pose = workspace.settings, workspace.pose
+    elapsed += workspace.checks.allowance
+    largest = _shifted(workspace, previous, elapsed, covariance, 2)
     for i in range(2):
         leaned = abs(pose.rotation[i, 2] - previous.rotation[i, 2])
         spread = covariance[4, 4] if i == 0 else covariance[3, 3]
         allowed = settings.max_lean_rate * elapsed + NOISE_ALLOWANCE * math.sqrt(2.0 * spread)
         largest = max(largest, leaned / allowed)
-    turned = abs(wrapped(theta_in_kernel(pose.rotation) - theta_in_kernel(previous.rotation)))
-    allowed = settings.max_theta_rate * elapsed + NOISE_ALLOWANCE * math.sqrt(2.0 * covariance[5, 5])
-    return largest, turned / allowed
+    return largest
 
 
 @in_place
@@ -247,13 +262,6 @@ def latch(tracker: Any, faults: int, about_theta: int, elapsed: float) -> None:
         tracker.latch_about_theta = 1
     tracker.latch |= faults
     tracker.latch_about_theta &= about_theta
-
-
-@inlined
-def count_is_stale(settings: Any, tracker: Any, elapsed: float) -> bool:
-    """Return whether theta may be half a period off because the last pose is too old: UNCOUNTED, not a fault."""
-    followed_for = REGAIN_GAP * tracker.interval if tracker.interval > 0.0 else FIRST_GAP_S
-    return bool(elapsed > followed_for and settings.max_theta_rate * elapsed > 0.5 * settings.period)
 
 
 @inlined

@@ -1,21 +1,14 @@
 """Largest error of a pose by the largest error of its stamp.
 
-A stamp that is wrong by at most L displaces the pose along its motion, along and about each axis by at most
+A stamp that is wrong by at most L displaces the pose along its motion. Let r be the mean rate along or about an axis
+over the last interval d, A the largest acceleration and V the largest velocity that the calibration states. The rate is
+within ``A d / 2`` of r at the present pose, and changes by at most ``A L`` within L, so the displacement is at most
 
-    |twist| L + |acceleration| L^2 / 2 + |jerk| L^3 / 6.
+    min(L V, L (|r| + A (d + L) / 2) + n),
 
-They follow from the poses of successive scans by triple exponential smoothing (R. G. Brown, *Smoothing, Forecasting and
-Prediction of Discrete Time Series*, 1963). With the mean rate r over the last interval d, the memory T = 2 max(L, d)
-and the gain g = d / (d + T):
-
-    s1 += g (r - s1),  s2 += g (s1 - s2),  s3 += g (s2 - s3),
-    jerk = (s1 - 2 s2 + s3) / T^2,  acceleration = (s1 - s2) / T + 2 T jerk,
-    twist = 3 s1 - 3 s2 + s3 + acceleration d / 2.
-
-The memory limits what the noise of the poses adds to 1.9 of its standard deviations s. The bound is wider by
-NOISE_SIGMAS s min(1, L / d), so that it holds beside the coverage factor of the protection level, 4.4. A motion that
-begins within L is not seen. Where the motion has been followed for less than SETTLED memories, the motion limits of the
-calibration times L are the bound, infinite without motion limits; but for the noise, the bound never exceeds them.
+without a stated acceleration or a previous pose L V, without motion limits infinite. The noise n of the rate is
+``NOISE_SIGMAS s L / d`` for a pose with the random standard deviation s, so that the bound holds beside the coverage
+factor of the protection level.
 """
 
 from __future__ import annotations
@@ -23,16 +16,14 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any
 
-from posor.estimation.tracking import LONGEST_GAP
 from posor.numerics.compiled import in_place, inlined
-from posor.numerics.vector import cross, minus, square, wrapped
+from posor.numerics.vector import cross, minus, wrapped
 
 if TYPE_CHECKING:
     from posor.numerics.array_types import FloatArray
     from posor.numerics.vector import Vector
 
-NOISE_SIGMAS = 5.0  # 4.4 (sqrt(1 + 1.9^2) - 1)
-SETTLED = 6.0  # memories after which the smoothed rates are used
+NOISE_SIGMAS = 5.0 * math.sqrt(2.0)  # of the difference of two poses
 
 
 @inlined
@@ -42,22 +33,14 @@ def _axis_of(rotation: FloatArray) -> Vector:
 
 
 @inlined
-def _smooth(motion: Any, i: int, rate: float, gain: float) -> None:
-    motion.once[i] += gain * (rate - motion.once[i])
-    motion.twice[i] += gain * (motion.once[i] - motion.twice[i])
-    motion.thrice[i] += gain * (motion.twice[i] - motion.thrice[i])
-
-
-@inlined
-def _moved(motion: Any, i: int, limit: float, elapsed: float, memory: float) -> float:
-    """Return the largest motion of coordinate i within ``limit`` [s]; infinite while the rates settle."""
-    if not motion.followed >= SETTLED * memory:
-        return math.inf
-    once, twice, thrice = motion.once[i], motion.twice[i], motion.thrice[i]
-    jerk = (once - 2.0 * twice + thrice) / square(memory)
-    acceleration = (once - twice) / memory + 2.0 * memory * jerk
-    twist = 3.0 * (once - twice) + thrice + 0.5 * elapsed * acceleration
-    return float(limit * (abs(twist) + limit * (abs(acceleration) / 2.0 + limit * abs(jerk) / 6.0)))
+def _largest_shift(
+    limit: float, elapsed: float, fastest: float, acceleration: float, moved: float, noise: float
+) -> float:
+    """Return the largest displacement within ``limit`` [s] after a motion in ``elapsed`` [s]; NaN: unknown."""
+    if not elapsed > 0.0:
+        return limit * fastest
+    after = limit * (abs(moved) / elapsed + 0.5 * acceleration * (elapsed + limit))
+    return min(limit * fastest, after + NOISE_SIGMAS * noise * limit / elapsed)
 
 
 @in_place
@@ -67,25 +50,19 @@ def write_stamp_shift(workspace: Any, limit: float, theta: float, elapsed: float
     ``theta``: of the pose [rad]; ``elapsed``: time since the tracker's pose [s], NaN: the motion from there is unknown;
     ``estimate``: record of dtype ESTIMATE, its ``stamp_shift`` is written: ROS order, axes of the parent [m], [rad].
     """
-    settings, tracker, pose = workspace.settings, workspace.tracker, workspace.pose
-    motion, axis = tracker.motion, _axis_of(pose.rotation)
-    longest = max(limit, elapsed) if elapsed > 0.0 else limit
-    memory, noise = 2.0 * longest, NOISE_SIGMAS * limit / longest
-    if not elapsed <= LONGEST_GAP * tracker.interval:
-        motion.followed = 0.0
-    if elapsed > 0.0:
-        gain = elapsed / (elapsed + memory) if motion.followed > 0.0 else 1.0
-        motion.followed += elapsed
-        spin = wrapped(theta - tracker.theta) / elapsed
-        lean = cross(axis, minus(axis, _axis_of(tracker.pose.rotation)))
-        for k in range(3):
-            _smooth(motion, k, (pose.translation[k] - tracker.pose.translation[k]) / elapsed, gain)
-            _smooth(motion, 3 + k, spin * axis[k] + lean[k] / elapsed, gain)
+    settings, previous, pose = workspace.settings, workspace.tracker.pose, workspace.pose
+    axis = _axis_of(pose.rotation)
+    spin = wrapped(theta - workspace.tracker.theta)
+    lean = cross(axis, minus(axis, _axis_of(previous.rotation)))
     for k in range(3):
-        turn = math.inf
-        if settings.max_theta_rate < math.inf:
-            turn = limit * (settings.max_lean_rate + settings.max_theta_rate * abs(axis[k]))
-        estimate.stamp_shift[k] = min(limit * settings.max_velocity, _moved(motion, k, limit, elapsed, memory))
-        estimate.stamp_shift[3 + k] = min(turn, _moved(motion, 3 + k, limit, elapsed, memory))
-    for i in range(6):
-        estimate.stamp_shift[i] += noise * math.sqrt(estimate.random[i, i])
+        fastest, acceleration = settings.max_lean_rate, settings.max_lean_acceleration
+        if axis[k] != 0.0:
+            fastest += settings.max_theta_rate * abs(axis[k])
+            acceleration += settings.max_theta_acceleration * abs(axis[k])
+        noise = math.sqrt(estimate.random[3 + k, 3 + k])
+        moved = spin * axis[k] + lean[k]
+        estimate.stamp_shift[3 + k] = _largest_shift(limit, elapsed, fastest, acceleration, moved, noise)
+        fastest, acceleration = settings.max_velocity, settings.max_acceleration
+        noise = math.sqrt(estimate.random[k, k])
+        moved = pose.translation[k] - previous.translation[k]
+        estimate.stamp_shift[k] = _largest_shift(limit, elapsed, fastest, acceleration, moved, noise)

@@ -13,6 +13,8 @@ if TYPE_CHECKING:
     from posor.numerics.array_types import FloatArray
 
 RATE_MEMORY = 0.9  # share of the largest change of a rate that is kept from scan to scan
+REGAIN_GAP = 4.5  # intervals after the last accepted pose within which motion is regained: three bad scans in a row
+FIRST_GAP_S = 0.2  # the same after a scan that counted theta anew, whose motion is not known yet [s]
 LONGEST_GAP = 3.5  # longest extrapolation of the motion, in intervals of the previous scans
 
 
@@ -40,6 +42,30 @@ def forget_pose(tracker: Any) -> None:
     """Forget the previous pose and the count."""
     tracker.initialised = 0
     tracker.counted = 0
+
+
+@inlined
+def count_is_stale(settings: Any, tracker: Any, elapsed: float) -> bool:
+    """Return whether theta may be half a period off because the last pose is too old: UNCOUNTED, not a fault.
+
+    Without a limit of the motion, theta is extrapolated over any time.
+    """
+    followed_for = REGAIN_GAP * tracker.interval if tracker.interval > 0.0 else FIRST_GAP_S
+    reach = settings.max_theta_rate * elapsed
+    return bool(elapsed > followed_for and 0.5 * settings.period < reach < math.inf)
+
+
+@inlined
+def needs_start(settings: Any, tracker: Any) -> bool:
+    """Return whether a scan needs a start in closed form: no pose is known, or the phase of its bumps is not.
+
+    While latched, the phase is not looked for.
+    """
+    if tracker.start_given:
+        return False
+    lost_phase = settings.bump_angle > 0.0 and tracker.latch == 0
+    lost_phase = lost_phase and count_is_stale(settings, tracker, tracker.time - tracker.stamp)
+    return bool(not tracker.initialised or lost_phase)
 
 
 @inlined

@@ -34,6 +34,9 @@ SETTINGS = np.dtype(  # settings of the tracker and of the tests
         ("max_velocity", "f8"),  # of the target along X, Y and Z each [m/s]; infinite: not limited
         ("max_lean_rate", "f8"),  # [rad/s]
         ("max_theta_rate", "f8"),  # [rad/s]
+        ("max_acceleration", "f8"),  # of the target along X, Y and Z each [m/s^2]; infinite: not stated
+        ("max_lean_acceleration", "f8"),  # [rad/s^2]
+        ("max_theta_acceleration", "f8"),  # [rad/s^2]
         ("bump_angle", "f8"),  # after which the readings repeat [rad]; zero: never
         ("period", "f8"),  # after which theta is ambiguous: the bump angle, or the pitch of even light sources [rad]
         ("home_theta", "f8"),  # theta at the home mark [rad]
@@ -62,21 +65,15 @@ CLOCKS = np.dtype(  # the line between scan numbers and stamps (``estimation.clo
         ("variance", "f8"),  # of the stamps about the line [s^2]
         ("deviation", "f8"),  # of the present stamp from the line [s]
         ("step", "f8"),  # largest step of the stamps that was accepted: they were or are wrong by as much [s]
+        ("held", "i8"),  # 1: a line has held for FITTED_SCANS
+        ("failed", "i8"),  # lines in a row that did not
+        ("first_number", "u8"),  # of the scan that left the first of them
+        ("first_stamp", "f8"),
         ("refused", "i8"),  # scans in a row that contradict the line
-        ("agreeing", "i8"),  # the last of them that agree with one another
+        ("agreeing", "i8"),  # the last of them and of the late ones that agree with one another
         ("late", "i8"),  # scans in a row whose number is not after the last
         ("refused_number", "u8"),  # of the last scan that was refused or late
         ("refused_stamp", "f8"),
-    ],
-    align=True,
-)
-
-MOTION = np.dtype(  # smoothed rates of the pose, ROS order (``estimation.stamp_limit``)
-    [
-        ("followed", "f8"),  # time over which the motion was followed without a break [s]
-        ("once", "f8", (6,)),  # smoothed once [m/s], [rad/s]
-        ("twice", "f8", (6,)),
-        ("thrice", "f8", (6,)),
     ],
     align=True,
 )
@@ -122,7 +119,6 @@ TRACKER = np.dtype(  # what is known from the previous scans
         ("rates", "i8"),  # how many rates were found without a break
         ("rate_sigmas", "f8", (4,)),  # standard uncertainties of velocity and rate, from their changes [m/s], [rad/s]
         ("interval", "f8"),  # time over which rate and velocity were found [s]; zero: unknown
-        ("motion", MOTION),  # of scans that state the largest error of their stamps
         ("pose", POSE),
         ("start", POSE),
         ("measured", "i8"),  # deviations that a scan has measured: 1 the supply, 2 the temperature, or their sum

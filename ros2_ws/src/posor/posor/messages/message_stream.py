@@ -284,6 +284,10 @@ class RawScanStream:
         """Return stamp and number of the last scan, as ``identity``; None: there was none."""
         return None if self.status["state"] < 0 else self.identity(self._last)
 
+    def newest_number(self) -> int:
+        """Return the number of the newest scan in order: a late scan is not."""
+        return int(self._posor.tracker["clocks"]["number"])
+
     def number_of(self, data: bytes) -> int:
         """Return the number of a raw scan of this layout."""
         return int(self._unpack_identity(data, STAMP.start)[2])

@@ -105,7 +105,8 @@ def test_limits_of_the_stamps_reach_the_endpoint() -> None:
     transforms = {name: pin.XYZQUATToSE3(each.poses[n]) for name, each in joints.items()}
     effects = endpoint_effects(chain, transforms)
     expected = sum(np.abs(effects[name]) @ each.stamp_shifts[n] for name, each in joints.items())
-    np.testing.assert_allclose(found.stamp_shifts[-1], expected, rtol=2e-3)
+    assert (found.stamp_shifts[-1] >= expected).all()
+    np.testing.assert_allclose(found.stamp_shifts[-1], expected, rtol=0.1)  # with the turns on one another
     assert found.stamp_shifts[-1].min() > 0.0
 
 

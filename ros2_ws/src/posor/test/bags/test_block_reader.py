@@ -95,7 +95,9 @@ def test_fewer_messages_than_in_the_index_are_refused(tmp_path: Path) -> None:
     write(tmp_path / "bag", [records(90)])
     path = tmp_path / "bag" / "bag.mcap"
     damaged(path, path.read_bytes().index(by_rosbags(path)[5][2]) - 31, b"\x7f")
-    with pytest.raises(BagError, match=r"holds 59 messages of /one/raw, /two/raw; expected 60, as its index says\."):
+    with pytest.raises(
+        BagError, match=r"holds 59 messages of /one/raw, /two/raw; expected 60, as the index of the bag states\."
+    ):
         list(by_blocks(tmp_path / "bag"))
 
 

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from posor import Estimates, Fault, Posor, Scans, State, load_calibration, simulate
-from posor.estimation.clocks import LATE_RUN, NEW_RATE_RUN, RESTART_RUN
+from posor.estimation.clocks import FAILED_LINES, LATE_RUN, NEW_RATE_RUN, RESTART_RUN
 from posor.estimation.exposure import LONGEST_OFFSET_S
 from scipy.stats import chi2
 
@@ -85,6 +85,7 @@ CASES: dict[str, tuple[Array, Array, Array, int]] = {
         for step in (-37.0, -1.5, -0.9, -0.5, -0.05, -0.02, 0.02, 0.3, 37.0)
     },
     "numbers jump": (INDEX, 0.0 * INDEX, np.where(INDEX >= AT, INDEX + 5000, INDEX), LATE_RUN - 1),
+    "numbers jump back": (INDEX, 0.0 * INDEX, np.where(INDEX >= AT, INDEX - 7, INDEX), LATE_RUN - 1),
     "driver restarts, stamps two ticks back": (
         INDEX,
         np.where(INDEX >= AT, -2.0 * PERIOD_S, 0.0),
@@ -123,6 +124,46 @@ def test_a_pause_in_which_the_clocks_drift_costs_no_scan() -> None:
     assert usable(estimates).all()
     assert not estimates.stamp_shifts.any()
     assert count_wrong(estimates, poses(INDEX * PERIOD_S)) == 0
+
+
+@pytest.mark.parametrize("pause_s", [0.05, 3600.0])
+def test_a_bumpy_ring_is_uncounted_after_a_pause_in_motion(pause_s: float) -> None:
+    numbers = np.where(INDEX >= AT, INDEX + round(pause_s / PERIOD_S), INDEX)
+    scans = simulated("bumpy ring").editable()
+    scans.at_home[AT + 100 :] = 0
+    estimates = estimate("bumpy ring", PERIOD_S * numbers, numbers, scans)
+    assert set(estimates.states[:AT]) == {State.OK}
+    assert set(estimates.states[AT:]) == {State.UNCOUNTED}
+
+
+@pytest.mark.parametrize("size", [2, 4])
+@pytest.mark.parametrize("kind", JOINTS)
+def test_bursts_from_the_first_scan_on_cost_few_scans(kind: str, size: int) -> None:
+    arrival = PERIOD_S * (INDEX - INDEX % size + size - 1) + 1e-5 * (INDEX % size)
+    estimates = estimate(kind, arrival, INDEX, simulated(kind))
+    after = estimates.select(slice(FAILED_LINES * size, None))
+    assert not (after.faults & (Fault.BAD_READING | Fault.INNOVATION)).any()
+    if kind == "light ring":  # the ring is uncounted, on another bump
+        assert set(after.states) == {State.DEGRADED}
+        assert count_wrong(after, poses(arrival)[FAILED_LINES * size :]) == 0
+
+
+def test_a_home_mark_that_counts_anew_does_not_pass_a_jump_of_the_gaps() -> None:
+    """The clock goes back at a home mark, so theta is counted anew at once."""
+    _, shift, numbers, _ = CASES["driver restarts, stamps two ticks back"]
+    jumped = poses(INDEX * PERIOD_S)
+    jumped[AT:, 2] += JUMP
+    calibration = load_calibration(ARMS / JOINTS["bumpy ring"])
+    scans = simulated("bumpy ring").with_fields({"gap_voltages": simulate(calibration, jumped, seed=1).gap_voltages})
+    posor = Posor(calibration, false_alarm=1e-9)
+    posor.settings["home_theta"] = START + RATE * AT * PERIOD_S
+    fields = {"stamps_ns": FIRST_NS + np.round((INDEX * PERIOD_S + shift) * 1e9).astype(np.int64)}
+    at_home = (np.abs(INDEX - AT) < 8).astype(np.int64)
+    posor.confirm_theta(START, 1e-4)
+    found = posor.estimate_all(scans.with_fields({**fields, "numbers": numbers.astype(np.uint64), "at_home": at_home}))
+    assert set(found.states[:AT]) == {State.OK}
+    assert set(found.states[AT:]) == {State.LOST}
+    assert found.faults[AT + RESTART_RUN - 1] & Fault.INNOVATION
 
 
 @pytest.mark.parametrize("name", ["one late by one", "one stamp off", "driver restarts, stamps two ticks back"])

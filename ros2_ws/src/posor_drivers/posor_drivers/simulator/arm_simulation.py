@@ -5,6 +5,7 @@ Equal files and seeds give equal numbers in every process, for any ticks in any 
 
 from __future__ import annotations
 
+from copy import copy
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,11 +21,12 @@ from posor_drivers.simulator.scenario import load_scenario
 from posor_drivers.simulator.truth_model import load_truth
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from posor.chain.arm_file import ArmFile
     from posor.numerics.array_types import FloatArray, IntArray
 
+    from posor_drivers.simulator.faults import SimulatedFault
     from posor_drivers.simulator.pose_array import ArmTruth, PoseArray
     from posor_drivers.simulator.simulated_scans import SimulatedScans
 
@@ -80,17 +82,7 @@ class ArmSimulation:
             joint: JointElectronics(self.scenario, joint, calibration, imperfections, source, model)
             for joint, calibration in self.calibrations.items()
         }
-        placed = [(f"{source}, key faults[{i}]", fault) for i, fault in enumerate(self.scenario.faults)]
-        self._faults: dict[str, JointFaults] = {}
-        for joint in {fault.joint for fault in self.scenario.faults}:
-            own = [(where, fault) for where, fault in placed if fault.joint == joint]
-            self._faults[joint] = JointFaults(
-                own,
-                self.calibrations[joint],
-                seed=self.scenario.seed,
-                rate=self.scenario.ticks_per_second,
-                cycle_ticks=self._cycle_ticks,
-            )
+        self._faults = self._place_faults(self.scenario.faults, source)
         for joint, electronics in self._electronics.items():
             home = electronics.home
             if home is not None and not electronics.is_at_home(self._cycle.T_parent_child[joint].rotations).any():
@@ -101,6 +93,30 @@ class ArmSimulation:
     def start_at(self, joint: str, tick: int) -> None:
         """Make a tick that of the first scan of a joint's driver, which is dark where the joint has dark scans."""
         self._electronics[joint].first_tick = tick
+
+    def with_faults(self, faults: Sequence[SimulatedFault]) -> ArmSimulation:
+        """Return the same arm with other faults.
+
+        Raises CalibrationError: a fault names a joint or channel that the arm does not have.
+        """
+        other = copy(self)
+        other._faults = self._place_faults(faults, "with_faults")  # noqa: SLF001  of the same class
+        return other
+
+    def _place_faults(self, faults: Sequence[SimulatedFault], source: str) -> dict[str, JointFaults]:
+        placed: dict[str, list[tuple[str, SimulatedFault]]] = {}
+        for i, fault in enumerate(faults):
+            placed.setdefault(fault.joint, []).append((f"{source}, key faults[{i}]", fault))
+        return {
+            joint: JointFaults(
+                own,
+                self.calibrations[joint],
+                seed=self.scenario.seed,
+                rate=self.scenario.ticks_per_second,
+                cycle_ticks=self._cycle_ticks,
+            )
+            for joint, own in placed.items()
+        }
 
     def truth(self, ticks: IntArray, stage: FloatArray | None = None) -> ArmTruth:
         """Return the truth at ticks (n,), with the stage at positions (n, 3) [m], axes of the endpoint; None: zero."""

@@ -174,7 +174,7 @@ def test_storage_with_fewer_messages_than_its_index_is_refused(tmp_path: Path, *
     bag = write_bag(tmp_path / "bag", RECORDS, sqlite=sqlite)
     metadata = bag / "metadata.yaml"
     metadata.write_text(metadata.read_text().replace("message_count: 3", "message_count: 4"))
-    assert refusal(bag) == "BAG: holds 3 messages of /joint1/raw; expected 4, as its index says."
+    assert refusal(bag) == "BAG: holds 3 messages of /joint1/raw; expected 4, as the index of the bag states."
 
 
 def test_missing_or_invalid_metadata_are_refused(tmp_path: Path) -> None:
