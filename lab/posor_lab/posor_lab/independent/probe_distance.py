@@ -2,8 +2,8 @@
 
 A capacitive probe measures the mean of 1 / distance over its area, along lines parallel to its axis. The calibration
 file describes each probe by its axis alone. On a plane that leans by the angle phi the reading is smaller than the
-distance along the axis by (radius phi)^2 / (4 distance): for the radius assumed here 0.2 nm at 1 mrad and 62 nm at 10
-mrad, both at 0.1 to 0.3 mm. On a ring the profile is as the probe sees it, because it is calibrated by these probes;
+distance along the axis by (radius phi)^2 / (4 distance): for the radius assumed here 0.2 nm at 1 mrad and 0.3 mm, 62 nm
+at 10 mrad and 0.1 mm. On a ring the profile is as the probe sees it, because it is calibrated by these probes;
 only the lean along the ring's axis is averaged.
 """
 

@@ -23,7 +23,7 @@ AREA_EFFECT = 1e-7
 
 
 def ratios(currents: np.ndarray) -> np.ndarray:
-    return (currents[..., :2] - currents[..., 2:]) / (currents[..., :2] + currents[..., 2:])
+    return np.asarray((currents[..., :2] - currents[..., 2:]) / (currents[..., :2] + currents[..., 2:]))
 
 
 @pytest.mark.parametrize("stack", GOLDEN_STACKS)
@@ -79,7 +79,7 @@ def test_drawn_parts_read_as_in_the_estimator(name: Any) -> None:
     errors = stack.parameter_sigmas * random.normal(size=stack.parameters)
     drawn = stack.with_parameter_values(stack.parameter_values + errors)
     place = np.eye(3)[None], np.array([[1e-5, 2e-5, 0.7e-3]])
-    arguments = {"supply_voltages": np.array([15.2]), "temperatures": np.array([291.0])}
+    arguments: Any = {"supply_voltages": np.array([15.2]), "temperatures": np.array([291.0])}
     expected = scans_at(drawn, *place, np.arange(1), **arguments)
     found = TruePosor(calibration).scans_at(drawn, *place, np.arange(1), **arguments)
     for field in ("gap_voltages", "ring_voltages", "diode_currents"):
