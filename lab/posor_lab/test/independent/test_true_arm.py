@@ -94,22 +94,16 @@ def test_the_simulator_runs_on_the_independent_truth_of_the_scenario(tmp_path: P
 
 
 @pytest.mark.parametrize(
-    ("change", "sentence"),
+    ("file", "change", "sentence"),
     [
-        ({"truth": "other"}, "key truth: truth 'other' is unknown; expected one of 'shared', 'independent'."),
-        ({"gravity": {"value": [0.0, 0.0, -9.8], "unit": "m"}}, "has the unit 'm'; expected 'm/s^2'"),
+        ("scenario.yaml", {"truth": "other"}, r"truth 'other' is unknown; expected one of 'shared', 'independent'\.$"),
+        ("calibrations/joint1.yaml", {"tilt_angle": "previous_scan"}, "calibration 'test_rig_joint1': the tilt of the"),
     ],
-    ids=["unknown", "unit"],
+    ids=["truth", "tilt"],
 )
-def test_a_truth_that_cannot_be_used_is_named(tmp_path: Path, change: dict[str, Any], sentence: str) -> None:
+def test_a_truth_that_cannot_be_used_is_named(tmp_path: Path, file: str, change: dict[str, Any], sentence: str) -> None:
     arm = write_fault_arm("test_rig", tmp_path / "arm", 20, 7)
-    path = tmp_path / "arm" / ("scenario.yaml" if "truth" in change else "beams.yaml")
+    path = tmp_path / "arm" / file
     path.write_text(yaml.safe_dump(yaml.safe_load(path.read_text()) | change), encoding="utf-8")
-    if "truth" in change:
-        with pytest.raises(CalibrationError) as caught:
-            ArmSimulation(arm)
-        assert str(caught.value).endswith(sentence)
-    else:
-        with pytest.raises(ValueError, match="unit") as refused:
-            TrueArm(arm.path)
-        assert str(refused.value).endswith(sentence)
+    with pytest.raises(CalibrationError, match=sentence):
+        ArmSimulation(arm)

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from posor_drivers.simulator.imperfections import Imperfections
     from posor_drivers.simulator.pose_array import PoseArray
     from posor_drivers.simulator.scenario import Scenario
-    from posor_drivers.simulator.truth_model import TrueArm
+    from posor_drivers.simulator.truth_model import TrueArm, TrueJoint
 
 READ_IN_TURN = (*PROBE_FIELDS, DIODE_FIELD)
 """Readings in the order in which a multiplexer reads them."""
@@ -95,11 +95,13 @@ class JointElectronics:
                 common = shared_effects(calibration, calibration.session)
                 errors += common @ shared_errors(scenario.seed, calibration.shared)
             self._stack = self._stack.with_parameter_values(self._stack.parameter_values + errors)
-        by_name = dict(zip(self._stack.parameter_names, errors.tolist(), strict=True))
-        try:
-            self._truth = None if truth is None else truth.joint(joint, by_name)
-        except ValueError as error:
-            raise CalibrationError(f"{error}", where=f"calibration '{calibration.name}'") from error
+        self._truth: TrueJoint | None = None
+        if truth is not None:
+            by_name = dict(zip(self._stack.parameter_names, errors.tolist(), strict=True))
+            try:
+                self._truth = truth.joint(joint, by_name)
+            except ValueError as error:
+                raise CalibrationError(f"{error}", where=f"calibration '{calibration.name}'") from error
         diodes = [sensor for sensor in calibration.sensors if isinstance(sensor, DiodesCalibration)]
         removal = diodes[0].ambient if diodes else None
         self._ambient = scenario.electronics.ambient if removal is not None and imperfections.ambient_light else None
