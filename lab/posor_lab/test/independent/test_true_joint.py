@@ -63,7 +63,7 @@ def test_curves_and_zero_shifts_of_a_session_read_as_in_the_estimator() -> None:
         "day": {"note": "", "zero_shifts": {"value": [0.1, -0.2, 0.3], "unit": "V"}, "diode_map": "1985"}
     }
     posor, random = Posor(calibration_from(content).for_session("day")), np.random.default_rng(5)
-    turn = Rotation.from_euler("Z", random.uniform(-0.02, 0.02, 50)).as_matrix()
+    turn = Rotation.from_rotvec(random.uniform(-0.02, 0.02, (50, 1)) * [0.0, 0.0, 1.0]).as_matrix()
     place = turn, random.uniform([-2e-3, -2e-3, 0.6e-3], [2e-3, 2e-3, 0.8e-3], (50, 3))
     expected, found = scans_at(posor.stack, *place, np.arange(50)), TrueJoint(content, "day").readings(*place)
     np.testing.assert_allclose(found["diode_currents"], expected.diode_currents, rtol=1e-9)
