@@ -40,27 +40,28 @@ def _perpendiculars(axes: FloatArray, to_this: FloatArray | None = None) -> tupl
     return first, second / np.linalg.norm(second, axis=-1, keepdims=True)
 
 
-def plane_distances(
-    rotations: FloatArray,
-    translations: FloatArray,
-    tips: FloatArray,
-    axes: FloatArray,
-    point: FloatArray,
-    tilt: FloatArray,
-) -> FloatArray:
-    """Return the readings (n, p) [m] of probes at a plane of the target plate.
+class ProbedPlane:
+    """A plane of the target plate and the probes that look at it."""
 
-    ``tips``, ``axes``: (p, 3), in the receiving plate; ``point``: of the plane, (3,), ``tilt``: its turns about X and
-    then about the new Y [rad], (2,), which bring the direction -Z onto the plane's normal, all in the target plate.
-    """
-    normal = rotations @ Rotation.from_euler("XY", tilt).apply([0.0, 0.0, -1.0])
-    place = rotations @ point + translations
-    first, second = _perpendiculars(axes)
-    offsets = _HEXAGON.real[:, None, None] * first + _HEXAGON.imag[:, None, None] * second
-    starts = tips + offsets
-    heights = np.einsum("nk,nk->n", normal, place)[:, None, None] - np.einsum("nk,qpk->nqp", normal, starts)
-    distances = heights / np.einsum("nk,pk->np", normal, axes)[:, None, :]
-    return np.asarray(1.0 / np.mean(1.0 / distances, axis=1))
+    def __init__(self, tips: FloatArray, axes: FloatArray, point: FloatArray, tilt: FloatArray) -> None:
+        """Place probes and plane.
+
+        ``tips`` [m], ``axes``: (p, 3), in the receiving plate; ``point``: of the plane [m], (3,), ``tilt``: its turns
+        about X and then about the new Y [rad], (2,), which bring the direction -Z onto the plane's normal, all in the
+        target plate.
+        """
+        first, second = _perpendiculars(axes)
+        self._starts = tips + _HEXAGON.real[:, None, None] * first + _HEXAGON.imag[:, None, None] * second
+        self._axes, self._point = axes, point
+        self._normal = Rotation.from_euler("XY", tilt).apply([0.0, 0.0, -1.0])
+
+    def distances(self, rotations: FloatArray, translations: FloatArray) -> FloatArray:
+        """Return the readings (n, p) [m] of the probes at poses of the target plate, (n, 3, 3), (n, 3) [m]."""
+        normals = rotations @ self._normal
+        places = np.sum(normals * (rotations @ self._point + translations), axis=1)
+        heights = places[:, None, None] - np.einsum("nk,qpk->nqp", normals, self._starts)
+        distances = heights / (normals @ self._axes.T)[:, None, :]
+        return np.asarray(1.0 / np.mean(1.0 / distances, axis=1))
 
 
 class RingProfile:

@@ -14,7 +14,7 @@ from posor_lab.independent.diode_contacts import contact_currents, read_map
 from posor_lab.independent.file_values import si_values
 from posor_lab.independent.light_rays import DiodePlane, nearest_sources
 from posor_lab.independent.probe_curve import ProbeCurve
-from posor_lab.independent.probe_distance import RingProfile, plane_distances, ring_distances
+from posor_lab.independent.probe_distance import ProbedPlane, RingProfile, ring_distances
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -200,6 +200,10 @@ class _GapProbes(_Probes):
             values["zero_shifts"] = si_values(self._replaced["zero_shifts"], "V")
         return values | {"plane_point": si_values(plane["point"], "m"), "plane_tilt": si_values(plane["tilt"], "rad")}
 
+    def _prepare(self) -> None:
+        super()._prepare()
+        self._plane = ProbedPlane(*(self._values[name] for name in ("tips", "axes", "plane_point", "plane_tilt")))
+
     def readings(
         self, rotations: FloatArray, translations: FloatArray, surroundings: _Surroundings
     ) -> dict[str, NDArray[Any]]:
@@ -209,8 +213,7 @@ class _GapProbes(_Probes):
         return fields | {"reference_voltages": np.full(len(rotations), float(si_values(known["voltage"], "V")))}
 
     def _distances(self, rotations: FloatArray, translations: FloatArray) -> FloatArray:
-        names = ("tips", "axes", "plane_point", "plane_tilt")
-        return plane_distances(rotations, translations, *(self._values[name] for name in names))
+        return self._plane.distances(rotations, translations)
 
 
 class _BumpyRing(_Probes):

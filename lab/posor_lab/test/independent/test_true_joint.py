@@ -12,7 +12,7 @@ from posor.estimation.forward import scans_at
 from posor.estimation.posor import Posor
 from posor_lab.accuracy.golden_command import StackName, read_cases
 from posor_lab.independent.file_values import si_values
-from posor_lab.independent.probe_distance import AREA_RADIUS, plane_distances
+from posor_lab.independent.probe_distance import AREA_RADIUS, ProbedPlane
 from posor_lab.independent.true_joint import TrueJoint
 from posor_lab.mutations.model_checks import GOLDEN_CASES, GOLDEN_STACKS
 from posor_lab.true_scans import TruePosor
@@ -43,9 +43,9 @@ def test_ray_traced_cases(stack: StackName) -> None:
 
 @pytest.mark.parametrize("lean", [1e-3, 1e-2])
 def test_the_area_of_a_probe_shortens_the_reading_of_a_leaning_plane(lean: float) -> None:
-    tip, axis, gap = np.zeros((1, 3)), np.array([[0.0, 0.0, 1.0]]), 3e-4
+    plane, gap = ProbedPlane(np.zeros((1, 3)), np.array([[0.0, 0.0, 1.0]]), np.zeros(3), np.zeros(2)), 3e-4
     pose = Rotation.from_rotvec([lean, 0.0, 0.0]).as_matrix()[None], np.array([[0.0, 0.0, gap]])
-    found = plane_distances(*pose, tip, axis, np.zeros(3), np.zeros(2))[0, 0]
+    found = plane.distances(*pose)[0, 0]
     assert gap - found == pytest.approx((AREA_RADIUS * np.tan(lean)) ** 2 / (4.0 * gap), rel=1e-3)
 
 
