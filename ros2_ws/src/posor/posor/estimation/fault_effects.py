@@ -193,10 +193,13 @@ def _dot(rows: FloatArray, i: int, j: int) -> float:
 def _shown(model: Model, c: int, u: float, v: float) -> float:
     """Return the share of the square of u times column c plus v times the next one that the residuals show."""
     workspace, faults = model.workspace[0], model.faults
+    first, end = faults.columns[c].first, faults.columns[c].end
+    if v != 0.0:
+        first, end = min(first, faults.columns[c + 1].first), max(end, faults.columns[c + 1].end)
     total = shown = 0.0
     for t in range(workspace.redundant_count):
         component = 0.0
-        for r in range(workspace.reading_count):
+        for r in range(first, end):
             entry = u * faults.entries[c, r]
             if v != 0.0:
                 entry += v * faults.entries[c + 1, r]
