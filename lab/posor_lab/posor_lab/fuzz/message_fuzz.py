@@ -329,6 +329,7 @@ class TransformFuzz(MessageFuzz):
             if not kind.matches(data):
                 try:
                     plain = installed_schema(JOINT_TRANSFORM).normal(data)
+                    kind.tail(plain)
                 except TopicError:
                     return None
                 if not kind.matches(plain):

@@ -33,7 +33,7 @@ QUICK_ROWS = {row.title for row in FAULT_TABLE if row.quick}
 def test_the_table_has_every_kind_stack_and_run_with_unique_names() -> None:
     assert len({row.title for row in FAULT_TABLE}) == len(FAULT_TABLE) == ROWS
     assert {row.kind for row in FAULT_TABLE} == {"off", "stuck", "garbage", "wrong", "slow", "clock", "network"}
-    assert {row.arm for row in FAULT_TABLE} == {"six_axis", "five_axis", "test_rig", "quad_rig"}
+    assert {row.arm for row in FAULT_TABLE} == {"six_axis", "five_axis", "test_rig", "quad_rig", "any stack"}
     assert {row.run for row in FAULT_TABLE} == set(TITLES)
     assert {row.name.removeprefix("device ") for row in FAULT_TABLE if row.run == "devices"} == set(ACTIONS)
     assert len(QUICK_ROWS) > 5
