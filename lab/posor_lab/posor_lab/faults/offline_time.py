@@ -215,7 +215,7 @@ def _runs(inject: Mapping[str, Any], joints: Sequence[str], seed: int) -> Iterat
         faults = [_drawn_fault(kind, begin_s, random) for kind, begin_s in zip(kinds, begins, strict=True)]
         faults.sort(key=lambda fault: "late_scan" not in fault)  # others shift the stamps of exchanged scans, too
         everywhere = random.uniform() < 0.3  # noqa: PLR2004  a share
-        yield {"joints": joints if everywhere else [joints[random.integers(len(joints))]], "faults": faults}
+        yield {"joints": joints if everywhere else [joints[int(random.integers(len(joints)))]], "faults": faults}
 
 
 def _drawn_fault(kind: str, begin_s: float, random: np.random.Generator) -> dict[str, Any]:
