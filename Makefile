@@ -1,7 +1,7 @@
 # POSOR for ROS 2. Every target sets the workspace up first; this takes a fraction of a second if nothing has changed.
 
 .DEFAULT_GOAL := help
-.PHONY: help setup environment audit bounds demo arm calibrate-demo faults time mutations fuzz instruments soak test test-long coverage accuracy budgets thesis bench bench-core data docs lint words lines rooms lock clean
+.PHONY: help setup environment audit bounds demo arm calibrate-demo faults commissioning time mutations fuzz instruments soak test test-long coverage accuracy budgets thesis bench bench-core data docs lint words lines rooms lock clean
 
 BAG ?= ymo
 CAL ?= printed
@@ -12,6 +12,7 @@ POSOR ?= both
 TESTS ?=
 BENCH ?=
 FAULTS ?=
+COMMISSIONING ?=
 FORBIDDEN_WORDS := told|abreast|eights|taking_turns|Outlet|Inlet|places, ints, floats
 IN_WORKSPACE := .venv/bin/python -E tools/in_workspace.py
 
@@ -21,6 +22,7 @@ help:
 	@echo "make arm SHARED=1                                      coverage of arms with errors common to all joints and beams"
 	@echo "make calibrate-demo [CAMPAIGNS=6] [POSOR=both]         calibrate simulated POSORs from bags, compare with the truth"
 	@echo "make faults [FAULTS='--quick ...']                     inject every fault, count wrong poses published as valid"
+	@echo "make commissioning [COMMISSIONING='--arms 20 ...']     exchange plugs, signs and files, count what is found"
 	@echo "make time                                              the rows of make faults on time: clocks, late scans, multiplexed channels"
 	@echo "make mutations [MUTATIONS='--quick ...']               break the model on purpose, find the check that notices"
 	@echo "make fuzz [FUZZ='--scans 10000 ...']                   damage messages and files, count wrong poses"
@@ -70,6 +72,9 @@ calibrate-demo:
 
 faults:
 	@./run posor_lab faults $(FAULTS)
+
+commissioning:
+	@./run posor_lab commissioning $(COMMISSIONING)
 
 time:
 	@./run posor_lab faults --rows 'time:' --output build/time.json $(FAULTS)

@@ -6,4 +6,5 @@ from posor.lazy_program import LazyProgram
 
 bringup = LazyProgram("bringup", "posor_bringup.bringup")
 view = LazyProgram("view", "posor_bringup.view_command")
+commission = LazyProgram("commission", "posor_bringup.commission_command")
 posor = LazyProgram("posor", "posor_bringup.posor_command")

@@ -12,7 +12,7 @@ from posor_calibration.calibration_programs import calibrate
 from posor_design.design_programs import budget, design
 from posor_drivers.driver_programs import instruments, record
 
-from posor_bringup.bringup_programs import bringup, view
+from posor_bringup.bringup_programs import bringup, commission, view
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -41,6 +41,7 @@ def _print_completion() -> int:
 SUBCOMMANDS = {
     "bringup": Subcommand(bringup, "start all nodes of an arm"),
     "view": Subcommand(view, "show an arm or a bag in the browser"),
+    "commission": Subcommand(commission, "check plugs, motions and files of an arm, record its identity"),
     "instruments": Subcommand(instruments, "list, try and watch the devices of an instruments file"),
     "record": Subcommand(record, "record topics into a bag"),
     "reprocess": Subcommand(reprocess, "compute transforms and endpoint poses from recorded scans"),
