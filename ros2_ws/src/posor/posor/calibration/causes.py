@@ -169,6 +169,13 @@ DEFAULT_CAUSES: tuple[Cause, ...] = tuple(
 )
 """Causes of every design: what none of the readings of a calibration can show is left out."""
 
+DARK_SCANS, KNOWN_VOLTAGE = "dark scans", "a known voltage"
+REDUCED_BOUNDS: Mapping[str, tuple[tuple[str, float], ...]] = {
+    DARK_SCANS: (("ambient light on a diode", 1e-4), ("ambient light", 1e-4)),
+    KNOWN_VOLTAGE: (("gain of gaps", 3e-5), ("gain of ring", 3e-5)),
+}
+"""Bounds of default causes that a means of the design reduces: what it is assumed to leave."""
+
 
 def check_causes(causes: Iterable[Cause]) -> None:
     """Check that the entries under ``causes`` have different names. Raises EntryError: two of them are alike."""
@@ -180,7 +187,14 @@ def check_causes(causes: Iterable[Cause]) -> None:
         known.add(cause.name)
 
 
-def all_causes(own: Iterable[Cause]) -> tuple[Cause, ...]:
-    """Return the default causes, those that ``own`` (the file's) replaces, and the file's further ones."""
-    by_name = {cause.name: cause for cause in DEFAULT_CAUSES} | {cause.name: cause for cause in own}
-    return tuple(by_name.values())
+def all_causes(own: Iterable[Cause], means: Iterable[str] = ()) -> tuple[Cause, ...]:
+    """Return the default causes, those that ``own`` (the file's) replaces, and the file's further ones.
+
+    ``means``: keys of ``REDUCED_BOUNDS`` that the design has.
+    """
+    by_name = {cause.name: cause for cause in DEFAULT_CAUSES}
+    for each in means:
+        for name, bound in REDUCED_BOUNDS[each]:
+            changes = {"bound": bound, "source": f"assumed: with {each}"}
+            by_name[name] = by_name[name].model_copy(update=changes)
+    return tuple((by_name | {cause.name: cause for cause in own}).values())

@@ -28,7 +28,7 @@ MAX_OFFSET = 0.02
 MAX_VARIANCE = 100.0  # largest variance [m^2], [rad^2]; a greater one is useless and may overflow along the arm
 POSE_NOT_FINITE, QUATERNION_NOT_UNIT, COVARIANCE_NOT_FINITE, NATIVE_DISAGREES, POSE_TOO_FAR = 1, 2, 3, 4, 5
 VARIANCE_TOO_LARGE, COVARIANCE_NOT_SYMMETRIC, COVARIANCE_NOT_POSITIVE, ENDPOINT_NOT_FINITE = 6, 7, 8, 9
-SHARED_TOO_LARGE, STAMP_SHIFT_INVALID = 10, 11
+SHARED_TOO_LARGE, STAMP_SHIFT_INVALID, COVARIANCE_ZERO = 10, 11, 12
 FAULT_TEXTS = {  # why a joint's measurement cannot be used, by its fault in ``Endpoints.faults``
     POSE_NOT_FINITE: "has a pose that is not finite",
     QUATERNION_NOT_UNIT: "has an orientation that is not a unit quaternion",
@@ -41,6 +41,7 @@ FAULT_TEXTS = {  # why a joint's measurement cannot be used, by its fault in ``E
     ENDPOINT_NOT_FINITE: "gives an endpoint that is not finite",
     SHARED_TOO_LARGE: "has effects of shared terms that exceed its systematic covariance",
     STAMP_SHIFT_INVALID: "has a stamp shift that is negative or not a number",
+    COVARIANCE_ZERO: "has covariances of zeros, which mean unknown",
 }
 UNIT_QUATERNION_TOLERANCE = 1e-6  # largest difference of a quaternion's length from one
 NATIVE_TOLERANCE = 1e-8  # largest difference of native angles from the pose [rad]; x, y and gap are equal
@@ -88,7 +89,7 @@ class JointMeasurements(NamedTuple):
     poses: FloatArray  # target plate in receiving plate, (n, j, 7): x, y, z [m], unit quaternion x, y, z, w
     covariances_random: FloatArray  # as ``MeasuredJoint.covariance_random``, (n, j, 6, 6)
     covariances_systematic: FloatArray  # as ``MeasuredJoint.covariance_systematic``, (n, j, 6, 6)
-    thetas: FloatArray  # counted large rotations [rad], (n, j); NaN: not counted; infinite: see NATIVE_DISAGREES
+    thetas: FloatArray  # counted large rotations [rad], (n, j); NaN: not counted; infinite: the row is invalid
     shared_effects: FloatArray  # as ``MeasuredJoint.shared_effects``, (n, j, T, 6), see ``ArmGeometry.joint_terms``
     stamp_shifts: FloatArray  # as ``posor_msgs/JointTransform.stamp_shift``, (n, j, 6) [m], [rad]
     # As ``estimation.fault_effects``, C of a joint at most, (n, j, C, EFFECT), floats of 4 bytes; NaN: not known
@@ -215,7 +216,7 @@ def measurement_fault(
     if not x * x + y * y + z * z <= MAX_OFFSET * MAX_OFFSET:
         return POSE_TOO_FAR
     if math.isinf(theta):
-        return NATIVE_DISAGREES
+        return NATIVE_DISAGREES if theta > 0.0 else COVARIANCE_ZERO
     return covariance_fault(random, scratch) or covariance_fault(systematic, scratch)
 
 
@@ -267,7 +268,8 @@ def read_row(
 ) -> float:
     """Copy a row of numbers (w,) into ``pose`` (7,), into both covariances, (6, 6), and into the stamp shift, (6,).
 
-    Return theta; infinite where the native coordinates do not agree with the pose.
+    Return theta; infinite where the native coordinates do not agree with the pose, minus infinity where both
+    covariances are zero.
     """
     layout = layouts[joint]
     first_of_pose, first_of_native = layout["pose"], layout["native"]
@@ -281,5 +283,10 @@ def read_row(
             random[i, k] = random_entries[6 * i + k]
             systematic[i, k] = systematic_entries[6 * i + k]
         shift[i] = numbers[layout["stamp_shift"] + i]
+    is_zero = True
+    for i in range(6):
+        is_zero &= random[i, i] == 0.0 and systematic[i, i] == 0.0
+    if is_zero:
+        return -math.inf
     native = numbers[first_of_native : first_of_native + 6]
     return float(native[5]) if native_agrees(native, pose) else math.inf

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from posor.calibration.causes import Pattern, Readings, all_causes
+from posor.calibration.causes import DARK_SCANS, KNOWN_VOLTAGE, Pattern, Readings, all_causes
 from posor.errors import CalibrationError
 from posor.estimation.fault_model import (
     ALWAYS,
@@ -48,7 +48,7 @@ class Hypotheses(NamedTuple):
         """Return the hypotheses of a calibration. Raises CalibrationError: they need too many columns."""
         causes: list[Cause] = []
         of_columns, names, columns = [], [], []
-        for cause in all_causes(calibration.causes):
+        for cause in all_causes(calibration.causes, _means(calibration)):
             found = [] if cause.bound == 0.0 else list(_hypotheses(cause, calibration, stack))
             if found:
                 causes.append(cause)
@@ -67,6 +67,14 @@ class Hypotheses(NamedTuple):
         """Return the causes as the messages of the joint state them."""
         kinds = tuple(self.model.columns["kind"].tolist())
         return JointCauses(tuple(cause.name for cause in self.causes), self.of_columns, kinds)
+
+
+def _means(calibration: Calibration) -> Iterator[str]:
+    """Yield the means of the design that reduce bounds of causes."""
+    if any(getattr(sensor, "ambient", None) is not None for sensor in calibration.sensors):
+        yield DARK_SCANS
+    if any(getattr(sensor, "reference", None) is not None for sensor in calibration.sensors):
+        yield KNOWN_VOLTAGE
 
 
 def _hypotheses(
