@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 import pytest
 from posor.messages.joint_transform import stamp_ns_of
-from posor.numerics.array_types import FloatArray
 from posor_lab.harness.graph import Graph, wait_for_value
 from posor_lab.harness.message_conversion import stamp_ns
 from posor_lab.harness.program import Program, installed
