@@ -9,15 +9,15 @@ import sys
 
 from posor_msgs.msg import RawScan
 from posor_ros.node_program import non_ros_arguments, ros_context, spin_until
+from posor_ros.qos import RELIABLE_QOS
 from rclpy.node import Node
 
-from posor_lab.faults.message_run import OFFERED_QOS
 from posor_lab.reports.arrival_receiver import QOS
 
 if __name__ == "__main__":
     source, destination = non_ros_arguments(sys.argv)
     with ros_context(sys.argv) as stop:
         node = Node("relay")
-        publisher = node.create_publisher(RawScan, destination, OFFERED_QOS)
+        publisher = node.create_publisher(RawScan, destination, RELIABLE_QOS)
         node.create_subscription(RawScan, source, publisher.publish, QOS, raw=True)
         spin_until(node, lambda: stop.requested)

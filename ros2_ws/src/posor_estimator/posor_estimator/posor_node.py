@@ -51,6 +51,7 @@ if TYPE_CHECKING:
     from posor.calibration.calibration_file import Calibration
     from posor.messages.message_stream import EstimatedScan
     from posor_ros.diagnostics import StatusText, Value
+    from std_srvs.srv import Trigger
 
 
 LOST = int(State.LOST)
@@ -111,8 +112,8 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
         if self.parameters.home_pose:
             services["zero"] = self._zero_gap_probes
         for name, action in services.items():
-            self.add_change_service(name, partial(self._on_request, lambda _, action=action: action()))
-        self.add_change_service("acknowledge", partial(self._on_request, self._acknowledge_fault), Acknowledge)
+            self.add_change_service(name, partial(self._on_trigger, action))
+        self.add_change_service("acknowledge", self._on_acknowledge, Acknowledge)
 
     def activate(self) -> None:
         """Expect scans with present stamps from now on."""
@@ -163,10 +164,18 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
             self._posor, self._calibration, self._stream = posor, calibration, None
             self._source_changes = 0  # the first scan of the new estimator discards the kept scans
 
-    def _on_request(self, action: Callable[[Any], str], request: Any, response: Any) -> Any:
-        """Run the action of a service with the request; a refusal changes nothing."""
+    def _on_trigger(
+        self, action: Callable[[], str], _request: Trigger.Request, response: Trigger.Response
+    ) -> Trigger.Response:
+        return self._respond(action, response)
+
+    def _on_acknowledge(self, request: Acknowledge.Request, response: Acknowledge.Response) -> Acknowledge.Response:
+        return self._respond(partial(self._acknowledge_fault, request), response)
+
+    def _respond(self, action: Callable[[], str], response: Any) -> Any:
+        """Run the action of a service; a refusal changes nothing."""
         try:
-            response.message = action(request)
+            response.message = action()
         except PosorError as error:
             response.message = str(error)
             self.get_logger().error(response.message)

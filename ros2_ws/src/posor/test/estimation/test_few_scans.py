@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ TIMES = PERIOD_S * np.arange(COUNT)
 NAMES = ("gap_voltages", "ring_voltages", "diode_currents")
 
 
-def turned(kind: str, times: NDArray[np.float64], period_s: float = PERIOD_S) -> Scans:
+def turned(kind: str, times: NDArray[Any], period_s: float = PERIOD_S) -> Scans:
     """Return scans without noise of a joint that turns; stamps at regular times."""
     scans = simulate(load_calibration(ARMS / JOINTS[kind]), poses(times))
     stamps = FIRST_NS + np.round(period_s * 1e9 * np.arange(len(times))).astype(np.int64)
@@ -29,7 +30,7 @@ def estimate(kind: str, scans: Scans) -> Estimates:
     return posor.estimate_all(scans)
 
 
-def read_in_turn(kind: str, offsets: NDArray[np.float64]) -> Scans:
+def read_in_turn(kind: str, offsets: NDArray[Any]) -> Scans:
     """Return scans whose probes and diodes are read one after another; the light source does not change meanwhile."""
     fields, first = {}, 0
     plain = turned(kind, TIMES)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -200,7 +201,7 @@ def test_a_reference_of_each_probe_acts_on_a_scan_as_on_the_derivatives() -> Non
     """A fit of all parameters gives each probe its own reference of the supply."""
     calibration = design("triad_diodes")
     references = {"GapProbes.supply[0,1]": 15.02, "GapProbes.supply[1,1]": 14.99, "GapProbes.supply[2,1]": 15.0}
-    gap = calibration.sensors[0]
+    gap: Any = calibration.sensors[0]
     probes = [
         probe.model_copy(
             update={
