@@ -14,7 +14,7 @@ the scans between two dark scans share it. A lit scan before the first dark scan
 DEGRADED.
 
 A dark scan has a pose too: that of the gap probes, and in the other directions the previous pose, moved on, with the
-largest motion as spread. It is DEGRADED and does not enter the tracker.
+largest motion as spread. It is DEGRADED and does not enter the tracker. With sensors in plain Python it is LOST.
 
 A converter that reads a known voltage U as U' has the gain ``g = U'/U``; all voltages are divided by g. The relative
 uncertainty of U' and U is common to all gaps: ``-V dgap/dV`` times it, in one factor.

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from posor.estimation.ambient import NO_POSE
 from posor.estimation.estimate_scan import DONE, LOST, START, begin_scan_estimate, solve_and_check, write_lost
 from posor.estimation.linearise import linearise_scan
 from posor.estimation.solver import ITERATIONS, LENGTH, TOLERANCE
@@ -76,6 +77,10 @@ class PlainSensors:
         estimate, tracker = estimates[n], self._model.workspace[0]["tracker"]
         linearised = self.linearise(scans, estimates, n)
         if not begin_scan_estimate(self._model, scans[n], estimate, linearised):
+            return DONE
+        if self._model.workspace[0]["is_dark"]:  # the derivatives by the parameters need spots
+            estimate["code"] = NO_POSE
+            write_lost(estimate, int(Fault.AMBIENT))
             return DONE
         if not tracker["initialised"] and not tracker["start_given"]:
             return START

@@ -8,14 +8,14 @@ from typing import Literal
 import numpy as np
 import pytest
 from posor.calibration.calibration_file import Calibration, TiltAngle
-from posor.calibration.designs import BUMPS, design
+from posor.calibration.designs import BUMPS, design, sized_design
 from posor.errors import ParameterError
 from posor.estimation.forward import scans_at
 from posor.estimation.posor import Posor
 from posor.estimation.sensor_stack import Stack
 from posor.model.fault import Fault, State
 from posor.model.reading_rows import differentiate_rows, evaluate_rows
-from posor.model.scan import Scan, Scans
+from posor.model.scan import NO_SOURCE, Scan, Scans
 from posor.numerics.array_types import FloatArray
 from posor.sensors.base import PlainReadings, PlainSensor, RowSensor, SensorCalibration
 from posor.uncertainty.budget_poses import middle_pose, scan_at
@@ -116,6 +116,18 @@ def test_poses_that_have_nothing_to_do_with_one_another() -> None:
     found = twin.estimate_each(scans)
     assert (found.states == State.OK).all()
     np.testing.assert_allclose(found.translations, translations, rtol=0.0, atol=1e-12)
+
+
+def test_a_dark_scan_beside_a_plain_sensor_has_no_pose_but_shows_the_ambient_light() -> None:
+    calibration = sized_design("checked_light_ring", 0.1524, frames=("receiving", "target"), title="joint")
+    _, twin = twins(calibration, (0,))
+    scans = turning_scans(Posor(calibration), 1e-4 * np.arange(9), seed=4).editable()
+    scans.statuses[:], scans.lit_sources[[0, 5]], scans.diode_currents[[0, 5]] = 0, NO_SOURCE, 0.0
+    scans.diode_currents[:] += 1e-6
+    found = twin.estimate_all(scans)
+    assert np.flatnonzero(found.states == State.LOST).tolist() == [0, 5]
+    assert set(found.faults[[0, 5]]) == {int(Fault.AMBIENT)}
+    assert np.all(found.states[[1, 2, 3, 4, 6, 7, 8]] == State.OK)
 
 
 def test_faults_and_limits_of_motion() -> None:
