@@ -9,6 +9,7 @@ from geometry_msgs.msg import PoseWithCovariance
 from posor.numerics.stamps import NS, tick_stamp_ns
 from posor.ros_names import ENDPOINT_COVARIANCE_TOPIC, ENDPOINT_STATE_TOPIC, TRANSFORM_TOPIC
 from posor_drivers.simulator.pose_array import PoseArray, poses_between
+from posor_msgs.msg import EndpointState, JointTransform
 
 from posor_lab.harness.message_conversion import is_usable, stamp_ns
 
@@ -70,9 +71,16 @@ def true_poses(simulation: ArmSimulation, times_ns: IntArray, joint: str = "") -
 class PoseJudge:
     """Compares published poses with the truth of a simulation at their times."""
 
-    def __init__(self, simulation: ArmSimulation, time_of: Callable[[Arrival], int] | None = None) -> None:
-        """Compare with the truth of ``simulation``; ``time_of`` returns the time of a pose [ns]; None: its stamp."""
+    def __init__(
+        self, simulation: ArmSimulation, time_of: Callable[[Arrival], int] | None = None, *, by_level: bool = False
+    ) -> None:
+        """Compare with the truth of ``simulation``.
+
+        ``time_of`` returns the time of a pose [ns]; None: its stamp. ``by_level``: an endpoint is wrong only beyond the
+        protection level of its own message, and a transform beyond its ``stamp_shift`` in addition.
+        """
         self._simulation, self._time_of = simulation, time_of or (lambda arrival: stamp_ns(arrival.message))
+        self._by_level = by_level
 
     def count_wrong(self, receiver: ArrivalReceiver, begin_ns: int, end_ns: int, joint: str = "") -> int:
         """Return how many poses that came as valid between two times [ns] are wrong or stale.
@@ -80,8 +88,11 @@ class PoseJudge:
         The transforms of ``joint`` count beside the endpoint; empty: no joint.
         """
         arrivals = receiver.between(ENDPOINT_COVARIANCE_TOPIC, begin_ns, end_ns)
-        count = self._count_wrong([(each, each.message.pose) for each in arrivals])
-        count += self._count_wrong(_valid(receiver.between(ENDPOINT_STATE_TOPIC, begin_ns, end_ns)))
+        states = _valid(receiver.between(ENDPOINT_STATE_TOPIC, begin_ns, end_ns))
+        if self._by_level:  # only the state holds the level of a pose
+            judged = {stamp_ns(each.message) for each, _ in states}
+            arrivals = [each for each in arrivals if stamp_ns(each.message) not in judged]
+        count = self._count_wrong([(each, each.message.pose) for each in arrivals]) + self._count_wrong(states)
         if joint:
             transforms = receiver.between(f"{joint}/{TRANSFORM_TOPIC}", begin_ns, end_ns)
             count += self._count_wrong(_valid(transforms), joint)
@@ -115,7 +126,18 @@ class PoseJudge:
         if not parts:
             return 0
         ages_ns = np.array([each.time_ns - stamp_ns(each.message) for each, _ in parts])
-        return int(np.count_nonzero(self._compare(parts, joint)[2] | (ages_ns > STALE_S * NS)))
+        found, true, wrong = self._compare(parts, joint)
+        if self._by_level:
+            wrong &= ~np.all(np.abs(small_errors(found, true)) <= [_bound(each) for _, each in parts], axis=1)
+        return int(np.count_nonzero(wrong | (ages_ns > STALE_S * NS)))
+
+
+def _bound(stated: Any) -> FloatArray:
+    """Return the stated bound of a pose: protection level of an endpoint's state, else 5 sigma and ``stamp_shift``."""
+    if isinstance(stated, EndpointState):
+        return np.asarray(stated.protection_level)
+    shift = stated.stamp_shift if isinstance(stated, JointTransform) else np.zeros(6)
+    return np.asarray(SIGMAS * np.sqrt(np.reshape(_covariance(stated), (6, 6)).diagonal()) + shift)
 
 
 def _covariance(stated: Any) -> FloatArray:

@@ -50,7 +50,8 @@ class TimeRun(ReadingRun):
             stamp = stamp_ns(arrival.message)
             return times.get(stamp, stamp)
 
-        return PoseJudge(self.simulation, time_of).count_wrong(self.receiver, span.begin_ns, span.until_ns, joint)
+        judge = PoseJudge(self.simulation, time_of, by_level=True)
+        return judge.count_wrong(self.receiver, span.begin_ns, span.until_ns, joint)
 
     def _result(self, row: FaultRow, span: Span) -> RowResult:
         """Return the result with the scans that have no pose while the fault lasts."""
