@@ -38,6 +38,6 @@ def test_the_notebook_plots_the_endpoint(notebook: Any, tmp_path: Path, monkeypa
     NotebookClient(notebook, timeout=100, resources={"metadata": {"path": str(EXAMPLES)}}).execute()
     outputs = [output for cell in notebook.cells if cell.cell_type == "code" for output in cell.outputs]
     printed = "".join(output.text for output in outputs if output.output_type == "stream")
-    assert printed.startswith("1986 poses\n")
+    assert printed.startswith("1991 poses\n")
     assert "median 2-sigma" in printed
     assert any("image/png" in output.data for output in outputs if output.output_type == "display_data")

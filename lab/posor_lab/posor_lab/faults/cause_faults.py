@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
     from posor.calibration.calibration_file import Calibration
     from posor.calibration.causes import Cause
-    from posor.calibration.designs import DesignName
+    from posor.calibration.designs import SizedDesignName
     from posor.estimation.sensor_stack import Stack
     from posor.model.scan import Scans
     from posor.numerics.array_types import FloatArray
@@ -214,15 +214,12 @@ SCANS, DEVICES = 400, 5  # of each cause and stack: scans of a drawn device, and
 def cause_stacks() -> dict[str, Calibration]:
     """Return the calibration of each stack; each scan is estimated by itself, so there are no motion limits."""
     frames = ("receiving", "target")
-    names: tuple[DesignName, ...] = ("quad_light_ring", "quad_bumpy_ring", "quad_diodes", "triad_light_ring")
-    return {
-        name: (
-            design(name, frames=frames)
-            if name == "quad_diodes"
-            else sized_design(name, 0.15, frames=frames, title=name).model_copy(update={"motion": None})
-        )
-        for name in names
-    }
+    names: tuple[SizedDesignName, ...] = ("quad_light_ring", "quad_bumpy_ring", "triad_light_ring")
+    stacks = {"quad_diodes": design("quad_diodes", frames=frames)}
+    for name in names:
+        sized = sized_design(name, 0.15, frames=frames, title=name)
+        stacks[name] = sized.model_copy(update={"motion": None})
+    return stacks
 
 
 def run_causes(row: FaultRow, seed: int, scans: int = SCANS) -> RowResult:

@@ -16,7 +16,7 @@ from posor.calibration.designs import DesignName, design
 from posor.chain.joint_measurements import JointRowLayout
 from posor.chain.kinematic_chain import Chain
 from posor.compilation import completion_mark
-from posor.estimation.fault_effects import EFFECT
+from posor.estimation.fault_model import EFFECT
 from posor.estimation.forward import scans_at
 from posor.estimation.posor import Posor
 from posor.messages.joint_transform import TRANSFORM_LAYOUT, pack_rows

@@ -81,7 +81,7 @@ class ChainNode(PosorNode[ChainParameters]):
     _synchroniser: TimeSynchroniser[bytes]
     _kinds: dict[str, JointTransformFormat]
     # name, format, and memory of the row, of shared effects and of fault effects of each joint
-    _buffers: list[tuple[str, JointTransformFormat, memoryview, memoryview, memoryview]]
+    _buffers: list[tuple[str, JointTransformFormat, tuple[memoryview, memoryview, memoryview]]]
     _home: FloatArray | None
     _frames: FramePublisher
     _identity: IdentityCheck
@@ -112,10 +112,10 @@ class ChainNode(PosorNode[ChainParameters]):
         self._kinds = {joint.name: JointTransformFormat(joint.parent, joint.child) for joint in chain.joints}
         layouts = [self._kinds[name].row_layout for name in names]
         self._estimator = chain.estimator(self.parameters.acceleration_window, layouts)
-        self._buffers = []
-        for name, row in zip(names, self._estimator.rows, strict=True):
-            first, shared, effects = self._kinds[name].row_parts(row)
-            self._buffers.append((name, self._kinds[name], first.data, shared.data, effects.data))
+        self._buffers = [
+            (name, self._kinds[name], self._kinds[name].row_parts(row))
+            for name, row in zip(names, self._estimator.rows, strict=True)
+        ]
         self._home, self._pose_stamp, self._reported = None, b"", None
         self._poses = self._scans_refused = self._scans_incomplete = 0
         self._refusals.clear()
@@ -267,7 +267,7 @@ class ChainNode(PosorNode[ChainParameters]):
     def _fill_rows(self, scan: dict[str, bytes]) -> bytes:
         """Copy the transforms of a scan with shared terms, causes and calibrations; return the bytes of its stamp."""
         terms, causes, ids = [], [], []
-        for name, kind, row, shared, effects in self._buffers:
+        for name, kind, (row, shared, effects) in self._buffers:
             data = scan[name]
             row[:] = data if len(data) == kind.size else data[: kind.size]
             tail = kind.tail(data)

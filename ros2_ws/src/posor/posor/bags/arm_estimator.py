@@ -245,8 +245,7 @@ class EndpointPipeline:
 
 def _joint_rows(estimates: Estimates, order: IntArray, effects: int) -> NDArray[np.void]:
     rows: NDArray[np.void] = np.empty(len(estimates), dtype=joint_rows(effects))
-    if estimates.fault_effects is not None:
-        rows["fault_effects"][:, : estimates.fault_effects.shape[1]] = estimates.fault_effects
+    rows["fault_effects"][:, : estimates.fault_effects.shape[1]] = estimates.fault_effects
     rows["order"], rows["log_time_ns"], rows["stamp_ns"] = order, estimates.log_times_ns, estimates.stamps_ns
     rows["state"], rows["theta"], rows["pose"] = estimates.states, estimates.thetas, estimates.poses
     rows["covariance_random"] = estimates.covariances_random

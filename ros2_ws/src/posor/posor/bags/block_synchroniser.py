@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from posor.chain.time_synchroniser import TimeSynchroniser, synchronise_stamps
-from posor.estimation.fault_effects import EFFECT
+from posor.estimation.fault_model import EFFECT
 from posor.model.scan import MAX_TERMS
 
 if TYPE_CHECKING:

@@ -136,36 +136,38 @@ class Cause(FrozenModel):
 
 
 _FIRST = "single error, as in Baarda's data snooping"
+_DEFAULTS: tuple[tuple[str, str, str, float, Literal["fault", "always"], str], ...] = (
+    ("reading", "one reading", "m", math.inf, "fault", _FIRST),
+    ("contact", "one contact", "1", math.inf, "fault", _FIRST),
+    ("light spot", "one spot", "m", 5e-6, "fault", "assumed: light source or dirt moves its spot"),
+    ("light spots", "all spots", "m", 5e-6, "fault", "assumed: the ring of light sources moves on the target"),
+    ("contacts", "contacts of one diode", "1", 1e-3, "fault", "assumed: leakage or gain of two contacts"),
+    ("channels of contacts", "same contacts of all diodes", "1", 1e-3, "fault", "assumed: gain of a channel"),
+    ("ambient light on a diode", "ambient light on one diode", "1", 1e-3, "fault", "assumed: reflex, open cover"),
+    ("ambient light", "ambient light on all diodes", "1", 1e-3, "always", "assumed: room light through gaps"),
+    ("wedge of gaps", "gradient of gaps", "m", 5e-6, "fault", "assumed: film or growth with a gradient"),
+    ("bit of gap converter", "some gap probes", "m", 5e-6, "fault", "assumed: a low bit is stuck"),
+    ("growth of gaps", "all gap probes", "m", 5e-6, "always", "assumed: film, or growth of the probes' mounts"),
+    ("gain of gaps", "all gap probes", "1", 1e-3, "always", "assumed: drift of the reference voltage"),
+    ("gradient of ring", "gradient of ring probes", "m", 5e-6, "fault", "assumed: opposite probes, unequal growth"),
+    ("bit of ring converter", "some ring probes", "m", 5e-6, "fault", "assumed: a low bit is stuck"),
+    ("growth of ring", "all ring probes", "m", 1e-6, "always", "assumed: film, or growth of the ring"),
+    ("gain of ring", "all ring probes", "1", 1e-3, "always", "assumed: drift of the reference voltage"),
+    ("supply channel", "supply channel", "V", 0.02, "always", "assumed: accuracy of the channel"),
+    ("temperature channel", "temperature channel", "K", 1.0, "always", "assumed: accuracy of the sensor"),
+)
+"""Name, ``moves``, unit, bound, kind and source of each default cause."""
 DEFAULT_CAUSES: tuple[Cause, ...] = tuple(
     Cause(
         name=name,
         moves=moves,
         unit=unit,
-        bound=None if bound is math.inf else bound,
-        unlimited=bound is math.inf,
+        bound=None if bound == math.inf else bound,
+        unlimited=bound == math.inf,
         source=source,
         kind=kind,
     )
-    for name, moves, unit, bound, kind, source in (
-        ("reading", "one reading", "m", math.inf, "fault", _FIRST),
-        ("contact", "one contact", "1", math.inf, "fault", _FIRST),
-        ("light spot", "one spot", "m", 5e-6, "fault", "assumed: light source or dirt moves its spot"),
-        ("light spots", "all spots", "m", 5e-6, "fault", "assumed: the ring of light sources moves on the target"),
-        ("contacts", "contacts of one diode", "1", 1e-3, "fault", "assumed: leakage or gain of two contacts"),
-        ("channels of contacts", "same contacts of all diodes", "1", 1e-3, "fault", "assumed: gain of a channel"),
-        ("ambient light on a diode", "ambient light on one diode", "1", 1e-3, "fault", "assumed: reflex, open cover"),
-        ("ambient light", "ambient light on all diodes", "1", 1e-3, "always", "assumed: room light through gaps"),
-        ("wedge of gaps", "gradient of gaps", "m", 5e-6, "fault", "assumed: film or growth with a gradient"),
-        ("bit of gap converter", "some gap probes", "m", 5e-6, "fault", "assumed: a low bit is stuck"),
-        ("growth of gaps", "all gap probes", "m", 5e-6, "always", "assumed: film, or growth of the probes' mounts"),
-        ("gain of gaps", "all gap probes", "1", 1e-3, "always", "assumed: drift of the reference voltage"),
-        ("gradient of ring", "gradient of ring probes", "m", 5e-6, "fault", "assumed: opposite probes, unequal growth"),
-        ("bit of ring converter", "some ring probes", "m", 5e-6, "fault", "assumed: a low bit is stuck"),
-        ("growth of ring", "all ring probes", "m", 1e-6, "always", "assumed: film, or growth of the ring"),
-        ("gain of ring", "all ring probes", "1", 1e-3, "always", "assumed: drift of the reference voltage"),
-        ("supply channel", "supply channel", "V", 0.02, "always", "assumed: accuracy of the channel"),
-        ("temperature channel", "temperature channel", "K", 1.0, "always", "assumed: accuracy of the sensor"),
-    )
+    for name, moves, unit, bound, kind, source in _DEFAULTS
 )
 """Causes of every design: what none of the readings of a calibration can show is left out."""
 

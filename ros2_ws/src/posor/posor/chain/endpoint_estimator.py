@@ -19,8 +19,7 @@ from posor.chain.forward_kinematics import (
 )
 from posor.chain.joint_measurements import FAULT_TEXTS, JointMeasurements, JointRows
 from posor.errors import ChainError
-from posor.estimation.fault_effects import EFFECT
-from posor.estimation.fault_model import JointCauses
+from posor.estimation.fault_model import EFFECT, JointCauses
 from posor.numerics.compiled import compile_for
 from posor.numerics.vector import rotation_of_pose
 
@@ -181,7 +180,7 @@ class EndpointEstimator:
             fault_effects=np.require(fault_effects, np.float32, ["C", "A", "W"]),
         )
         axes = self._axes if home is None else np.array(rotation_of_pose(home))
-        own = Endpoints(*(np.require(array, requirements=["C", "A", "W"]) for array in endpoints))
+        own = Endpoints._make(np.require(array, requirements=["C", "A", "W"]) for array in endpoints)
         self._bound(self._arm, self._arm_causes, measurements, own, axes, bounds)
         return bounds
 
@@ -273,10 +272,12 @@ class EndpointEstimator:
                 raise ChainError(f"{name} of shape {array.shape}", where="the chain", expected=f"{shape}")
         # The kernel is compiled for exactly these array types; read-only arrays are copied.
         numbers = poses, covariances_random, covariances_systematic, thetas, shared, stamp_shifts
-        measurements = JointMeasurements(
-            np.require(stamps_ns, np.int64, ["C", "A", "W"]),
-            *(np.require(array, np.float64, ["C", "A", "W"]) for array in numbers),
-            self._measurements.fault_effects,
+        measurements = JointMeasurements._make(
+            (
+                np.require(stamps_ns, np.int64, ["C", "A", "W"]),
+                *(np.require(array, np.float64, ["C", "A", "W"]) for array in numbers),
+                self._measurements.fault_effects,
+            )
         )
         endpoints, done = Endpoints.allocate(count, joints, len(self.shared_terms)), 0
         while (done := self._estimate(self._arm, self._history, measurements, endpoints, done)) < count:

@@ -28,7 +28,7 @@ from posor.chain.joint_measurements import (
     stamp_shift_fault,
 )
 from posor.chain.stamp_bound import add_amounts, bound_stamp_shift
-from posor.estimation.fault_effects import EFFECT
+from posor.estimation.fault_model import EFFECT
 from posor.model.fault import USABLE_STATES
 from posor.numerics.compiled import in_place, inlined
 from posor.numerics.vector import (

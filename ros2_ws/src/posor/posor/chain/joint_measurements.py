@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from posor.estimation.fault_effects import EFFECT
+from posor.estimation.fault_model import EFFECT
 from posor.numerics.compiled import inlined
 from posor.numerics.vector import rotation_of_pose
 
@@ -93,7 +93,7 @@ class JointMeasurements(NamedTuple):
     shared_effects: FloatArray  # as ``MeasuredJoint.shared_effects``, (n, j, T, 6), see ``ArmGeometry.joint_terms``
     stamp_shifts: FloatArray  # as ``posor_msgs/JointTransform.stamp_shift``, (n, j, 6) [m], [rad]
     # As ``estimation.fault_effects``, C of a joint at most, (n, j, C, EFFECT), floats of 4 bytes; NaN: not known
-    fault_effects: FloatArray
+    fault_effects: NDArray[np.float32]
 
     @classmethod
     def allocate(cls, scans: int, joints: int, terms: int = 0, effects: int = 0) -> JointMeasurements:

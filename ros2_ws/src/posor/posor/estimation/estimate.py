@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from posor.estimation.fault_model import EFFECT
 from posor.model.fault import Fault, State
 from posor.model.native_coordinates import native_from_rotation
 from posor.model.scan import MAX_TERMS, Scans
@@ -172,7 +173,7 @@ class Estimates:
             its order, as ``covariances_systematic``, which contains them, shape (n, 8, 6); zero behind the last term.
         stamp_shifts: Largest errors by errors of the stamps, see ``Estimate.stamp_shift``, shape (n, 6).
         fault_effects: What each of ``Posor.hypotheses`` may do to each pose unseen, shape (n, C, 7), floats of 4 bytes:
-            change of the pose in ROS order and its cut (``estimation.fault_effects``); None: not asked for.
+            change of the pose in ROS order and its cut (``estimation.fault_effects``); (n, 0, 7): not asked for.
 
     """
 
@@ -200,7 +201,8 @@ class Estimates:
         header_stamps: IntArray | None = None,
         fault_effects: NDArray[np.float32] | None = None,
     ) -> None:
-        self.fault_effects = None if fault_effects is None else fault_effects.view()
+        none = np.zeros((len(records), 0, EFFECT), dtype=np.float32)
+        self.fault_effects: NDArray[np.float32] = (none if fault_effects is None else fault_effects).view()
         self._records = records.view()
         self._scans, self._explain = scans, explain
         self.log_times_ns = (np.zeros(len(records), dtype=np.int64) if log_times_ns is None else log_times_ns).view()
@@ -208,8 +210,7 @@ class Estimates:
             header_stamps = np.column_stack(np.divmod(records["stamp_ns"], NS))
         self.header_stamps = header_stamps.view()
         for array in (self._records, self.log_times_ns, self.header_stamps, self.fault_effects):
-            if array is not None:
-                array.flags.writeable = False
+            array.flags.writeable = False
 
     def __len__(self) -> int:
         return len(self._records)
@@ -277,7 +278,7 @@ class Estimates:
             self._explain,
             log_times_ns=self.log_times_ns[which],
             header_stamps=self.header_stamps[which],
-            fault_effects=None if self.fault_effects is None else self.fault_effects[which],
+            fault_effects=self.fault_effects[which],
         )
 
     @staticmethod
@@ -288,7 +289,6 @@ class Estimates:
         columns = {
             name: np.concatenate([getattr(part, name) for part in parts])
             for name in ("_records", "log_times_ns", "header_stamps", "fault_effects")
-            if getattr(parts[0], name) is not None
         }
         for array in columns.values():
             array.flags.writeable = False

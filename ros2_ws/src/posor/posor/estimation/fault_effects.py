@@ -36,6 +36,7 @@ from posor.estimation.fault_model import (
     AMBIENT,
     CONTACT_X,
     CONTACT_Y,
+    EFFECT,
     GAIN,
     LENGTH,
     SECOND,
@@ -58,7 +59,6 @@ if TYPE_CHECKING:
 MISSED_DETECTION = 1e-2  # probability that a fault of the smallest detectable size passes the test of one scan
 UNCHECKED = 1e-4  # a direction of which the readings show less is not tested: faults of hundreds of sigmas would pass
 LOST, ILL_CONDITIONED = int(State.LOST), int(Fault.ILL_CONDITIONED)
-EFFECT = 7  # numbers of a column: change of the pose in ROS order [m], [rad], and its cut
 
 
 @lru_cache

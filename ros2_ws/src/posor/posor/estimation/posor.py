@@ -17,8 +17,9 @@ from posor.calibration.parameter_covariance import CovarianceSquareRoot, shared_
 from posor.errors import ParameterError, ShapeError, check_probability, check_type
 from posor.estimation.estimate import ESTIMATE, Estimate, Estimates, estimate_of
 from posor.estimation.estimate_scan import DONE, START, estimate_scans
-from posor.estimation.fault_effects import EFFECT, MISSED_DETECTION, noncentrality, write_fault_effects
+from posor.estimation.fault_effects import MISSED_DETECTION, noncentrality, write_fault_effects
 from posor.estimation.fault_hypotheses import Hypotheses
+from posor.estimation.fault_model import EFFECT
 from posor.estimation.fault_sentence import fault_sentence
 from posor.estimation.frozen import evidence_of_repetition
 from posor.estimation.linearise import ANY_FINITE, linearise_scan
@@ -111,8 +112,8 @@ class Posor:
         settings, motion = self.settings, self.calibration.motion
         settings["residual_limit"] = settings["noncentrality_root"] = math.inf
         if self.redundancy > 0 and self._false_alarm > 0.0:
-            settings["residual_limit"] = limit = chdtri(self.redundancy, self._false_alarm)
-            settings["noncentrality_root"] = math.sqrt(noncentrality(self.redundancy, limit, MISSED_DETECTION))
+            settings["residual_limit"] = largest = float(chdtri(self.redundancy, self._false_alarm))
+            settings["noncentrality_root"] = math.sqrt(noncentrality(self.redundancy, largest, MISSED_DETECTION))
         acceleration = None if motion is None else motion.acceleration
         velocities, accelerations = _MOTION_LIMITS
         for names, limits in ((velocities, motion), (accelerations, acceleration)):

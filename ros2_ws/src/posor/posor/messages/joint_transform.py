@@ -11,10 +11,9 @@ import numpy as np
 
 from posor.chain.identity import NOT_STATED
 from posor.chain.joint_measurements import JointRowLayout
-from posor.errors import TopicError
+from posor.errors import ShapeError, TopicError
 from posor.estimation.estimate_scan import LOST
-from posor.estimation.fault_effects import EFFECT
-from posor.estimation.fault_model import MAX_EFFECTS, JointCauses
+from posor.estimation.fault_model import EFFECT, MAX_EFFECTS, JointCauses
 from posor.messages.cdr_schema import LITTLE_ENDIAN, STAMP
 from posor.messages.message_definitions import installed_schema
 from posor.messages.message_table import LEAD, MessageRows, MessageTable, TableLayout
@@ -144,12 +143,15 @@ def pack_rows(
 
 
 def pack_joint_transforms(layout: TableLayout, estimates: Estimates) -> MessageTable:
-    """Return a JointTransform message for each estimate, which has fault effects if the layout has."""
+    """Return a JointTransform message for each estimate.
+
+    Raises ShapeError: the estimates have not as many fault effects as the layout.
+    """
     table = MessageTable(layout, np.empty((len(estimates), len(layout.row)), dtype=np.uint8))
     records, packing = record_view(estimates._records), record_view(packing_layout(layout))
-    effects = estimates.fault_effects
-    if effects is None:
-        effects = np.zeros((len(estimates), 0, EFFECT), dtype=np.float32)
+    effects, shape = estimates.fault_effects, (len(estimates), int(packing["effect_count"][0]), EFFECT)
+    if effects.shape != shape:
+        raise ShapeError("fault effects", received=effects.shape, expected=f"{shape}, as the layout has")
     effects = np.require(effects, requirements=["C", "W"])
     pack_rows(records, effects, packing, layout.row.view(np.float64), MessageRows.of(table.rows))
     table["header.stamp.sec"], table["header.stamp.nanosec"] = estimates.header_stamps.T
@@ -260,10 +262,10 @@ class JointTransformFormat:
             self._known_causes = data[self._begin_causes : effects.offset if count else layout.size]
         return self._tail
 
-    def row_parts(self, row: ByteArray) -> tuple[ByteArray, ByteArray, ByteArray]:
+    def row_parts(self, row: ByteArray) -> tuple[memoryview, memoryview, memoryview]:
         """Return where a row of ``row_layout`` holds the first bytes of a message, shared effects and fault effects."""
         shared, effects = self.row_layout.shared, self.row_layout.effects
-        return row[LEAD : LEAD + self.size], row[shared:effects], row[effects:]
+        return row[LEAD : LEAD + self.size].data, row[shared:effects].data, row[effects:].data
 
     def read_state(self, data: bytes) -> tuple[int, int]:
         """Return ``State`` and ``Fault`` of a message as plain numbers."""

@@ -15,7 +15,8 @@ import numpy as np
 
 from posor.chain.identity import calibration_id
 from posor.estimation.estimate_scan import DONE, LOST, estimate_scan, write_lost
-from posor.estimation.fault_effects import EFFECT, write_fault_effects
+from posor.estimation.fault_effects import write_fault_effects
+from posor.estimation.fault_model import EFFECT
 from posor.messages.cdr_schema import STAMP
 from posor.messages.joint_transform import joint_transform_layout, pack_estimate, packing_layout
 from posor.messages.message_definitions import installed_schema

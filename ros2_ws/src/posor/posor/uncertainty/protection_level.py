@@ -48,7 +48,7 @@ def joint_protection_levels(posor: Posor, estimates: Estimates) -> EndpointBound
         ParameterError: The estimates have no fault effects.
 
     """
-    if estimates.fault_effects is None:
+    if estimates.fault_effects.shape[1] == 0:
         what = "the estimates have no fault effects"
         raise ParameterError(what, where="joint_protection_levels", expected="estimate_all(..., fault_effects=True)")
     elements = [(index, NO_INDEX, np.eye(3), np.zeros(3)) for index in (0, NO_INDEX)]
@@ -107,8 +107,8 @@ def arm_reliability(
     for j, name in enumerate(poses):
         for t, effect in enumerate(shared[name].values()):
             by_term[0, j, t] = effect
-    parts = (np.array([[each[name] for name in poses]]) for each in (random, systematic))
-    endpoints = estimator.estimate_all(packed, *parts, np.zeros(1, dtype=np.int64), None, by_term)
+    parts = [np.array([[each[name] for name in poses]]) for each in (random, systematic)]
+    endpoints = estimator.estimate_all(packed, parts[0], parts[1], np.zeros(1, dtype=np.int64), shared_effects=by_term)
     effects = np.full((1, *estimator.fault_effects.shape), 0.0, dtype=np.float32)
     for j, each in enumerate(joints.values()):
         effects[0, j, : len(each.effects)] = each.effects

@@ -14,8 +14,16 @@ from posor.errors import CalibrationError
 from posor.estimation.posor import Posor
 from posor.node_parameters import ChainParameters, PosorParameters
 
-VALID = {"name": "reference", "moves": "all gap probes", "unit": "1", "bound": 1e-5, "source": "data sheet"}
-INVALID = {  # changes of VALID, the key that the sentence names, what it says, what would be right
+VALID: dict[str, Any] = {
+    "name": "reference",
+    "moves": "all gap probes",
+    "unit": "1",
+    "bound": 1e-5,
+    "source": "data sheet",
+}
+INVALID: dict[
+    str, tuple[dict[str, Any], str, str, str]
+] = {  # changes of VALID, the key that the sentence names, what it says, what would be right
     "moves": ({"moves": "all gap prob"}, "moves", "moves 'all gap prob'", "'all gap probes'"),
     "unit": ({"unit": "K"}, "unit", "unit 'K' of 'all gap probes'", "'m' or 'V' or '1'"),
     "negative": ({"bound": -1e-5}, "bound", "bound -1e-05", "zero or more"),
@@ -28,6 +36,7 @@ INVALID = {  # changes of VALID, the key that the sentence names, what it says, 
     "name": ({"name": "n" * 65}, "name", "name 'n", "1 to 64 characters"),
     "shared": ({"shared_by": "all"}, "shared_by", "'all'", "'joint' or 'arm'"),
 }
+"""Changes of VALID, the key that the sentence names, what the sentence says is wrong, and what would be right."""
 
 
 def content(*causes: dict[str, Any]) -> dict[str, Any]:
@@ -78,7 +87,7 @@ def test_every_default_is_a_valid_entry_and_every_phrase_has_readings() -> None:
     for moves, move in MOVES.items():
         for unit in move.units:
             entry = Cause(name="x", moves=moves, unit=unit, unlimited=True, source="test")
-            stack = "quad_bumpy_ring" if "ring" in moves else "quad_diodes"
+            stack: DesignName = "quad_bumpy_ring" if "ring" in moves else "quad_diodes"
             names = Posor(calibration_from({**content(), **_sensors(stack), "causes": [entry.model_dump()]}))
             assert any(each.split(":")[0] == "x" for each in names.hypotheses.names), moves
 

@@ -19,8 +19,7 @@ from posor.chain.fault_bounds import ArmCauses, EndpointBounds, bound_endpoints
 from posor.chain.forward_kinematics import Endpoints, estimate_endpoints
 from posor.chain.joint_measurements import JointMeasurements
 from posor.estimation import solver
-from posor.estimation.fault_effects import EFFECT
-from posor.estimation.fault_model import ALWAYS, SECOND, SHARED, JointCauses
+from posor.estimation.fault_model import ALWAYS, EFFECT, SECOND, SHARED, JointCauses
 from posor.estimation.posor import Posor
 from posor.estimation.workspace import WORKSPACE
 from posor.messages.message_stream import MessageEstimator
