@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -15,6 +16,7 @@ import yaml
 from posor.chain.arm_file import ArmFile, load_arm_file
 from posor.chain.beam_bending import Tube
 from posor.chain.beams_file import load_beams
+from posor_design.observable_causes import unobservable_causes
 from posor_drivers.simulator.motion_phases import Spline
 from posor_drivers.simulator.scenario import load_scenario
 from posor_lab.thesis_data import read_table
@@ -22,7 +24,7 @@ from posor_lab.thesis_data import read_table
 ROOT = Path(__file__).resolve().parents[1]
 ARMS = ROOT / "ros2_ws" / "src" / "posor_bringup" / "arms"
 SCRIPT = ROOT / "data" / "arms" / "make_arm_calibrations.py"
-NAMES = ("five_axis", "six_axis", "test_rig")
+NAMES = ("five_axis", "five_axis_checked", "six_axis", "test_rig")
 INCH = 0.0254
 PLATE_THICKNESS = 0.5 * INCH
 ALUMINIUM = 2700.0
@@ -63,6 +65,17 @@ def test_files_match_the_joints(name: str) -> None:
     assert all(link.beam is not None for link in chain.links[1:])
     assert arm.scenario is not None
     assert list(load_scenario(arm.scenario).joints) == list(arm.calibrations)
+
+
+def test_the_readings_of_the_live_arm_of_the_readme_check_one_another() -> None:
+    """So its protection level is finite on all axes; six_axis is the recommended one."""
+    found = re.search(r"^ +\./posor bringup (\w+) ", (ROOT / "README.md").read_text(encoding="utf-8"), re.MULTILINE)
+    assert found is not None
+    for name in (found[1], "six_axis"):
+        arm = arm_of(name)
+        for joint in arm.calibrations:
+            causes = unobservable_causes(arm.calibration(joint))
+            assert set(causes) == {"growth of all gaps", "wedge of the gaps"}  # which their bounds cover
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -121,7 +121,7 @@ def test_poses_that_have_nothing_to_do_with_one_another() -> None:
 def test_a_dark_scan_beside_a_plain_sensor_has_no_pose_but_shows_the_ambient_light() -> None:
     calibration = sized_design("checked_light_ring", 0.1524, frames=("receiving", "target"), title="joint")
     _, twin = twins(calibration, (0,))
-    scans = turning_scans(Posor(calibration), 1e-4 * np.arange(9), seed=4).editable()
+    scans = turning_scans(Posor(calibration), np.linspace(0.0, 8e-4, 9), seed=4).editable()
     scans.statuses[:], scans.lit_sources[[0, 5]], scans.diode_currents[[0, 5]] = 0, NO_SOURCE, 0.0
     scans.diode_currents[:] += 1e-6
     found = twin.estimate_all(scans)
