@@ -79,7 +79,7 @@ class SimulatedCommissioning:
 
     """
 
-    def __init__(self, name: str, folder: Path, seed: int) -> None:
+    def __init__(self, name: str, folder: Path, seed: int, settings: CommissioningSettings = SETTINGS) -> None:
         """Write the copy into ``folder``, which does not exist yet, and simulate; the seed draws the arm."""
         shutil.copytree(find_arm(name).parent, folder)
         path = folder / ARM_FILE
@@ -88,7 +88,7 @@ class SimulatedCommissioning:
         path.write_text(yaml.safe_dump(content | {"serial": serial}, sort_keys=False), encoding="utf-8")
         self.arm = load_arm_file(path)
         self.calibrations = {joint: self.arm.calibration(joint) for joint in self.arm.calibrations}
-        self.settings = replace(SETTINGS, serial=serial)
+        self.settings = replace(settings, serial=serial)
         self._random = np.random.default_rng(seed)
         spans = self._write_scenario(steps_of(self.calibrations, self.settings), seed)
         simulation = ArmSimulation(self.arm, IMPERFECTIONS)
@@ -156,7 +156,8 @@ class SimulatedCommissioning:
             return
         field_name, index, probe = probes_of(calibration)[channel]
         lift = size + self.settings.lift_sigma * self._random.normal()
-        volts = np.linspace(*(1.5 * probe.range.array), GRID)
+        low, high = (1.5 * probe.range.array).tolist()
+        volts = np.linspace(low, high, GRID)
         curve = polynomial.polyval(volts, probe.volts_to_gap.array)
         order = np.argsort(curve)
         lifted = np.interp(probe_gaps(calibration, scans[joint])[channel] + lift, curve[order], volts[order])
@@ -246,11 +247,8 @@ class SimulatedCommissioning:
 def _multiply(content: Any, keys: list[str], factor: Any) -> None:
     """Multiply the number or numbers at a key of a file's content; ``*`` is every entry of a list or mapping."""
     key, *rest = keys
-    names = [key]
-    if key == "*":
-        names = list(range(len(content))) if isinstance(content, list) else list(content)
-    for name in names:
-        place = int(name) if isinstance(content, list) else name
+    places = range(len(content)) if isinstance(content, list) else content
+    for place in list(places) if key == "*" else [int(key) if isinstance(content, list) else key]:
         if rest:
             _multiply(content[place], rest, factor)
         else:

@@ -11,7 +11,7 @@ import json
 import re
 from typing import TYPE_CHECKING, Annotated, Literal, Self
 
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import AfterValidator, model_validator
 
 from posor.calibration.file_model import EntryError, FrozenModel, format_value
 from posor.calibration.yaml_document import load_document
@@ -40,7 +40,7 @@ def _check_id(text: str) -> str:
 
 Sha256 = Annotated[str, AfterValidator(_check_hash)]
 CalibrationId = Annotated[str, AfterValidator(_check_id)]
-Span = Annotated[tuple[float, ...], Field(min_length=2, max_length=2)]
+Span = tuple[float, float]
 
 
 class CommissionedFiles(FrozenModel):

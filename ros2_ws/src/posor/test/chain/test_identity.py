@@ -42,7 +42,10 @@ def test_the_identity_depends_on_every_part() -> None:
         replace(ARM, calibrations={"elbow": "0" * 16, "shoulder": "1" * 16}),
     ]
     assert len({each.sha256 for each in (ARM, *others)}) == 6
-    assert replace(ARM, calibrations=dict(reversed(ARM.calibrations.items()))).sha256 == ARM.sha256
+    assert (
+        replace(ARM, calibrations={joint: ARM.calibrations[joint] for joint in ("elbow", "shoulder")}).sha256
+        == ARM.sha256
+    )
     assert [list(each.differences(ARM)) for each in others] == [
         ["URDF"],
         ["beams file"],

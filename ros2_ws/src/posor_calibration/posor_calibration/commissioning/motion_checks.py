@@ -208,11 +208,13 @@ def _posture(
 ) -> tuple[FloatArray, ...] | None:
     """Return poses (j, 7), covariances of all joints, and the mean of the reference; None: one is missing."""
     track = recording.reference
+    if track is None:
+        return None
     poses, random, systematic = [], [], []
     for motion in motions.values():
         stamps = motion.stamps_ns
         which = np.flatnonzero((stamps >= step.begin_ns) & (stamps <= step.end_ns) & motion.usable)
-        if which.size < LEAST_SCANS or track is None:
+        if which.size < LEAST_SCANS:
             return None
         estimates, middle = motion.estimates, int(which[which.size // 2])
         rotation = pin.Quaternion(estimates.rotations[middle]).coeffs()
