@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from geometry_msgs.msg import Point, Pose, Quaternion
 from posor.calibration.calibration_file import load_calibration
+from posor.chain.identity import calibration_id
 from posor.chain.kinematic_chain import Chain
 from posor.estimation.posor import Posor
 from posor_bringup.installed import JOINT, Bag, CalibrationName, bag_path, calibration_path, urdf_path
@@ -65,10 +66,12 @@ def read_bag_messages(bag: Path) -> dict[str, list[bytes]]:
 def estimate_transforms(plan: ReplayPlan, raw: Sequence[bytes]) -> list[JointTransform]:
     """Return the transforms of serialised scans by the numerical core, without nodes."""
     calibration = load_calibration(plan.calibration).for_session(plan.session)
-    posor, frames = Posor(calibration), calibration.frames
+    posor, ends = Posor(calibration), (calibration.frames.parent, calibration.frames.child)
+    number = calibration_id(calibration)
     scans = [deserialize_message(data, RawScan) for data in raw]
+    causes = posor.hypotheses.joint_causes()
     return [
-        transform_message(scan, estimate, frames.parent, frames.child, (posor.hypotheses.joint_causes(), effects))
+        transform_message(scan, estimate, *ends, (causes, effects), number)
         for scan in scans
         for estimate, effects in [estimate_with_effects(posor, scan_from_message(scan))]
     ]

@@ -17,6 +17,7 @@ from geometry_msgs.msg import Point, Pose, PoseStamped, PoseWithCovarianceStampe
 from posor.bags.bag_reader import opened_bag
 from posor.bags.bag_writer import BagWriter
 from posor.chain.arm_file import chain_parameters
+from posor.chain.identity import calibration_id
 from posor.chain.joint_measurements import MeasuredJoint
 from posor.errors import BagError
 from posor.estimation.posor import Posor
@@ -67,6 +68,7 @@ def run_message_loop(arm: ArmFile, bag: Path, output: Path) -> float:
     """Process a bag message by message into a bag of transforms and endpoints; return scans per second."""
     calibrations = {joint: arm.calibration(joint) for joint in arm.calibrations}
     posors = {joint: Posor(calibration) for joint, calibration in calibrations.items()}
+    numbers = {joint: calibration_id(calibration) for joint, calibration in calibrations.items()}
     joints = {f"/{arm.name}/{joint}/{RAW_TOPIC}": joint for joint in posors}
     chain = arm.chain()
     parameters = validate_parameters(ChainParameters, chain_parameters(arm), node="chain_node")
@@ -82,7 +84,7 @@ def run_message_loop(arm: ArmFile, bag: Path, output: Path) -> float:
             joint = joints[connection.topic]
             scan, frames = scan_from_message(raw), calibrations[joint].frames
             estimate = posors[joint].estimate(scan)
-            transform = transform_message(raw, estimate, frames.parent, frames.child)
+            transform = transform_message(raw, estimate, frames.parent, frames.child, numbers[joint])
             writer.write(f"/{arm.name}/{joint}/{TRANSFORM_TOPIC}", time_ns, serialize_message(transform))
             if estimate.T_R_T is not None:
                 measured = open_scans.setdefault(scan.stamp_ns, {})

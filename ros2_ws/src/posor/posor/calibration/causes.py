@@ -171,12 +171,8 @@ DEFAULT_CAUSES: tuple[Cause, ...] = tuple(
 )
 """Causes of every design: what none of the readings of a calibration can show is left out."""
 
-DARK_SCANS, KNOWN_VOLTAGE = "dark scans", "a known voltage"
-REDUCED_BOUNDS: Mapping[str, tuple[tuple[str, float], ...]] = {
-    DARK_SCANS: (("ambient light on a diode", 1e-4), ("ambient light", 1e-4)),
-    KNOWN_VOLTAGE: (("gain of gaps", 3e-5), ("gain of ring", 3e-5)),
-}
-"""Bounds of default causes that a means of the design reduces: what it is assumed to leave."""
+AMBIENT_CAUSES, GAIN_CAUSES = ("ambient light on a diode", "ambient light"), ("gain of gaps", "gain of ring")
+"""Default causes whose bounds dark scans and a known voltage reduce."""
 
 
 def check_causes(causes: Iterable[Cause]) -> None:
@@ -189,14 +185,11 @@ def check_causes(causes: Iterable[Cause]) -> None:
         known.add(cause.name)
 
 
-def all_causes(own: Iterable[Cause], means: Iterable[str] = ()) -> tuple[Cause, ...]:
+def all_causes(own: Iterable[Cause], reduced: Mapping[str, tuple[float, str]]) -> tuple[Cause, ...]:
     """Return the default causes, those that ``own`` (the file's) replaces, and the file's further ones.
 
-    ``means``: keys of ``REDUCED_BOUNDS`` that the design has.
+    ``reduced``: by the name of a default cause, the bound that a part of the design leaves, and its source.
     """
-    by_name = {cause.name: cause for cause in DEFAULT_CAUSES}
-    for each in means:
-        for name, bound in REDUCED_BOUNDS[each]:
-            changes = {"bound": bound, "source": f"assumed: with {each}"}
-            by_name[name] = by_name[name].model_copy(update=changes)
-    return tuple((by_name | {cause.name: cause for cause in own}).values())
+    changes = {name: {"bound": bound, "source": source} for name, (bound, source) in reduced.items()}
+    defaults = {each.name: each.model_copy(update=changes.get(each.name, {})) for each in DEFAULT_CAUSES}
+    return tuple((defaults | {cause.name: cause for cause in own}).values())

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from posor.calibration.causes import DARK_SCANS, KNOWN_VOLTAGE, Pattern, Readings, all_causes
+from posor.calibration.causes import AMBIENT_CAUSES, GAIN_CAUSES, Pattern, Readings, all_causes
 from posor.errors import CalibrationError
 from posor.estimation.fault_model import (
     ALWAYS,
@@ -23,15 +23,18 @@ from posor.estimation.fault_model import (
 )
 from posor.model.readings import DIODE_CURRENTS, GAP_VOLTAGES, RING_VOLTAGES
 from posor.sensors.base import RowSensor
+from posor.sensors.diodes import DiodesCalibration
+from posor.sensors.gap_probes import GapProbesCalibration
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from posor.calibration.calibration_file import Calibration
-    from posor.calibration.causes import Cause
+    from posor.calibration.causes import AMBIENT_CAUSES, GAIN_CAUSES, Pattern, Readings, all_causes
     from posor.estimation.sensor_stack import Stack
     from posor.numerics.array_types import FloatArray
 
+LIMIT_SIGMAS = 3.0  # standard uncertainties of a known voltage that bound the gain
 _BY = {name: number for number, name in enumerate(("length", "voltage", "gain", "supply", "temperature"))}
 
 
@@ -48,7 +51,7 @@ class Hypotheses(NamedTuple):
         """Return the hypotheses of a calibration. Raises CalibrationError: they need too many columns."""
         causes: list[Cause] = []
         of_columns, names, columns = [], [], []
-        for cause in all_causes(calibration.causes, _means(calibration)):
+        for cause in all_causes(calibration.causes, _reduced_bounds(calibration)):
             found = [] if cause.bound == 0.0 else list(_hypotheses(cause, calibration, stack))
             if found:
                 causes.append(cause)
@@ -69,12 +72,17 @@ class Hypotheses(NamedTuple):
         return JointCauses(tuple(cause.name for cause in self.causes), self.of_columns, kinds)
 
 
-def _means(calibration: Calibration) -> Iterator[str]:
-    """Yield the means of the design that reduce bounds of causes."""
-    if any(getattr(sensor, "ambient", None) is not None for sensor in calibration.sensors):
-        yield DARK_SCANS
-    if any(getattr(sensor, "reference", None) is not None for sensor in calibration.sensors):
-        yield KNOWN_VOLTAGE
+def _reduced_bounds(calibration: Calibration) -> dict[str, tuple[float, str]]:
+    """Return the bounds of default causes that dark scans and a known voltage leave; see ``all_causes``."""
+    bounds: dict[str, tuple[float, str]] = {}
+    for sensor in calibration.sensors:
+        if isinstance(sensor, DiodesCalibration) and sensor.ambient is not None:
+            bounds |= dict.fromkeys(AMBIENT_CAUSES, (sensor.ambient.remaining.number, "remaining of ambient"))
+        elif isinstance(sensor, GapProbesCalibration) and sensor.reference is not None:
+            voltage = sensor.reference.voltage
+            bound = LIMIT_SIGMAS * float(voltage.sigmas) / voltage.number
+            bounds |= dict.fromkeys(GAIN_CAUSES, (bound, "assumed: 3 standard uncertainties of the known voltage"))
+    return bounds
 
 
 def _hypotheses(
