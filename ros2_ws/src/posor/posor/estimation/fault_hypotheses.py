@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from posor.calibration.calibration_file import Calibration
-    from posor.calibration.causes import AMBIENT_CAUSES, GAIN_CAUSES, Pattern, Readings, all_causes
+    from posor.calibration.causes import Cause
     from posor.estimation.sensor_stack import Stack
     from posor.numerics.array_types import FloatArray
 
