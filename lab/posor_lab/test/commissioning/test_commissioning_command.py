@@ -3,13 +3,21 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import pytest
+from posor.chain.arm_file import chain_parameters
 from posor.chain.commissioning_record import load_record
-from posor.errors import BagError
+from posor.chain.identity import calibration_id
+from posor.errors import BagError, CalibrationError
+from posor.node_parameters import ChainParameters
+from posor.parameter_model import validate_parameters
+from posor_bringup.arms import load_checked_arm
 from posor_bringup.commission_command import NOT_PASSED, main
 from posor_calibration.commissioning.commissioning_recording import CommissioningTopics, load_commissioning
+from posor_estimator.endpoint_verdict import SOUND as SOUND_VERDICT
+from posor_estimator.identity_check import IdentityCheck
 from posor_lab.commissioning.commissioning_command import GROUPS, TABLE, FaultRow, judge_fault, report_with
 from posor_lab.commissioning.simulated_commissioning import REFERENCE, SimulatedCommissioning, WiringFault
 from posor_lab.harness.case_tables import refusal
@@ -77,6 +85,10 @@ def test_the_program_writes_page_numbers_and_a_record_from_a_bag(
     assert len(content["recording_sha256"]) == 64
     assert content["checks"] == [check.model_dump() for check in first.checks]
     assert "<h1" in (output / "report.html").read_text(encoding="utf-8")
+    parameters = chain_parameters(sound.arm) | {"commissioning": str(record)}
+    check = IdentityCheck(validate_parameters(ChainParameters, parameters, node="chain_node"), list(sound.calibrations))
+    check.update([calibration_id(each).to_bytes(8, "little") for each in sound.calibrations.values()])
+    assert (check.sha256, check.refuses, check.verdict) == (first.identity, False, SOUND_VERDICT)
     assert commission(sound, bag, output) == 0  # repeated: the record stays
     assert "--force replaces it" in capsys.readouterr().out
     assert load_record(record) == first
@@ -101,6 +113,16 @@ def test_the_program_fails_an_arm_with_exchanged_plugs_and_writes_no_record(
         capsys.readouterr().out
     )
     assert not (sound.arm.path.parent / "commissioning.json").exists()
+
+
+def test_a_record_that_was_changed_is_refused_before_anything_is_started(
+    arms: dict[str, SimulatedCommissioning], tmp_path: Path
+) -> None:
+    path = shutil.copytree(arms["five_axis"].arm.path.parent, tmp_path / "arm") / "arm.yaml"
+    path.write_text(path.read_text(encoding="utf-8") + "commissioning: record.json\n", encoding="utf-8")
+    load_checked_arm(str(path))  # before the first commissioning there is no record
+    (path.parent / "record.json").write_text("{version: 1}", encoding="utf-8")
+    assert refusal(CalibrationError, load_checked_arm, str(path)).where.startswith(str(path.parent / "record.json"))
 
 
 def test_a_recording_without_steps_is_refused(arms: dict[str, SimulatedCommissioning], tmp_path: Path) -> None:

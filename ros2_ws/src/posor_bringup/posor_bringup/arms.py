@@ -6,6 +6,7 @@ from pathlib import Path
 
 from posor.calibration.shared_terms import check_same_terms
 from posor.chain.arm_file import ArmFile, load_arm_file
+from posor.chain.commissioning_record import load_record
 from posor.errors import ChainError, ParameterError
 from posor_drivers.simulator.arm_simulation import ArmSimulation
 
@@ -51,6 +52,8 @@ def load_checked_arm(text: str) -> ArmFile:
                 expected=f"'{joint.child}' in '{joint.parent}', as in {arm.urdf}",
             )
     check_same_terms(terms)
+    if arm.commissioning is not None and arm.commissioning.exists():  # before the first commissioning there is none
+        load_record(arm.commissioning)
     if arm.scenario is not None:
         ArmSimulation(arm)  # each driver makes one; here its errors are reported before anything is started
     return arm

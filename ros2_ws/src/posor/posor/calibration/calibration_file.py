@@ -238,10 +238,10 @@ class Calibration(FrozenModel):
         for key in ("fits", "environment", "converter", "shared", "causes"):
             if not content[key]:
                 del content[key]
-        for sensor in content["sensors"]:
-            for key in ("ambient", "reference"):
-                if key in sensor and sensor[key] is None:
-                    del sensor[key]
+        later = ((sensor, key) for sensor in content["sensors"] for key in ("ambient", "reference"))
+        for part, key in (*later, (content["motion"] or {}, "acceleration")):
+            if key in part and part[key] is None:
+                del part[key]
         text = json.dumps(content, sort_keys=True, separators=(",", ":"))
         return hashlib.sha256(text.encode()).hexdigest()
 
