@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 FloatArray = NDArray[np.float64]
 
 _ERROR_NAME = re.compile(r"(\w+)\.(\w+)\[([\d,]*)\]")
+DARK_SUBTRACTED = 8  # STATUS_DARK_SUBTRACTED of posor_msgs/RawScan
 _MOST_PARAMETERS = 2 * 32 * 32
 """Of the map of a diode."""
 
@@ -81,7 +82,8 @@ class TrueJoint:
         """Return the raw readings at poses of the target in the receiving plate, (n, 3, 3), (n, 3) [m], by field.
 
         Fields: ``gap_voltages``, ``ring_voltages`` (n, p) [V], ``diode_currents`` (n, d, 4) [A], ``lit_sources``
-        (n, d), and ``reference_voltages`` (n,) [V] where the converter reads a known voltage. A reading outside its
+        (n, d), and ``reference_voltages`` (n,) [V] where the converter reads a known voltage; ``statuses``
+        (n,) where ambient light is removed from the currents. A reading outside its
         calibrated range is NaN. ``supply_voltages``, ``temperatures``: (n,) [V], [K]; None: at the reference of each
         probe. ``lit_sources``: (n, d); None: for each diode the source that is nearest to its middle.
         """
@@ -277,7 +279,13 @@ class _Diodes(_Sensor):
             spots = plane.hits(rotations, translations, *sources)
             lit.append(nearest_sources(spots, middle) if given is None else given[:, i])
             currents.append(self.spot_currents(i, spots[np.arange(len(spots)), lit[-1]]))
-        return {"diode_currents": np.stack(currents, axis=1), "lit_sources": np.stack(lit, axis=1)}
+        fields: dict[str, NDArray[Any]] = {
+            "diode_currents": np.stack(currents, axis=1),
+            "lit_sources": np.stack(lit, axis=1),
+        }
+        if self._entry.get("ambient") is not None:  # there is no ambient light here
+            fields["statuses"] = np.full(len(rotations), DARK_SUBTRACTED)
+        return fields
 
     def spot_currents(self, diode: int, spots: FloatArray) -> FloatArray:
         """Return the contact currents of one diode, see ``TrueJoint.spot_currents``."""
