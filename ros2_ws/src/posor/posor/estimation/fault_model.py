@@ -24,7 +24,7 @@ SENSITIVITIES = 8
 """Sensitivities of a reading: 1, to its voltage [m/V], to its relative change [m], to the measured supply [m/V] and
 temperature [m/K], to the relative change of a contact current of either axis [m], to ambient light [m]."""
 EFFECT = 7  # numbers of a column: change of the pose in ROS order [m], [rad], and its cut
-MAX_EFFECTS = 255  # bound of the columns of ``posor_msgs/JointTransform``
+MAX_EFFECTS = 320  # bound of the columns of ``posor_msgs/JointTransform``
 
 ALWAYS, SECOND, SHARED = 1, 2, 4
 """Flags of a column: its cause is always there; it is the second parameter of the hypothesis whose first parameter is
