@@ -9,7 +9,8 @@ detection where lambda <= lambda_0. Undetected are therefore the b with
 
 an intersection of two ellipsoids, which changes the pose by G D b. Causes that are always there may mask a fault:
 sqrt(lambda_0) grows by the sum of their own largest parts in the residual space. A direction of b is not tested where
-the readings show less than UNCHECKED of its square.
+the readings show less than UNCHECKED of its square. Where the scan has been compared with an encoder, a fault that
+turns theta by more than the encoder's test passes with the same probability is detected too.
 
 ``write_fault_effects`` writes for each column its change of the pose with b along a principal axis of the intersection,
 and a number ``cut``. With f1, f2 the effects of both columns of a hypothesis along any axis and c1, c2 their cuts, the
@@ -44,6 +45,7 @@ from posor.estimation.fault_model import (
     TEMPERATURE,
     VOLTAGE,
 )
+from posor.estimation.scan_checks import REFERENCE_SIGMAS
 from posor.model.diode import find_ratios
 from posor.model.fault import Fault, State
 from posor.model.readings import DIODE_CURRENTS, GAP_VOLTAGES, PYTHON
@@ -57,6 +59,8 @@ if TYPE_CHECKING:
     from posor.numerics.array_types import FloatArray
 
 MISSED_DETECTION = 1e-2  # probability that a fault of the smallest detectable size passes the test of one scan
+LINEAR = 0.01  # effects up to this size are linear [m], [rad]; an encoder does not bound larger ones
+MISSED_SIGMAS = 2.3263478740408408  # normal quantile of the same probability
 UNCHECKED = 1e-4  # a direction of which the readings show less is not tested: faults of hundreds of sigmas would pass
 LOST, ILL_CONDITIONED = int(State.LOST), int(Fault.ILL_CONDITIONED)
 
@@ -126,6 +130,43 @@ def write_fault_effects(model: Model, scan: Any, estimate: Any, effects: FloatAr
         else:
             _write_single(model, effects, c, root + always)
         c += 2 if paired else 1
+    if model.workspace[0].checks.reference_variance > 0.0:
+        _limit_by_encoder(model, estimate, effects)
+
+
+@inlined
+def _limit_by_encoder(model: Model, estimate: Any, effects: FloatArray) -> None:
+    """Shorten the effects of faults that turn theta by more than its comparison with the encoder misses."""
+    columns, checks = model.faults.columns, model.workspace[0].checks
+    variance = checks.reference_variance + estimate.random[5, 5] + estimate.systematic[5, 5]
+    largest = (REFERENCE_SIGMAS + MISSED_SIGMAS) * math.sqrt(variance) + checks.reference_tolerance
+    for c in range(columns.shape[0]):
+        if columns[c].kind & ALWAYS:
+            largest += abs(in_double(effects[c, 5]))
+    for c in range(columns.shape[0]):
+        if columns[c].kind & ALWAYS == 0:
+            partner = c - 1 if columns[c].kind & SECOND else c + 1
+            if partner == columns.shape[0] or (partner > c and columns[partner].kind & SECOND == 0):
+                _shorten(effects, c, -1, largest)
+            else:
+                _shorten(effects, c, partner, largest)
+
+
+@inlined
+def _shorten(effects: FloatArray, c: int, partner: int, largest: float) -> None:
+    """Shorten effect c to a largest turn of theta [rad], whatever the other parameter of its fault is; -1: none."""
+    turn, size = abs(in_double(effects[c, 5])), 0.0
+    if partner >= 0:
+        largest += math.inf if math.isinf(effects[partner, 6]) else abs(in_double(effects[partner, 5]))
+    for k in range(6):
+        size = max(size, abs(in_double(effects[c, k])))
+    if not (math.isinf(effects[c, 6]) or turn > largest) or not size * largest <= LINEAR * turn:
+        return
+    for k in range(6):
+        effects[c, k] = in_double(effects[c, k]) * (largest / turn)
+    effects[c, 6] = 1.0
+    if partner >= 0:  # the box around what is left
+        effects[c, 6] = effects[partner, 6] = 0.0
 
 
 @inlined

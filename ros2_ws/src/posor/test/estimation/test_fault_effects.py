@@ -22,7 +22,7 @@ POSE = pin.SE3(
 )
 STACKS = {
     stack: sized_design(stack, 0.15, frames=("receiving", "target"), title=stack)
-    for stack in ("quad_light_ring", "quad_bumpy_ring")
+    for stack in ("quad_light_ring", "quad_bumpy_ring", "triad_light_ring")
 }
 
 
@@ -69,7 +69,7 @@ def test_the_direction_is_that_of_changed_raw_readings(stack: str, cause: dict[s
         np.testing.assert_allclose(sign * moved[part] / scale, expected[part] / scale, atol=0.02)
 
 
-@pytest.mark.parametrize("stack", STACKS)
+@pytest.mark.parametrize("stack", ["quad_light_ring", "quad_bumpy_ring"])
 def test_a_single_fault_of_the_stated_size_is_missed_as_rarely_as_stated(stack: str) -> None:
     posor = posor_with(stack, moves="one reading", unit="m", unlimited=True)
     scan = Scans.of([scan_at(posor, POSE)])
@@ -132,3 +132,23 @@ def test_without_a_pose_the_effects_are_unknown_and_without_a_test_unbounded() -
     untested = Posor(posor.calibration, false_alarm=0.0)
     assert np.isinf(estimated(untested, scan).fault_effects[0, :, 6]).all()
     assert posor.estimate_all(scan).fault_effects.shape == (1, 0, 7)
+
+
+@pytest.mark.parametrize(("moves", "pairs"), [("one reading", 1), ("one spot", 2)])
+def test_an_encoder_bounds_what_turns_theta(moves: str, pairs: int) -> None:
+    """With the encoder the effect about Z of what no reading checks is what the encoder's test misses."""
+    posor = posor_with("triad_light_ring", moves=moves, unit="m", unlimited=True)
+    scan, sigma = Scans.of([scan_at(posor, POSE)]), 2e-5
+    alone = estimated(posor, scan).fault_effects[0]
+    posor.confirm_theta(0.01, sigma)
+    confirmed = posor.estimate_all(scan, fault_effects=True)
+    effects = confirmed.fault_effects[0]
+    total = math.sqrt(sigma**2 + confirmed.covariances()[0, 5, 5])
+    before, after = np.isinf(alone[:, 6]), np.isinf(effects[:, 6])
+    turning = before & (np.abs(alone[:, 5]) > 1.0)
+    assert turning.any() == (pairs == 2)
+    assert not after[turning].any()
+    if pairs == 2:
+        largest = (5.0 + 2.326) * total + np.abs(alone[0, 5])
+        np.testing.assert_allclose(np.abs(effects[turning, 5]), largest, rtol=1e-3)
+    np.testing.assert_array_equal(after[~turning], before[~turning])
