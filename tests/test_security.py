@@ -153,7 +153,7 @@ def opened_by_nodes(**changes: object) -> dict[str, set[Entity]]:
     return found
 
 
-@pytest.mark.parametrize("executable", ["chain_node", "posor_node", "driver_node", "compose", "record"])
+@pytest.mark.parametrize("executable", ["chain_node", "posor_node", "driver_node", "compose", "commission", "record"])
 def test_policies_have_the_format_of_sros2(keystore: Path, executable: str) -> None:
     paths = sorted(keystore.rglob(executable))
     assert len(paths) == (len(JOINTS) if executable in ("posor_node", "driver_node") else 1)

@@ -49,4 +49,5 @@ done
 write_policies '*' # these processes have to do with all joints
 add_enclave "/$arm/chain_node" chain_node
 add_enclave "/$arm/compose" compose
+add_enclave "/$arm/commission" commission
 add_enclave "/$arm/record" record
