@@ -52,33 +52,3 @@ def sensitivity_at(posor: Posor, scan: Scan, T_R_T: pin.SE3) -> ReadingSensitivi
     whole = np.linalg.inv(np.diag(variances) + systematic)
     seen = whole - whole @ jacobian @ np.linalg.solve(jacobian.T @ whole @ jacobian, jacobian.T @ whole)
     return ReadingSensitivity.of(gain.T, jacobian, rotation, np.diagonal(seen).copy())
-
-
-class EstimateMatrices(NamedTuple):
-    """Copies of the matrices of a POSOR's last estimate, which is not LOST and for which the m readings sufficed.
-
-    Nodes compute the sensitivity from them, between two scans; ``sensitivity_at`` is too slow for that.
-    """
-
-    gain: FloatArray  # change of the pose by each reading, in the local tangent, (m, 6)
-    jacobian: FloatArray  # derivatives of the readings in the local tangent, (m, 6)
-    rotation: FloatArray  # of the target in R, (3, 3)
-    residual_space: FloatArray  # combinations of the readings that the pose does not change, (r, m), r the redundancy
-    residual_covariance: FloatArray  # Cholesky factor of their covariance, (r, r); its upper triangle is not used
-
-    @classmethod
-    def of(cls, posor: Posor) -> Self:
-        """Copy the matrices."""
-        workspace, m, r = posor.model.workspace[0], posor.stack.readings, posor.redundancy
-        return cls(
-            workspace["gain"][:m].copy(),
-            workspace["jacobian"][:m].copy(),
-            workspace["pose"]["rotation"].copy(),
-            workspace["residual_space"][:r, :m].copy(),
-            workspace["residual_covariance"][:r, :r].copy(),
-        )
-
-    def sensitivity(self) -> ReadingSensitivity:
-        """Return the sensitivity at that estimate."""
-        components = np.linalg.solve(np.tril(self.residual_covariance), self.residual_space)
-        return ReadingSensitivity.of(self.gain, self.jacobian, self.rotation, np.square(components).sum(axis=0))

@@ -12,8 +12,8 @@ from posor.calibration.designs import DesignName, design
 from posor.errors import ScanError
 from posor.estimation.posor import Posor
 from posor.model.native_coordinates import rotation_from_native
-from posor.model.scan import NO_SOURCE
-from posor.uncertainty.reading_sensitivity import EstimateMatrices, sensitivity_at
+from posor.model.scan import NO_SOURCE, Scans
+from posor.uncertainty.reading_sensitivity import sensitivity_at
 from posor_lab.harness.case_tables import refusal
 from posor_lab.harness.random_poses import STACKS, turning_scans
 
@@ -27,11 +27,14 @@ def test_the_sensitivity_of_the_last_estimate_is_that_at_its_pose(stack: DesignN
     scans = turning_scans(posor, THETAS)
     for n in range(len(scans)):
         scan = replace(scans[n], temperature=temperature)
-        pose = posor.estimate(scan).T_R_T
-        assert pose is not None
-        last = EstimateMatrices.of(posor).sensitivity()
-        for found, expected in zip(last, sensitivity_at(posor, scan, pose), strict=True):
-            np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-7 * np.abs(expected).max())
+        estimates = posor.estimate_all(Scans.of([scan]), fault_effects=True)
+        expected = sensitivity_at(posor, scan, pin.XYZQUATToSE3(estimates.poses[0]))
+        faults = posor.model.faults  # of the kernel; the first cause moves each reading
+        own = [posor.hypotheses.names.index(f"reading: {name}") for name in posor.stack.reading_names]
+        squares = np.square(faults.components[own]).sum(axis=1)
+        for found, known in ((faults.shifts[own], expected.gain.T), (squares, expected.chi_square)):
+            np.testing.assert_allclose(found, known, rtol=1e-6, atol=1e-7 * np.abs(known).max())
+        assert expected.redundancy_numbers.sum() == pytest.approx(posor.redundancy)
 
 
 def test_sensitivity_needs_valid_readings() -> None:
