@@ -84,7 +84,7 @@ def run_message_loop(arm: ArmFile, bag: Path, output: Path) -> float:
             joint = joints[connection.topic]
             scan, frames = scan_from_message(raw), calibrations[joint].frames
             estimate = posors[joint].estimate(scan)
-            transform = transform_message(raw, estimate, frames.parent, frames.child, numbers[joint])
+            transform = transform_message(raw, estimate, frames.parent, frames.child, calibration=numbers[joint])
             writer.write(f"/{arm.name}/{joint}/{TRANSFORM_TOPIC}", time_ns, serialize_message(transform))
             if estimate.T_R_T is not None:
                 measured = open_scans.setdefault(scan.stamp_ns, {})

@@ -16,7 +16,7 @@ with bursts only poses that are OK count.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import numpy as np
 from posor.bags.arm_estimator import EndpointPipeline
@@ -190,7 +190,7 @@ def _count_wrong(found: PoseArray, true: PoseArray, covariances: FloatArray, shi
 
 def run_offline_times(rows: Sequence[FaultRow], folder: Path, seed: int) -> list[RowResult]:
     """Return the results of rows of one arm."""
-    arm = OfflineArm(rows[0].arm, folder / rows[0].arm, seed)
+    arm = OfflineArm(cast("ArmName", rows[0].arm), folder / rows[0].arm, seed)
     return [_run_row(row, arm, seed) for row in rows]
 
 
