@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from posor.calibration.causes import Pattern, Readings
 from posor.calibration.designs import design, sized_design
-from posor.estimation.forward import scans_at
 from posor.estimation.posor import Posor
 from posor.model.fault import USABLE_STATES
 from posor.numerics.vector import thetas_of
@@ -25,6 +24,7 @@ from posor_lab.faults.fault_table import RowResult
 from posor_lab.faults.offline_faults import draw_joint_poses
 from posor_lab.faults.pose_judge import SIGMAS, estimated_poses, small_errors
 from posor_lab.faults.storm import draw_sensors
+from posor_lab.true_scans import TruePosor
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -172,21 +172,22 @@ def judge_causes(
     """
     posor = Posor(calibration)
     stack = draw_sensors(posor, random)
-    scans = sound_scans(stack, truth, random)
+    scans = sound_scans(calibration, stack, truth, random)
     for cause, share in causes:
         scans = inject(cause, draw_sizes(cause, share, len(truth), random), scans, stack, random)
     thetas = thetas_of(truth.rotations) if posor.counts_bumps else None
     return judge_levels(posor, posor.estimate_each(scans, thetas, fault_effects=True), truth)
 
 
-def sound_scans(stack: Stack, truth: PoseArray, random: np.random.Generator) -> Scans:
-    """Return scans of a device with noise, at the references of supply and temperature."""
+def sound_scans(calibration: Calibration, stack: Stack, truth: PoseArray, random: np.random.Generator) -> Scans:
+    """Return scans of a device by the independent truth, with noise, at the references of supply and temperature."""
     numbers: dict[str, Any] = {
         "supply_voltages": np.full(len(truth), 15.0),
         "temperatures": np.full(len(truth), 293.15),
     }
     stamps = np.arange(1, len(truth) + 1, dtype=np.int64) * 1_000_000
-    return scans_at(stack, truth.rotations, truth.translations, stamps, noise=random, **numbers)
+    real = TruePosor(calibration)
+    return real.scans_at(stack, truth.rotations, truth.translations, stamps, noise=random, **numbers)
 
 
 def judge_levels(posor: Posor, estimates: Any, truth: PoseArray) -> CauseCount:
