@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from posor.calibration.causes import Pattern, Readings
 from posor.calibration.designs import design, sized_design
+from posor.estimation.estimate import ESTIMATE, Estimates
 from posor.estimation.posor import Posor
 from posor.model.fault import USABLE_STATES
 from posor.numerics.vector import thetas_of
@@ -164,11 +165,16 @@ class CauseCount:
 
 
 def judge_causes(
-    calibration: Calibration, causes: Sequence[tuple[Cause, float]], truth: PoseArray, random: np.random.Generator
+    calibration: Calibration,
+    causes: Sequence[tuple[Cause, float]],
+    truth: PoseArray,
+    random: np.random.Generator,
+    encoder: float = 0.0,
 ) -> CauseCount:
     """Return what becomes of scans of one drawn device with faults of all ``causes`` at once.
 
     ``causes``: with the share of the drawn size; ``truth``: pose of each scan; each scan is estimated by itself.
+    ``encoder``: standard uncertainty of an encoder that is compared with each scan [rad]; zero: none.
     """
     posor = Posor(calibration)
     stack = draw_sensors(posor, random)
@@ -176,7 +182,14 @@ def judge_causes(
     for cause, share in causes:
         scans = inject(cause, draw_sizes(cause, share, len(truth), random), scans, stack, random)
     thetas = thetas_of(truth.rotations) if posor.counts_bumps else None
-    return judge_levels(posor, posor.estimate_each(scans, thetas, fault_effects=True), truth)
+    if encoder == 0.0:
+        return judge_levels(posor, posor.estimate_each(scans, thetas, fault_effects=True), truth)
+    records, effects = np.zeros(len(scans), dtype=ESTIMATE), posor.allocate_effects(len(scans))
+    for n, theta in enumerate((thetas_of(truth.rotations) + encoder * random.normal(size=len(scans))).tolist()):
+        posor.reset()
+        posor.confirm_theta(theta, encoder)
+        posor.estimate_records(scans._records[n : n + 1].copy(), records[n : n + 1], effects[n : n + 1])
+    return judge_levels(posor, Estimates(records, scans, posor.reason, fault_effects=effects), truth)
 
 
 def sound_scans(calibration: Calibration, stack: Stack, truth: PoseArray, random: np.random.Generator) -> Scans:

@@ -225,3 +225,14 @@ def test_levels_of_single_readings_alone_do_not_cover_a_common_cause(stack: str,
     cause = next(each for each in causes if each.name == name)
     without = [each.model_copy(update={"bound": 0.0}) for each in causes if not each.unlimited]
     assert judged(calibration.model_copy(update={"causes": without}), cause, 40, 150).wrong > 5
+
+
+def test_an_encoder_bounds_a_spot_that_may_move_anywhere() -> None:
+    calibration, random = STACKS["quad_light_ring"], np.random.default_rng(40)
+    spot = Cause(name="light spot", moves="one spot", unit="m", unlimited=True, source="test")
+    calibration, truth = calibration.model_copy(update={"causes": [spot]}), draw_joint_poses(150, random)
+    alone = judge_causes(calibration, [(spot, 1.0)], truth, random)
+    found = judge_causes(calibration, [(spot, 1.0)], truth, random, encoder=2e-5)
+    assert alone.unbounded == alone.ok
+    assert (found.unbounded, found.wrong) == (0, 0)
+    assert found.ok > found.beyond > 0
