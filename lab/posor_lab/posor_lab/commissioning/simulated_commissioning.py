@@ -96,6 +96,8 @@ class SimulatedCommissioning:
         ticks = START_S * RATE // cycle * cycle + np.arange(cycle)
         truth, stamps = simulation.truth(ticks), tick_stamp_ns(ticks, RATE)
         steps = [RecordedStep(step, int(stamps[begin]), int(stamps[end - 1])) for step, (begin, end) in spans.items()]
+        for joint in simulation.joints:
+            simulation.start_at(joint, int(ticks[0]))
         scans = {joint: simulation.scans(joint, ticks).scans for joint in simulation.joints}
         for step in steps:
             self._touch(scans, step)

@@ -22,7 +22,6 @@ import numpy as np
 from posor.bags.arm_estimator import EndpointPipeline
 from posor.bags.recording import unpack_poses
 from posor.chain.arm_file import CHAIN_NODE, chain_parameters
-from posor.estimation.fault_model import JointCauses
 from posor.estimation.posor import Posor
 from posor.messages.estimate_arrays import estimate_joint
 from posor.messages.raw_scan import RecordedScans
@@ -170,7 +169,7 @@ class OfflineArm:
         calibrations = self.simulation.calibrations
         frames = {name: (each.frames.parent, each.frames.child) for name, each in calibrations.items()}
         terms = {name: tuple(each.shared) for name, each in calibrations.items()}
-        causes = dict.fromkeys(calibrations, JointCauses())
+        causes = {name: Posor(each).hypotheses.joint_causes() for name, each in calibrations.items()}
         pipeline = EndpointPipeline(self.simulation.chain, self._parameters, frames, terms, causes)
         orders = {name: len(joints) * np.arange(len(each)) + n for n, (name, each) in enumerate(joints.items())}
         found = pipeline.estimate(joints, orders)

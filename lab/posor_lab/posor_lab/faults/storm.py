@@ -186,7 +186,7 @@ class StormCount:
     wrong_ok: int = 0  # beyond 5 standard deviations of the truth, and published as valid
     uncovered: int = 0  # of these, beyond the protection level of the same scan
     sound: int = 0  # scans without a fault, outside of a latched period
-    sound_ok: int = 0
+    sound_ok: int = 0  # OK, or DEGRADED by the acknowledgement of an earlier fault alone
     latched: int = 0  # scans without a fault in a latched period
     wrong_by_fault: Counter[str] = field(default_factory=Counter)  # wrong_ok by the fault before or during them
     different: int = 0  # transforms of a node that differ from the estimator's
@@ -223,6 +223,7 @@ def count_storm(
     ``covariances``: totals, (n, 6, 6); ``levels``: protection levels published with the poses, (n, 6).
     """
     valid = np.isin(states, USABLE_STATES)
+    is_ok = (states == State.OK) | (valid & (faults == Fault.ACKNOWLEDGED))
     wrong = valid & wrong_poses(poses, covariances, storm.truth)
     sound = storm.faults < 0
     with np.errstate(invalid="ignore"):
@@ -236,7 +237,7 @@ def count_storm(
         wrong_ok=int(np.count_nonzero(wrong)),
         uncovered=int(np.count_nonzero(wrong & ~covered)),
         sound=int(np.count_nonzero(sound & ~latched)),
-        sound_ok=int(np.count_nonzero(sound & ~latched & (states == State.OK))),
+        sound_ok=int(np.count_nonzero(sound & ~latched & is_ok)),
         latched=int(np.count_nonzero(latched)),
         wrong_by_fault=Counter(by_fault),
     )

