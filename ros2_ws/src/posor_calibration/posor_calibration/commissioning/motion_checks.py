@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pinocchio as pin
 from posor.chain.commissioning_record import NATIVE, CheckRecord
+from posor.estimation.corrected_scans import corrected_scans
 from posor.estimation.posor import Posor
 from posor.model.fault import USABLE_STATES, Fault
 from posor.numerics.vector import wrapped_angles
@@ -59,7 +60,7 @@ class JointMotion:
 
 def estimate_motion(recording: CommissioningRecording, calibration: Calibration, sweep: RecordedStep) -> JointMotion:
     """Return the poses of a joint since the begin of its sweep."""
-    scans = recording.scans[sweep.step.joint]
+    scans = corrected_scans(recording.scans[sweep.step.joint], calibration)
     stamps = scans.stamps_ns
     since = np.flatnonzero(stamps >= sweep.begin_ns)
     if since.size > 1:
