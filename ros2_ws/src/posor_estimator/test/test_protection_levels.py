@@ -96,7 +96,7 @@ def test_chain_node_bounds_the_endpoint_by_the_faults_of_the_same_scan() -> None
         moved = np.array(answer(with_stamp_shift).protection_level)
         first_order = expected + np.abs(matrix) @ shift
         np.testing.assert_allclose(moved, first_order, rtol=1e-5)  # the level contains the second order too
-        assert (moved >= first_order * (1.0 - 1e-9)).all()
+        assert (moved >= first_order * (1.0 - 1e-6)).all()  # effects have 4 bytes
         open_effects = effects.copy()
         open_effects[0] = [0.0, 0.0, 1.0, 0.0, 0.0, 0.0, math.inf]
         state = answer(lambda message: with_effects(message, open_effects))
