@@ -136,13 +136,15 @@ class OfflineArm:
 
     def _estimate(self, simulation: ArmSimulation, joint: str, faults: Changes, stamp_limit: float) -> Estimates:
         """Return the estimates of a joint; the time of their readings is stated as that of the log."""
+        ticks = self._ticks_of_readings(faults)
+        simulation.start_at(joint, int(ticks[0]))
         scans = simulation.scans(joint, self._ticks).scans
         posor = Posor(simulation.calibrations[joint], false_alarm=FALSE_ALARM)
         if stamp_limit:
             scans = scans.with_fields({"stamp_limits": np.full(len(scans), stamp_limit)})
         stamps = np.column_stack(np.divmod(scans.stamps_ns, NS))
         order = len(self.joints) * np.arange(len(scans)) + self.joints.index(joint)
-        times_ns = tick_stamp_ns(self._ticks_of_readings(faults), self._rate)
+        times_ns = tick_stamp_ns(ticks, self._rate)
         frame = posor.calibration.frames.parent
         return estimate_joint(posor, RecordedScans(times_ns, order, scans, stamps, scans.statuses, frame))
 
