@@ -34,8 +34,7 @@ class PlainController(Node):
         if usable and stamp in self.targets and stamp in self.positions:
             self.command(message.pose, self.targets[stamp].pose.position, self.positions[stamp])
 
-    def command(self, measured, target, stage):
-        """Command R^T (target - measured) + stage: the position of the stage that would have removed the error."""
+    def command(self, measured, target, stage):  # R^T (target - measured) + stage would have removed the error
         p, q, command = measured.position, measured.orientation, Vector3Stamped(header=stage.header)
         x, y, z = target.x - p.x, target.y - p.y, target.z - p.z
         a, b, c = y * q.z - z * q.y, z * q.x - x * q.z, x * q.y - y * q.x  # (x, y, z) x (q.x, q.y, q.z)
@@ -53,8 +52,9 @@ class PlainController(Node):
 
 if __name__ == "__main__":
     rclpy.init(signal_handler_options=rclpy.signals.SignalHandlerOptions.NO)  # its own ends a context in use
-    signals, controller = [], PlainController()
+    done, controller = rclpy.Future(), PlainController()
     for each in signal.SIGINT, signal.SIGTERM:
-        signal.signal(each, lambda number, _: signals.append(number))
-    while not signals:
-        rclpy.spin_once(controller, timeout_sec=0.1)
+        signal.signal(each, lambda *_: done.set_result(None))
+    rclpy.spin_until_future_complete(controller, done)  # the watchdog wakes it
+    controller.destroy_node()  # the end of the interpreter destroys in any order
+    rclpy.shutdown()
