@@ -24,6 +24,7 @@ from posor.bags.recording import unpack_poses
 from posor.chain.arm_file import CHAIN_NODE, chain_parameters
 from posor.estimation.posor import Posor
 from posor.messages.estimate_arrays import estimate_joint
+from posor.messages.joint_transform import TransformConstants
 from posor.messages.raw_scan import RecordedScans
 from posor.model.fault import USABLE_STATES, Fault, State
 from posor.node_parameters import ChainParameters
@@ -169,10 +170,8 @@ class OfflineArm:
 
     def _count_wrong_endpoints(self, joints: Mapping[str, Estimates], *, is_set: bool) -> int:
         calibrations = self.simulation.calibrations
-        frames = {name: (each.frames.parent, each.frames.child) for name, each in calibrations.items()}
-        terms = {name: tuple(each.shared) for name, each in calibrations.items()}
-        causes = {name: Posor(each).hypotheses.joint_causes() for name, each in calibrations.items()}
-        pipeline = EndpointPipeline(self.simulation.chain, self._parameters, frames, terms, causes)
+        transforms = {name: TransformConstants.of(Posor(each)) for name, each in calibrations.items()}
+        pipeline = EndpointPipeline(self.simulation.chain, self._parameters, transforms)
         orders = {name: len(joints) * np.arange(len(each)) + n for n, (name, each) in enumerate(joints.items())}
         found = pipeline.estimate(joints, orders)
         if not len(found):

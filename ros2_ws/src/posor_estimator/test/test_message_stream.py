@@ -15,7 +15,7 @@ from posor.errors import TopicError
 from posor.estimation.forward import scans_at
 from posor.estimation.posor import Posor
 from posor.estimation.scan_checks import MARKS
-from posor.messages.joint_transform import joint_transform_layout
+from posor.messages.joint_transform import TransformConstants
 from posor.messages.message_stream import MessageEstimator, MessageStream, RawScanStream
 from posor.messages.message_table import TableLayout
 from posor.messages.raw_scan import ScanTemplate, scan_of
@@ -120,14 +120,7 @@ def test_many_rows_at_once_are_the_bytes_of_one_after_the_other(stack: DesignNam
     wanted = [stream.estimate_message(data) for data in raw]
     layout, transforms = (
         TableLayout.of(raw[0], RAW_SCAN),
-        joint_transform_layout(
-            JOINT_TRANSFORM,
-            "receiving",
-            "target",
-            (),
-            Posor(calibration).hypotheses.joint_causes(),
-            calibration_id(calibration),
-        ),
+        TransformConstants.of(Posor(calibration)).layout(JOINT_TRANSFORM),
     )
     starts = np.arange(COUNT) * len(raw[0])
     rows = layout.read(np.frombuffer(b"".join(raw), dtype=np.uint8), starts, np.full(COUNT, len(raw[0])))
@@ -141,7 +134,7 @@ def test_many_rows_at_once_are_the_bytes_of_one_after_the_other(stack: DesignNam
 def test_an_id_that_would_be_no_number_keeps_its_bits(number: int) -> None:
     posor = Posor(design("triad_diodes"))
     raw = TableLayout.of(RAW_SCAN.serialize(moving(posor)[0]), RAW_SCAN)
-    transforms = joint_transform_layout(JOINT_TRANSFORM, "receiving", "target", calibration=number)
+    transforms = TransformConstants("receiving", "target", calibration=number).layout(JOINT_TRANSFORM)
     out = transforms.copies(1)
     for each in (posor, in_python(posor)):
         out.rows[:] = 0

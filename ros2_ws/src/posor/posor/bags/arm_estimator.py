@@ -10,11 +10,11 @@ import numpy as np
 from posor.bags.block_synchroniser import BlockSynchroniser, joint_rows
 from posor.bags.reprocess_task import EndpointSummary, JointSummary
 from posor.calibration.shared_terms import check_same_terms
-from posor.chain.identity import calibration_id
 from posor.errors import ChainError
 from posor.estimation.estimate import Estimates
 from posor.estimation.posor import Posor
 from posor.messages.estimate_arrays import ArmEstimates, EndpointEstimates, estimate_joint
+from posor.messages.joint_transform import TransformConstants
 from posor.model.fault import USABLE_STATES, Fault, State
 from posor.model.scan import Scans
 
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from posor.calibration.calibration_file import Calibration
     from posor.chain.forward_kinematics import Endpoints
     from posor.chain.kinematic_chain import Chain
-    from posor.estimation.fault_model import JointCauses
     from posor.messages.raw_scan import RecordedScans
     from posor.node_parameters import ChainParameters
     from posor.numerics.array_types import BoolArray, FloatArray, IntArray
@@ -39,10 +38,7 @@ class ArmEstimator:
     """The POSORs of an arm and its kinematic chain, block after block of recorded scans.
 
     Attributes:
-        frames: Receiving and target frame of each joint.
-        shared_terms: Names of the shared terms of each joint.
-        causes: Of faults of each joint.
-        calibration_ids: Id of each joint's calibration.
+        transforms: What is the same in all transforms of each joint.
         endpoint: The kinematic chain; None: joints only.
 
     """
@@ -50,17 +46,12 @@ class ArmEstimator:
     def __init__(self, settings: Settings) -> None:
         """Load calibrations and chain. Raises PosorError: a calibration, the chain or a parameter is invalid."""
         calibrations = {name: joint.load() for name, joint in settings.joints.items()}
-        self.frames = {name: (each.frames.parent, each.frames.child) for name, each in calibrations.items()}
         self._joints = {
             name: _JointEstimator(calibrations[name], joint.false_alarm) for name, joint in settings.joints.items()
         }
-        self.shared_terms = {name: tuple(each.shared) for name, each in calibrations.items()}
-        self.causes = {name: joint.causes for name, joint in self._joints.items()}
-        self.calibration_ids = {name: calibration_id(each) for name, each in calibrations.items()}
+        self.transforms = {name: joint.transforms for name, joint in self._joints.items()}
         loaded = settings.load_chain()
-        self.endpoint = (
-            None if loaded is None else EndpointPipeline(*loaded, self.frames, self.shared_terms, self.causes)
-        )
+        self.endpoint = None if loaded is None else EndpointPipeline(*loaded, self.transforms)
         files = {str(settings.joints[name].calibration): each.shared for name, each in calibrations.items()}
         if loaded is not None:
             check_same_terms({loaded[1].beams: loaded[0].shared, **files})
@@ -102,7 +93,7 @@ class _JointEstimator:
 
     def __init__(self, calibration: Calibration, false_alarm: float) -> None:
         self._posor = Posor(calibration, false_alarm=false_alarm)
-        self.causes = self._posor.hypotheses.joint_causes()
+        self.transforms = TransformConstants.of(self._posor)
         self.scans = self.lost = 0
         self.faults: Counter[str] = Counter()
 
@@ -132,27 +123,19 @@ class EndpointPipeline:
 
     """
 
-    def __init__(
-        self,
-        chain: Chain,
-        parameters: ChainParameters,
-        frames: Mapping[str, tuple[str, str]],
-        shared_terms: Mapping[str, tuple[str, ...]],
-        causes: Mapping[str, JointCauses],
-    ) -> None:
+    def __init__(self, chain: Chain, parameters: ChainParameters, transforms: Mapping[str, TransformConstants]) -> None:
         """Prepare.
 
-        ``parameters``: of chain_node; ``frames``: receiving and target frame of each calibrated joint;
-        ``shared_terms``: names of its shared terms; ``causes``: of its faults. Raises ChainError: a joint of the chain
+        ``parameters``: of chain_node; ``transforms``: of each calibrated joint. Raises ChainError: a joint of the chain
         has no calibration, or one between other frames.
         """
         self.joints = tuple(joint.name for joint in chain.joints)
         where = f"URDF {parameters.urdf}"
         for joint in chain.joints:
-            if joint.name not in frames:
+            if joint.name not in transforms:
                 expected = f"one for each of {', '.join(self.joints)}"
                 raise ChainError(f"joint {joint.name} has no calibration", where=where, expected=expected)
-            parent, child = frames[joint.name]
+            parent, child = transforms[joint.name].parent, transforms[joint.name].child
             if (parent, child) != (joint.parent, joint.child):
                 raise ChainError(
                     f"the calibration of {joint.name} is from '{parent}' to '{child}'",
@@ -160,9 +143,10 @@ class EndpointPipeline:
                     expected=f"'{joint.parent}' to '{joint.child}'",
                 )
         self._estimator = chain.estimator(parameters.acceleration_window)
-        self._estimator.use_terms([shared_terms[name] for name in self.joints])
-        self._estimator.use_causes([causes[name] for name in self.joints])
-        self._terms = max(len(shared_terms[name]) for name in self.joints)
+        own = [transforms[name] for name in self.joints]
+        self._estimator.use_terms([each.shared for each in own])
+        self._estimator.use_causes([each.causes for each in own])
+        self._terms = max(len(each.shared) for each in own)
         self._relative = parameters.reference == "home"
         self._home: FloatArray | None = None
         self.frame = f"{parameters.endpoint_frame}_home" if self._relative else chain.base_frame

@@ -11,7 +11,7 @@ from rosbags.interfaces import QosReliability
 from posor.bags.bag_writer import BagWriter, TopicMessages
 from posor.bags.data_frames import endpoint_columns, joint_columns
 from posor.messages.endpoint_messages import endpoint_layouts, pack_endpoint
-from posor.messages.joint_transform import joint_transform_layout, pack_joint_transforms
+from posor.messages.joint_transform import pack_joint_transforms
 from posor.messages.message_definitions import MessageTypes
 from posor.ros_names import (
     ENDPOINT_COVARIANCE_TOPIC,
@@ -59,13 +59,7 @@ class BagOutput:
         self._joints = {
             name: (
                 self._add_topic(topic, JOINT_TRANSFORM, topics.offered),
-                joint_transform_layout(
-                    transform,
-                    *estimator.frames[name],
-                    estimator.shared_terms[name],
-                    estimator.causes[name],
-                    estimator.calibration_ids[name],
-                ),
+                estimator.transforms[name].layout(transform),
             )
             for name, topic in topics.transforms.items()
         }

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from posor.chain.identity import NOT_STATED
+from posor.chain.identity import NOT_STATED, calibration_id
 from posor.chain.joint_measurements import JointRowLayout
 from posor.errors import ShapeError, TopicError
 from posor.estimation.estimate_scan import LOST
@@ -23,11 +23,10 @@ from posor.numerics.stamps import time_ns
 from posor.ros_names import JOINT_TRANSFORM
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from numpy.typing import NDArray
 
     from posor.estimation.estimate import Estimates
+    from posor.estimation.posor import Posor
     from posor.messages.cdr_schema import Schema
     from posor.numerics.array_types import ByteArray, FloatArray
 
@@ -55,39 +54,40 @@ _FAULTS = struct.Struct("<I")
 _CALIBRATION = struct.Struct("<Q")
 
 
-def joint_transform_layout(
-    schema: Schema,
-    parent: str,
-    child: str,
-    shared: Sequence[str] = (),
-    causes: JointCauses = NO_CAUSES,
-    calibration: int = NOT_STATED,
-) -> TableLayout:
-    """Return the layout of transforms between two frames, and what is the same in all.
+class TransformConstants(NamedTuple):
+    """What is the same in all transforms of a joint."""
 
-    ``schema``: JointTransform; ``shared``: its shared terms; ``causes``: of faults, with their effects;
-    ``calibration``: ``calibration_id`` of that in force.
-    """
-    return TableLayout.of(_example(schema, parent, child, shared, causes, calibration), schema)
+    parent: str
+    child: str
+    shared: tuple[str, ...] = ()  # names of the shared terms
+    causes: JointCauses = NO_CAUSES  # of faults, with their effects
+    calibration: int = NOT_STATED  # ``calibration_id`` of that in force
 
+    @staticmethod
+    def of(posor: Posor) -> TransformConstants:
+        """Return those of the transforms that a POSOR estimates."""
+        calibration, causes = posor.calibration, posor.hypotheses.joint_causes()
+        frames, shared = calibration.frames, tuple(calibration.shared)
+        return TransformConstants(frames.parent, frames.child, shared, causes, calibration_id(calibration))
 
-def _example(
-    schema: Schema,
-    parent: str,
-    child: str,
-    shared: Sequence[str] = (),
-    causes: JointCauses = NO_CAUSES,
-    calibration: int = NOT_STATED,
-) -> bytes:
-    terms = {"shared_terms": list(shared), "shared_effects": [0.0] * (6 * len(shared))}
-    faults = {
-        "causes": list(causes.names),
-        "effect_causes": list(causes.of_effects),
-        "effect_kinds": list(causes.kinds),
-        "effects": [0.0] * (EFFECT * len(causes.kinds)),
-    }
-    frames = {"header.frame_id": parent, "child_frame_id": child, "calibration": calibration}
-    return schema.encode({**frames, **terms, **faults})
+    def encoded(self, schema: Schema) -> bytes:
+        """Return a message with these values; ``schema``: JointTransform."""
+        values = {
+            "header.frame_id": self.parent,
+            "child_frame_id": self.child,
+            "calibration": self.calibration,
+            "shared_terms": list(self.shared),
+            "shared_effects": [0.0] * (6 * len(self.shared)),
+            "causes": list(self.causes.names),
+            "effect_causes": list(self.causes.of_effects),
+            "effect_kinds": list(self.causes.kinds),
+            "effects": [0.0] * (EFFECT * len(self.causes.kinds)),
+        }
+        return schema.encode(values)
+
+    def layout(self, schema: Schema) -> TableLayout:
+        """Return the layout of the transforms; ``schema``: JointTransform."""
+        return TableLayout.of(self.encoded(schema), schema)
 
 
 def packing_layout(transforms: TableLayout) -> NDArray[np.void]:
@@ -204,7 +204,7 @@ class JointTransformFormat:
 
     def __init__(self, parent: str, child: str) -> None:
         schema = installed_schema(JOINT_TRANSFORM)
-        example = _example(schema, parent, child)
+        example = TransformConstants(parent, child).encoded(schema)
         layout = schema.layout(example)
         self.row_layout = row_layout_of(TableLayout.of(example, schema))
         self._schema, self._begin_shared = schema, layout.lengths["shared_terms"]

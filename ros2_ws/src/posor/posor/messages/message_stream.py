@@ -13,12 +13,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from posor.chain.identity import calibration_id
 from posor.estimation.estimate_scan import DONE, LOST, estimate_scan, write_lost
 from posor.estimation.fault_effects import write_fault_effects
 from posor.estimation.fault_model import EFFECT
 from posor.messages.cdr_schema import STAMP
-from posor.messages.joint_transform import joint_transform_layout, pack_estimate, packing_layout
+from posor.messages.joint_transform import TransformConstants, pack_estimate, packing_layout
 from posor.messages.message_definitions import installed_schema
 from posor.messages.message_table import LEAD, MessageRows, TableLayout
 from posor.messages.raw_scan import raw_scan_layout, scan_of, unpack_scan
@@ -254,13 +253,9 @@ class RawScanStream:
 
     def __init__(self, posor: Posor, example: bytes) -> None:
         """Take the layout of an ``example`` in plain CDR. Raises TopicError: the example is not a raw scan."""
-        frames = posor.calibration.frames
         raw = TableLayout.of(example, installed_schema(RAW_SCAN))
-        shared = list(posor.calibration.shared)
-        schema, causes = installed_schema(JOINT_TRANSFORM), posor.hypotheses.joint_causes()
-        number = calibration_id(posor.calibration)
-        transform = joint_transform_layout(schema, frames.parent, frames.child, shared, causes, number)
-        self._posor, self._parent, self.frame = posor, frames.parent, raw.strings["header.frame_id"]
+        transform = TransformConstants.of(posor).layout(installed_schema(JOINT_TRANSFORM))
+        self._posor, self._parent, self.frame = posor, posor.calibration.frames.parent, raw.strings["header.frame_id"]
         row, out = raw.row[None].copy(), transform.row[None].copy()
         self._estimator = MessageEstimator(posor, MessageStream.of(raw, transform, row, out, check=True))
         self._estimate_rows, self.status = self._estimator.estimate_rows, self._estimator.status

@@ -16,10 +16,10 @@ from posor.bags.reprocess_task import JointSettings, Settings
 from posor.calibration.calibration_file import Calibration
 from posor.calibration.designs import DesignName, design
 from posor.estimation.estimate import Estimates
-from posor.estimation.fault_model import JointCauses
 from posor.estimation.forward import scans_at
 from posor.estimation.posor import Posor
 from posor.messages.estimate_arrays import estimate_joint
+from posor.messages.joint_transform import TransformConstants
 from posor.messages.raw_scan import RecordedScans
 from posor.model.fault import Fault, State
 from posor.model.native_coordinates import rotation_from_native
@@ -89,17 +89,17 @@ def test_limits_of_the_stamps_reach_the_endpoint() -> None:
     poses, thetas = np.zeros((count, 7)), 2e-3 * numbers
     poses[:, 2], poses[:, 5], poses[:, 6] = 0.735e-3, np.sin(0.5 * thetas), np.cos(0.5 * thetas)
     fields = {"stamps_ns": NS + 5_000_000 * numbers, "numbers": numbers.astype(np.uint64)}
-    joints, frames, orders = {}, {}, {}
+    joints, transforms, orders = {}, {}, {}
     for n, name in enumerate(arm.calibrations):
         calibration = arm.calibration(name)
         limits = {"stamp_limits": np.full(count, n * 1e-3)}  # of the first joint, none
         joints[name] = Posor(calibration).estimate_all(
             simulate(calibration, poses, seed=n).with_fields(fields | limits)
         )
-        frames[name], orders[name] = (calibration.frames.parent, calibration.frames.child), numbers
+        frames = calibration.frames
+        transforms[name], orders[name] = TransformConstants(frames.parent, frames.child), numbers
     parameters = ChainParameters(urdf=str(arm.urdf), endpoint_frame=arm.endpoint_frame)
-    none, causes = dict.fromkeys(frames, ()), dict.fromkeys(frames, JointCauses())
-    found = EndpointPipeline(chain, parameters, frames, none, causes).estimate(joints, orders)
+    found = EndpointPipeline(chain, parameters, transforms).estimate(joints, orders)
     assert len(found) > 0.9 * count
     n = int(np.searchsorted(fields["stamps_ns"], found.stamps_ns[-1]))
     transforms = {name: pin.XYZQUATToSE3(each.poses[n]) for name, each in joints.items()}
