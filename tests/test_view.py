@@ -53,7 +53,7 @@ def test_the_page_follows_the_arm_and_a_killed_driver_turns_its_joint_red(tmp_pa
         page.screenshot(path=ARTIFACTS / "killed_driver.png")
 
         arm.nodes.process.kill()
-        wait_for_banner(page, "no message on /five_axis/endpoint/state")
+        wait_for_banner(page, "no message on /five_axis_checked/endpoint/state")
         page.wait_for_function(HAS_COLOUR, arg=[STATE, _css(GREY)], polling=20)
         assert page.inner_text(STATE) == "STALE"
         assert not page.evaluate(HAS_X)

@@ -89,7 +89,7 @@ class SimulatedArm:
 @contextmanager
 def running_arm(folder: Path) -> Iterator[SimulatedArm]:
     """Run the arm for a ``with`` block; its files are in a folder that exists."""
-    arm = write_fault_arm("five_axis", folder / "arm", CYCLE_S, SEED)
+    arm = write_fault_arm("five_axis_checked", folder / "arm", CYCLE_S, SEED)
     programs = arm_programs(arm)
     (driver,) = (program for program in programs if program.name == f"{KILLED}/driver_node")
     (others,) = group_programs([program for program in programs if program is not driver], "composed", folder)

@@ -22,9 +22,15 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
 
-RATES: Mapping[str, int] = {"six_axis": 50, "five_axis": 50, "test_rig": 100, "quad_rig": 100}
+RATES: Mapping[str, int] = {"six_axis": 50, "five_axis": 50, "test_rig": 100, "quad_rig": 100, "five_axis_checked": 50}
 """Scans per second that two processors can follow with all drivers and nodes."""
-AMPLITUDES: Mapping[str, float] = {"six_axis": 0.03, "five_axis": 0.06, "test_rig": 0.03, "quad_rig": 0.03}
+AMPLITUDES: Mapping[str, float] = {
+    "six_axis": 0.03,
+    "five_axis": 0.06,
+    "test_rig": 0.03,
+    "quad_rig": 0.03,
+    "five_axis_checked": 0.06,
+}
 """Of the motion about home [rad]: bumpy rings move by more than a bump and pass their home marks once a second."""
 CYCLE_S = 20  # usual duration of the scenario's cycle
 WAYPOINT_S = 1.0  # usual time between two waypoints of the motion

@@ -53,6 +53,7 @@ class EndpointView:
     pose: FloatArray  # (7,): x, y, z [m], unit quaternion x, y, z, w
     covariance: FloatArray  # (6, 6), the sum of both parts; NaN: not known
     protection_level: FloatArray  # (6,) [m], [rad]; NaN: not known
+    protection_causes: tuple[str, ...] = ()  # joint and cause that set each level; empty: not known
 
 
 @dataclass(frozen=True)
@@ -140,6 +141,7 @@ class Observer:
             np.array([values[f"{pose}.{part}"] for part in _POSE]),
             np.sum(parts, axis=0).reshape(6, 6),
             np.array(values.get("protection_level") or [np.nan] * 6),
+            tuple(values.get("protection_causes", ())),
         )
 
     def _joint(self, name: str, endpoint: Mapping[str, Any], now_s: float) -> Health:

@@ -348,7 +348,7 @@ def _health_row(name: str, health: Health, colour: tuple[int, int, int]) -> str:
 
 
 def _numbers(endpoint: EndpointView | None, drawn: DrawnArm | None) -> str:
-    columns = np.full((4, 6), np.nan)
+    columns, causes = np.full((4, 6), np.nan), [""] * 6
     if drawn is not None:
         columns[1] = 1e6 * drawn.deviation
     if endpoint is not None:
@@ -357,11 +357,14 @@ def _numbers(endpoint: EndpointView | None, drawn: DrawnArm | None) -> str:
             columns[0] = *(1e3 * pose.translation), *(1e3 * pin.log3(pose.rotation))
         columns[2] = 2e6 * np.sqrt(np.diag(endpoint.covariance))
         columns[3] = 1e6 * endpoint.protection_level
-    head = "<tr><th>endpoint</th><th>pose</th><th>from nominal</th><th>2 sigma</th><th>protection</th></tr>"
+        causes[: len(endpoint.protection_causes)] = endpoint.protection_causes
+    names = ("endpoint", "pose", "from nominal", "2 sigma", "protection", "set by")
+    head = f"<tr>{''.join(f'<th>{name}</th>' for name in names)}</tr>"
     rows = [head]
     for number, axis in enumerate(AXES):
         unit = ("mm", "um") if number < 3 else ("mrad", "urad")  # noqa: PLR2004  translation, then rotation
         cells = [_cell(columns[0, number], 4, unit[0]), *(_cell(value, 2, unit[1]) for value in columns[1:, number])]
+        cells.append(f"<small>{escape(causes[number])}</small>")
         rows.append(f"<tr><td>{axis}</td>" + "".join(f"<td>{cell}</td>" for cell in cells) + "</tr>")
     return "".join(rows)
 
