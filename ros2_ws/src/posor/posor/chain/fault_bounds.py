@@ -23,11 +23,24 @@ from itertools import chain
 from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import numpy as np
+from scipy.special import ndtri
 
 from posor.estimation.fault_effects import in_double, largest_of_pair
 from posor.estimation.fault_model import ALWAYS, SECOND, SHARED
 from posor.numerics.compiled import in_place, inlined
-from posor.numerics.vector import applied, at, cross, matrix, minus, plus, product, rotation_of_pose, transposed
+from posor.numerics.vector import (
+    applied,
+    at,
+    cross,
+    matrix,
+    minus,
+    plus,
+    product,
+    put,
+    rotation_of_pose,
+    transposed,
+    within,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -41,8 +54,8 @@ if TYPE_CHECKING:
 
 INTEGRITY_RISK = 1e-5
 """Probability, of one scan and axis, that noise and calibration errors alone exceed their part of the level."""
-COVERAGE_FACTOR = 4.417173413469022
-"""K: the standard uncertainties of the endpoint in a protection level, two-sided normal quantile of the risk."""
+COVERAGE_FACTOR = float(-ndtri(0.5 * INTEGRITY_RISK))
+"""K, 4.42: the standard uncertainties of the endpoint in a protection level."""
 UNKNOWN = -1  # in place of the joint and the cause that set a level
 Shift: TypeAlias = tuple[float, float, float, float, float, float]  # ROS order
 NOT_MOVED: Shift = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -59,6 +72,8 @@ class ArmCauses(NamedTuple):
     largest: FloatArray  # scratch: the same of the joint with the largest, (K, 6)
     joints: IntArray  # scratch: that joint, (K, 6)
     own: FloatArray  # scratch: of one joint, (K, 6)
+    rotations: FloatArray  # scratch: of the joints' receiving plates, (j, 3, 3)
+    positions: FloatArray  # scratch: of the joints, (j, 3) [m]
 
     @staticmethod
     def of(joints: Sequence[JointCauses]) -> tuple[tuple[str, ...], ArmCauses]:
@@ -72,7 +87,9 @@ class ArmCauses(NamedTuple):
         shared = np.zeros(count, dtype=np.int64)
         shared[causes[kinds & SHARED != 0]] = 1
         totals, largest, own = np.zeros((3, count, 6))
-        return names, ArmCauses(causes, kinds, shared, totals, largest, np.zeros((count, 6), dtype=np.int64), own)
+        set_by = np.zeros((count, 6), dtype=np.int64)
+        places = np.zeros((len(joints), 3, 3)), np.zeros((len(joints), 3))
+        return names, ArmCauses(causes, kinds, shared, totals, largest, set_by, own, *places)
 
 
 class EndpointBounds(NamedTuple):
@@ -116,9 +133,8 @@ def bound_endpoints(
             level[k] = COVERAGE_FACTOR * math.sqrt(max(variance, 0.0)) + endpoints.stamp_shifts[n, k]
             for c in range(causes.totals.shape[0]):
                 causes.totals[c, k] = causes.largest[c, k] = 0.0
-        rotation = transposed(matrix(axes, 0))
-        end = _add_expansions(arm, measurements, n, rotation, level)
-        _add_faults(arm, causes, measurements, n, rotation, end, level)
+        end = _place_joints(arm, causes, measurements, n, transposed(matrix(axes, 0)), level)
+        _add_faults(causes, measurements, n, end, level)
         for k in range(6):
             worst = 0.0
             for c in range(causes.totals.shape[0]):
@@ -142,12 +158,12 @@ def _are_valid(causes: ArmCauses, effects: FloatArray, j: int) -> bool:
 
 
 @inlined
-def _add_expansions(
-    arm: ArmGeometry, measurements: JointMeasurements, n: int, rotation: Matrix, level: FloatArray
+def _place_joints(
+    arm: ArmGeometry, causes: ArmCauses, measurements: JointMeasurements, n: int, rotation: Matrix, level: FloatArray
 ) -> Vector:
-    """Add the amounts by which expansions of the beams may move the endpoint, which they do not turn; return it.
+    """Write where the joints are into ``causes``, and add the largest expansions of the beams; return the endpoint.
 
-    ``rotation``: of the base in the axes of the levels, in which the endpoint is returned.
+    ``rotation``: of the base in the axes of the levels, in which all is returned. An expansion does not turn a beam.
     """
     translation = (0.0, 0.0, 0.0)
     for e in range(arm.elements.shape[0]):
@@ -158,6 +174,9 @@ def _add_expansions(
         if j >= 0:
             pose = measurements.poses[n, j]
             translation = plus(translation, applied(rotation, at(pose, 0)))
+            put(causes.positions, j, 0, translation)
+            for i in range(3):
+                put(causes.rotations[j], i, 0, rotation[i])
             rotation = product(rotation, rotation_of_pose(pose))
         elif b >= 0:
             beam = arm.beams[b]
@@ -170,34 +189,11 @@ def _add_expansions(
 
 
 @inlined
-def _add_faults(
-    arm: ArmGeometry,
-    causes: ArmCauses,
-    measurements: JointMeasurements,
-    n: int,
-    rotation: Matrix,
-    end: Vector,
-    level: FloatArray,
-) -> None:
-    """Write the effects of faults into ``causes``; add those of causes that are always there to ``level``.
-
-    ``rotation``: of the base in the axes of the levels, ``end``: the endpoint in them.
-    """
-    translation = (0.0, 0.0, 0.0)
-    for e in range(arm.elements.shape[0]):
-        element = arm.elements[e]
-        translation = plus(translation, applied(rotation, at(element["translation"], 0)))
-        rotation = product(rotation, matrix(element["rotation"], 0))
-        j, b = element["joint"], element["beam"]
-        if j >= 0:
-            pose = measurements.poses[n, j]
-            translation = plus(translation, applied(rotation, at(pose, 0)))
-            _add_joint(causes, measurements.fault_effects[n, j], j, rotation, minus(end, translation), level)
-            rotation = product(rotation, rotation_of_pose(pose))
-        elif b >= 0:
-            beam = arm.beams[b]
-            translation = plus(translation, applied(rotation, at(beam["translation"], 0)))
-            rotation = product(rotation, matrix(beam["rotation"], 0))
+def _add_faults(causes: ArmCauses, measurements: JointMeasurements, n: int, end: Vector, level: FloatArray) -> None:
+    """Write the effects of faults into ``causes``; add those of causes that are always there to ``level``."""
+    for j in range(causes.kinds.shape[0]):
+        rotation, lever = matrix(causes.rotations[j], 0), minus(end, within(causes.positions, j))
+        _add_joint(causes, measurements.fault_effects[n, j], j, rotation, lever, level)
 
 
 @in_place

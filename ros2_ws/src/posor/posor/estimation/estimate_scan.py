@@ -172,7 +172,7 @@ def _flagged(scan: Any) -> int:
 @inlined
 def _lasting_faults(workspace: Any, scan: Any) -> int:
     """Return the faults that degrade a pose without a test: flags, what is no longer measured, an acknowledgement."""
-    faults = _flagged(scan) | (ENVIRONMENT_FAULT if missing(workspace.tracker, scan) != 0 else 0)
+    faults = _flagged(scan) | (ENVIRONMENT_FAULT if missing(workspace.settings, workspace.tracker, scan) != 0 else 0)
     return faults | (ACKNOWLEDGED_FAULT if workspace.tracker.acknowledged else 0)
 
 
@@ -322,7 +322,7 @@ def _write_dark(workspace: Any, scan: Any, theta: float, estimate: Any) -> int:
     tracker.reference_sigma = 0.0
     _bound_stamp_shift(workspace, max(scan.stamp_limit, tracker.clocks.step), theta, estimate)
     _write_pose(workspace, tracker.theta + wrapped(theta - tracker.theta), estimate)
-    estimate.state, estimate.faults = DEGRADED, checks.faults | _flagged(scan)
+    estimate.state, estimate.faults = DEGRADED, checks.faults | _lasting_faults(workspace, scan)
     return DONE
 
 

@@ -30,7 +30,7 @@ import math
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
-from scipy.special import chndtrinc
+from scipy.special import chndtrinc, ndtri
 
 from posor.estimation.fault_model import (
     ALWAYS,
@@ -60,7 +60,7 @@ if TYPE_CHECKING:
 
 MISSED_DETECTION = 1e-2  # probability that a fault of the smallest detectable size passes the test of one scan
 LINEAR = 0.01  # effects up to this size are linear [m], [rad]; an encoder does not bound larger ones
-MISSED_SIGMAS = 2.3263478740408408  # normal quantile of the same probability
+MISSED_SIGMAS = float(-ndtri(MISSED_DETECTION))  # by which a fault that is missed so rarely exceeds a test of one side
 UNCHECKED = 1e-4  # a direction of which the readings show less is not tested: faults of hundreds of sigmas would pass
 LOST, ILL_CONDITIONED = int(State.LOST), int(Fault.ILL_CONDITIONED)
 
@@ -266,7 +266,7 @@ def _write_sensitivities(model: Model, scan: Any) -> None:
             continue
         for i in range(sensor.count):
             if sensor.source == DIODE_CURRENTS:
-                _write_spot_sensitivities(model, scan, i, sensor.first_channel + i, sensor.first_reading + 2 * i)
+                _write_spot_sensitivities(model, i, sensor.first_channel + i, sensor.first_reading + 2 * i)
             else:
                 r = sensor.first_reading + i
                 volt = scan.gap_voltages[i] if sensor.source == GAP_VOLTAGES else scan.ring_voltages[i]
@@ -275,20 +275,20 @@ def _write_sensitivities(model: Model, scan: Any) -> None:
 
 
 @inlined
-def _write_spot_sensitivities(model: Model, scan: Any, i: int, d: int, r: int) -> None:
-    """Write the sensitivities of both coordinates of the spot on diode i of a scan."""
+def _write_spot_sensitivities(model: Model, i: int, d: int, r: int) -> None:
+    """Write the sensitivities of both coordinates of the spot on diode i of the scan estimated last."""
     workspace, out, diode = model.workspace[0], model.faults.sensitivities, model.diodes[d]
     spot = workspace.spot
-    find_ratios(scan.diode_currents, i, diode, spot)
+    currents = workspace.lit_currents  # without the ambient light that dark scans show
+    find_ratios(currents, i, diode, spot)
     spot_position(diode, model.map_parameters[d], spot, model.by_map, r)
     light = 0.0
     for contact in range(CONTACTS):
-        light += scan.diode_currents[CONTACTS * i + contact]
+        light += currents[CONTACTS * i + contact]
     for axis in range(2):
         out[r + axis, AMBIENT] = 0.0
     for axis in range(2):
-        ratio, pair = spot.ratios[axis], scan.diode_currents[CONTACTS * i + axis]
-        pair += scan.diode_currents[CONTACTS * i + axis + 2]
+        ratio, pair = spot.ratios[axis], currents[CONTACTS * i + axis] + currents[CONTACTS * i + axis + 2]
         for k in range(2):
             slope = spot.slope[k, axis]
             out[r + k, CONTACT_X if axis == 0 else CONTACT_Y] = 0.5 * (1.0 - ratio * ratio) * slope

@@ -36,7 +36,7 @@ COLUMN = np.dtype(
         ("first", "i8"),  # reading with an entry, and the one behind the last
         ("end", "i8"),
         ("bound", "f8"),  # largest size; infinite: unlimited
-        ("kind", "i8"),  # sum of the flags below
+        ("kind", "i8"),  # sum of the flags above
     ],
     align=True,
 )

@@ -10,7 +10,7 @@ from posor.estimation.clocks import CONTRADICTORY, LATE, SCATTERED
 from posor.estimation.estimate import NO_STAMP, OTHER_FRAME
 from posor.estimation.exposure import INVALID_EXPOSURE, LONGEST_OFFSET_S
 from posor.estimation.frozen import ALL
-from posor.estimation.linearise import ANY_FINITE
+from posor.estimation.linearise import ANY_FINITE, REFERENCE_MEASURED
 from posor.model.fault import Fault
 from posor.model.scan import NO_SOURCE
 from posor.numerics.stamps import NO_TIME
@@ -110,7 +110,12 @@ def _environment_sentence(settings: Any, measured: int, scan: Scan) -> str:
             range_text = "a finite number or NaN" if (low, high) == ANY_FINITE else f"{low:g} to {high:g} {unit}"
             found.append(f"{name} {value:g} {unit} is outside the calibration's range; expected {range_text}")
     known, most = float(settings["reference_voltage"]), float(settings["gain_limit"])
-    if known > 0.0 and abs(scan.reference_voltage - known) > most * known:
+    if known > 0.0 and math.isnan(scan.reference_voltage) and measured & REFERENCE_MEASURED:
+        found.append(
+            "reference voltage is no longer measured, and the gain of the converter is taken as 1 with the standard "
+            f"uncertainty {settings['gain_spread']:g}; expected a measurement"
+        )
+    elif known > 0.0 and abs(scan.reference_voltage - known) > most * known:
         found.append(
             f"reference voltage {scan.reference_voltage:g} V is outside the calibration's range; expected "
             f"{known * (1.0 - most):g} to {known * (1.0 + most):g} V"

@@ -49,6 +49,7 @@ if TYPE_CHECKING:
 
 BAD_READING = int(Fault.BAD_READING)
 SUPPLY, TEMPERATURE = 0, 1
+REFERENCE_MEASURED = 4  # of ``missing``: the known voltage of the converter
 ANY_FINITE = (-sys.float_info.max, sys.float_info.max)  # range of a calibration that states none
 
 
@@ -73,10 +74,14 @@ def unmeasured(settings: Any, scan: Any) -> int:
 
 
 @inlined
-def missing(tracker: Any, scan: Any) -> int:
-    """Return which deviations are not measured although a scan before measured them: 1, 2 or 3; note those measured."""
+def missing(settings: Any, tracker: Any, scan: Any) -> int:
+    """Return what is not measured although a scan before measured it, and note what is.
+
+    The sum of 1 for the supply, 2 for the temperature, REFERENCE_MEASURED.
+    """
     absent = (1 if math.isnan(scan.supply_voltage) else 0) + (2 if math.isnan(scan.temperature) else 0)
-    tracker.measured |= 3 - absent
+    absent += REFERENCE_MEASURED if settings.reference_voltage > 0.0 and math.isnan(scan.reference_voltage) else 0
+    tracker.measured |= 7 - absent
     return int(tracker.measured & absent)
 
 

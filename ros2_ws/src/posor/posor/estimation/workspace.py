@@ -121,7 +121,7 @@ TRACKER = np.dtype(  # what is known from the previous scans
         ("interval", "f8"),  # time over which rate and velocity were found [s]; zero: unknown
         ("pose", POSE),
         ("start", POSE),
-        ("measured", "i8"),  # deviations that a scan has measured: 1 the supply, 2 the temperature, or their sum
+        ("measured", "i8"),  # what a scan has measured, see ``linearise.missing``
         ("latch", "i8"),  # faults that keep the joint out
         ("latch_about_theta", "i8"),  # 1 where all of them are about theta only, which a reference can confirm
         ("acknowledged", "i8"),  # 1 where an operator released a latch and no reference has confirmed theta since

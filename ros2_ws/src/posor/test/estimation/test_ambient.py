@@ -117,6 +117,15 @@ def test_a_dark_scan_must_have_come_and_not_be_too_old(posor: Posor) -> None:
     )
 
 
+def test_a_known_voltage_that_is_no_longer_read_degrades(posor: Posor) -> None:
+    scans, _ = moving(posor)
+    assert posor.estimate(scans[0]).state is State.OK
+    missing = posor.estimate(replace(scans[1], reference_voltage=math.nan))
+    assert (missing.state, missing.faults) == (State.DEGRADED, Fault.ENVIRONMENT)
+    assert "reference voltage is no longer measured" in missing.reason
+    assert posor.estimate(scans[2]).state is State.OK
+
+
 def test_a_change_of_the_light_is_seen_and_taken_over_at_once(posor: Posor) -> None:
     scans, natives = moving(posor)
     found = posor.estimate_all(lit_by(scans, np.where(np.arange(COUNT) < 150, 1e-7, AMBIENT_A)))
