@@ -364,8 +364,8 @@ def _numbers(endpoint: EndpointView | None, drawn: DrawnArm | None) -> str:
     for number, axis in enumerate(AXES):
         unit = ("mm", "um") if number < 3 else ("mrad", "urad")  # noqa: PLR2004  translation, then rotation
         cells = [_cell(columns[0, number], 4, unit[0]), *(_cell(value, 2, unit[1]) for value in columns[1:, number])]
-        cells.append(f"<small>{escape(causes[number])}</small>")
-        rows.append(f"<tr><td>{axis}</td>" + "".join(f"<td>{cell}</td>" for cell in cells) + "</tr>")
+        numbers = "".join(f'<td style="white-space:nowrap">{cell}</td>' for cell in (axis, *cells))
+        rows.append(f"<tr>{numbers}<td><small>{escape(causes[number])}</small></td></tr>")
     return "".join(rows)
 
 
