@@ -75,7 +75,7 @@ def test_the_readings_of_the_live_arm_of_the_readme_check_one_another() -> None:
         arm = arm_of(name)
         for joint in arm.calibrations:
             causes = unobservable_causes(arm.calibration(joint))
-            assert set(causes) == {"growth of all gaps", "wedge of the gaps"}  # which their bounds cover
+            assert set(causes) == {"growth of gaps", "wedge of gaps"}  # which their bounds cover
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -28,10 +28,11 @@ from posor_design.requirement import LEAST_TARGET_TILT
 
 if TYPE_CHECKING:
     from posor.calibration.calibration_file import Calibration
-    from posor.estimation.sensor_stack import Stack
     from posor.numerics.array_types import FloatArray
 
 UNOBSERVED = 1e-3  # share of chi-square below which a cause of thirty standard deviations passes the test
+JUDGED = ("reading", "light spot", "growth of gaps", "wedge of gaps")
+"""Causes whose hypotheses are judged, at any bound but zero."""
 THETAS = 240  # within a period of the ring, so that phases of 1 % of it are met
 
 
@@ -40,7 +41,8 @@ def unobservable_causes(calibration: Calibration, gap: float = STANDOFF, rotatio
 
     ``gap``: in the middle of the range [m].
     """
-    stack = Posor(calibration).stack
+    posor = Posor(calibration)
+    stack = posor.stack
     thetas = np.linspace(0.0, min(_period(calibration), rotation), THETAS, endpoint=False)
     rotations = np.array([rotation_from_native(0.0, 0.0, theta) for theta in thetas])
     translations = np.tile([0.0, 0.0, gap], (THETAS, 1))
@@ -51,7 +53,7 @@ def unobservable_causes(calibration: Calibration, gap: float = STANDOFF, rotatio
         weights = 1.0 / readings.variances[n]
         weighted = weights[:, None] * jacobian
         seen = np.diag(weights) - weighted @ np.linalg.solve(jacobian.T @ weighted, weighted.T)
-        for name, directions in _causes(calibration, stack, readings.values[n]).items():
+        for name, directions in _directions(posor, readings.values[n]).items():
             whole = directions.T @ (weights[:, None] * directions)
             share = float(eigh(directions.T @ seen @ directions, whole, eigvals_only=True)[0])
             shares[name] = min(share, shares.get(name, math.inf))
@@ -74,20 +76,19 @@ def _period(calibration: Calibration) -> float:
     return math.pi
 
 
-def _causes(calibration: Calibration, stack: Stack, values: FloatArray) -> dict[str, FloatArray]:
-    """Return the directions (m, k) of each cause, by its name; ``values``: the readings (m,) [m]."""
-    identity = np.eye(stack.readings)
-    causes: dict[str, FloatArray] = {f"reading {name}": identity[:, [r]] for r, name in enumerate(stack.reading_names)}
-    for sensor, first in zip(calibration.sensors, stack.first_readings, strict=True):
-        if isinstance(sensor, GapProbesCalibration):
-            readings = slice(first, first + len(sensor.probes))
-            causes["growth of all gaps"] = identity[:, readings].sum(axis=1, keepdims=True)
-            tips = np.array([probe.tip.array[:2] for probe in sensor.probes])
-            causes["wedge of the gaps"] = identity[:, readings] @ (tips - tips.mean(axis=0))
-        elif isinstance(sensor, DiodesCalibration):
-            readings = slice(first, first + 2 * len(sensor.diodes))
-            for i, diode in enumerate(sensor.diodes):
-                causes[f"light source or spot of {diode.name}"] = identity[:, first + 2 * i : first + 2 * i + 2]
-            if sensor.ambient is None:
-                causes["ambient light"] = (identity[:, readings] @ values[readings])[:, None]
-    return causes
+def _directions(posor: Posor, values: FloatArray) -> dict[str, FloatArray]:
+    """Return the directions (m, k) of each judged hypothesis, by its name; ``values``: the readings (m,) [m]."""
+    hypotheses = posor.hypotheses
+    found: dict[str, list[FloatArray]] = {}
+    for name, number, entries in zip(
+        hypotheses.names, hypotheses.of_columns, hypotheses.model.coefficients, strict=True
+    ):
+        if hypotheses.causes[number].name in JUDGED:
+            found.setdefault(name, []).append(entries)
+    directions = {name: np.column_stack(columns) for name, columns in found.items()}
+    for sensor, first in zip(posor.calibration.sensors, posor.stack.first_readings, strict=True):
+        if isinstance(sensor, DiodesCalibration) and sensor.ambient is None:
+            spots = np.zeros((len(values), 1))
+            spots[first : first + 2 * len(sensor.diodes), 0] = values[first : first + 2 * len(sensor.diodes)]
+            directions["ambient light"] = spots  # it draws all spots towards the middles of the diodes
+    return directions

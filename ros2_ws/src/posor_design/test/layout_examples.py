@@ -49,5 +49,5 @@ def candidate(kind: LayoutKind = RING_OF_LIGHTS) -> Candidate:
 
 
 def result_of(requirement: Requirement, chosen: Candidate) -> SearchResult:
-    causes = {chosen.kind: ("growth of all gaps",)}
+    causes = {chosen.kind: ("growth of gaps",)}
     return SearchResult(requirement, chosen, (chosen,), (chosen,), chosen, 1, "electronics", causes)

@@ -8,10 +8,10 @@ from posor.calibration.designs import SizedDesignName, sized_design
 from posor_design.observable_causes import unobservable_causes
 from posor_design.requirement import LEAST_TARGET_TILT
 
-ALWAYS = {"growth of all gaps", "wedge of the gaps"}  # equal to a motion of the target
-GAPS = {f"reading gap gap_{n}" for n in (1, 2, 3)}
-RINGS = {f"reading ring ring_{n}" for n in (1, 2, 3, 4)}
-SPOTS = {f"light source or spot of diode_{n}" for n in (1, 2)}
+ALWAYS = {"growth of gaps", "wedge of gaps"}  # equal to a motion of the target
+GAPS = {f"reading: gap gap_{n}" for n in (1, 2, 3)}
+RINGS = {f"reading: ring ring_{n}" for n in (1, 2, 3, 4)}
+SPOTS = {f"light spot: diode_{n}" for n in (1, 2)}
 GAIN = {"gain of the converter"}
 EXPECTED: dict[SizedDesignName, set[str]] = {
     "triad_light_ring": ALWAYS | GAIN | GAPS | SPOTS,

@@ -116,7 +116,7 @@ def test_a_folder_that_cannot_be_written_is_refused_before_the_search(
 def test_the_verdict_states_why_a_layout_was_chosen() -> None:
     shown = candidate()
     hidden = replace(shown, kind=BUMPS)
-    causes = {shown.kind: ("growth of all gaps",), BUMPS: ("growth of all gaps", "reading ring ring_1")}
+    causes = {shown.kind: ("growth of gaps",), BUMPS: ("growth of gaps", "reading: ring ring_1")}
     result = replace(result_of(example(), shown), feasible=(hidden, shown, hidden), preference="size", causes=causes)
     expected = (
         "1 of them leave the fewest causes unobservable, 1; these come first, and of these the chosen one is best"
