@@ -18,6 +18,7 @@ INTRODUCTION = """# Parameters of the nodes
 `make docs` writes this page from the declarations in `posor/node_parameters.py` and
 `posor_drivers/driver_parameters.py`. The same declarations produce `--help`, `ros2 param describe` and the error
 messages. An invalid value or an unknown name ends the start of a node with exit code 2 and one sentence.
+A parameter may be set while its node is unconfigured, or when its description says so.
 
 """
 COMMON_SECTION = "All nodes"
@@ -34,7 +35,7 @@ def format_table(specs: Iterable[ParameterSpec]) -> str:
     """Return a Markdown table of parameters."""
     rows = ["| parameter | value | default | description |", "|---|---|---|---|"]
     for spec in specs:
-        when = "" if spec.read_only else " (changeable at run time)"
+        when = f" (may be set {spec.when})" if spec.when else ""
         rows.append(f"| `{spec.name}` | {spec.constraint} | {spec.default_text} | {spec.field.description}{when} |")
     return "\n".join(rows) + "\n"
 

@@ -12,7 +12,7 @@ from typing import Annotated, Literal, TypeVar
 from pydantic import Field, field_validator, model_validator
 
 from posor.calibration.causes import FALSE_ALARM
-from posor.parameter_model import ChangeableAtRunTime, ParameterGroup
+from posor.parameter_model import ChangeableAtRunTime, FixedAtStart, ParameterGroup
 
 MIN_TF_RATE = 0.01
 MIN_ZERO_SCANS = 10  # scans below which their scatter is unknown
@@ -57,12 +57,16 @@ class FreshnessParameters(ParameterGroup):
 class RealtimeParameters(ParameterGroup):
     """Requests of the whole process to the operating system, for all of its threads."""
 
-    priority: Annotated[int, Field(ge=0, le=99)] = Field(
+    priority: Annotated[int, Field(ge=0, le=99), FixedAtStart()] = Field(
         default=0, description="real-time priority (SCHED_FIFO) of the process; 0: normal scheduling"
     )
-    cpus: tuple[int, ...] = Field(default=(), description="processors that the process may run on, from 0; empty: all")
-    lock_memory: bool = Field(default=False, description="keep all memory of the process from being swapped out")
-    required: bool = Field(
+    cpus: Annotated[tuple[int, ...], FixedAtStart()] = Field(
+        default=(), description="processors that the process may run on, from 0; empty: all"
+    )
+    lock_memory: Annotated[bool, FixedAtStart()] = Field(
+        default=False, description="keep all memory of the process from being swapped out"
+    )
+    required: Annotated[bool, FixedAtStart()] = Field(
         default=False, description="do not start if the system refuses any of this; false: warn in the diagnostics"
     )
 
@@ -83,15 +87,15 @@ class RealtimeParameters(ParameterGroup):
 class NodeParameters(ParameterGroup):
     """Parameters that every node has."""
 
-    autostart: bool = Field(
+    autostart: Annotated[bool, FixedAtStart()] = Field(
         default=True, description="configure and activate at start; false: wait for the lifecycle services"
     )
-    allow_changes: bool = Field(
+    allow_changes: Annotated[bool, FixedAtStart()] = Field(
         default=True,
         description="open the services that change state: ~/reload, ~/zero, ~/home, ~/acknowledge, ~/set_home, those "
         "that set parameters, and those of the lifecycle; false: they do not exist",
     )
-    hardware_id: str = Field(
+    hardware_id: Annotated[str, FixedAtStart()] = Field(
         default="", description="hardware named in the diagnostics; empty: the node's namespace, or its name"
     )
     lossless: bool = Field(

@@ -36,11 +36,18 @@ _BOUNDS = {"gt": "greater than", "ge": "at least", "lt": "less than", "le": "at 
 
 
 class ChangeableAtRunTime:
-    """Marker in a field's ``Annotated[...]``: may be set while the node runs. All other parameters are read-only."""
+    """Marker in a field's ``Annotated[...]``: may be set while the node runs.
+
+    A parameter without a marker may be set while the node is unconfigured.
+    """
+
+
+class FixedAtStart:
+    """Marker in a field's ``Annotated[...]``: read-only, because the process or the node itself is made by it."""
 
 
 class ParameterGroup(FrozenModel):
-    """Base of parameter models: frozen, finite, strict; only an integer is converted, to a float."""
+    """Base of parameter models: frozen, finite, strict; ``as_declared`` states what is converted."""
 
     model_config = ConfigDict(strict=True, allow_inf_nan=False)
 
@@ -55,7 +62,15 @@ class ParameterSpec:
     @property
     def read_only(self) -> bool:
         """Whether the parameter is fixed once the node has started."""
-        return not any(ChangeableAtRunTime in (item, type(item)) for item in self.field.metadata)
+        return self._is_marked(FixedAtStart)
+
+    @property
+    def at_run_time(self) -> bool:
+        """Whether the parameter may be set while the node is configured."""
+        return self._is_marked(ChangeableAtRunTime)
+
+    def _is_marked(self, marker: type) -> bool:
+        return any(marker in (item, type(item)) for item in self.field.metadata)
 
     @property
     def required(self) -> bool:
@@ -85,6 +100,30 @@ class ParameterSpec:
     @property
     def _element_annotation(self) -> Any:
         return get_args(self.field.annotation)[0] if self.is_list else self.field.annotation
+
+    @property
+    def when(self) -> str:
+        """When the parameter may be set after the start, in words; empty: while the node is unconfigured."""
+        return "at run time" if self.at_run_time else "only at the start" if self.read_only else ""
+
+    def as_declared(self, value: object) -> object:
+        """Return a value with the type of the parameter where no information is lost; any other value as received.
+
+        A list becomes a tuple, a value that is not set an empty list, an integer a float, and a float without
+        fraction an integer: YAML and command lines write 2 for 2.0, ``[]`` has no type, and some tools write 2.0 for 2.
+        """
+        if self.is_list and value is None:
+            return ()
+        if self.is_list:
+            return tuple(map(self._element, value)) if isinstance(value, list | tuple | array) else value
+        return self._element(value)
+
+    def _element(self, value: object) -> object:
+        if self.element_type is float and type(value) is int:
+            return float(value)
+        if self.element_type is int and isinstance(value, float) and value.is_integer():
+            return int(value)
+        return value
 
     def bound(self, *kinds: str) -> float | None:
         """Return the bound of the first of the kinds (``ge``, ``gt``, ``le``, ``lt``) that the field has, if any."""
@@ -147,14 +186,13 @@ def validate_parameters(model: type[ModelT], values: Mapping[str, object], *, no
             expected = REPLACED.get(name) or similar_name(name, known, "a parameter of the node", least=0.0)
             raise ParameterError("there is no such parameter", where=where, expected=expected, parameter=name)
     tree: dict[str, Any] = {}
-    for name in known:
+    for name, spec in known.items():
         *groups, leaf = name.split(".")
         branch = tree
         for group in groups:
             branch = branch.setdefault(group, {})
         if name in values:
-            value = values[name]
-            branch[leaf] = tuple(value) if isinstance(value, list | array) else value
+            branch[leaf] = spec.as_declared(values[name])
     try:
         return model.model_validate(tree)
     except ValidationError as error:
@@ -182,5 +220,5 @@ def help_text(model: type[BaseModel], prefix: str = "") -> str:
     lines = []
     for spec in parameter_specs(model, prefix):
         lines.append(f"  {spec.name}: {spec.constraint} (default: {spec.default_text})")
-        lines.append(f"      {spec.field.description}" + ("" if spec.read_only else " [may be set at run time]"))
+        lines.append(f"      {spec.field.description}" + (f" [may be set {spec.when}]" if spec.when else ""))
     return "\n".join(lines)

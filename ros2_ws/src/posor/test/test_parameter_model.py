@@ -70,6 +70,17 @@ def test_an_error_names_node_parameter_value_and_constraint(name: str, value: ob
     assert error.parameter == name
 
 
+@pytest.mark.parametrize(
+    ("name", "value", "converted"),
+    [("rate", 2, 2.0), ("count", 4.0, 4), ("gains", [1, 2.5], (1.0, 2.5)), ("gains", None, ()), ("bag.topics", [], ())],
+)
+def test_values_have_the_type_of_their_parameter_where_no_information_is_lost(
+    name: str, value: object, converted: object
+) -> None:
+    found = parameter_value(validate_parameters(Example, {"bag.path": "x", name: value}, node="/n"), name)
+    assert (type(found), found) == (type(converted), converted)
+
+
 def test_a_missing_value_is_named_with_its_description() -> None:
     sentence = "node /n, parameter 'bag.path': is not set; expected a string of length 1 or more: the bag."
     assert str(refused({}, "/n")) == sentence
@@ -84,8 +95,8 @@ def test_specs_have_bounds_choices_and_read_only_marks() -> None:
     by_name = {spec.name: spec for spec in parameter_specs(Example)}
     assert (by_name["rate"].bound("ge", "gt"), by_name["rate"].bound("le", "lt")) == (0.0, 10.0)
     assert (by_name["count"].bound("ge", "gt"), by_name["count"].bound("le", "lt")) == (1, None)
-    assert not by_name["rate"].read_only
-    assert by_name["count"].read_only
+    assert [by_name[name].when for name in ("rate", "count", "autostart")] == ["at run time", "", "only at the start"]
+    assert by_name["autostart"].read_only
     assert by_name["mode"].choices == ("exit", "stay")
     assert by_name["bag.topics"].is_list
     assert by_name["bag.path"].required

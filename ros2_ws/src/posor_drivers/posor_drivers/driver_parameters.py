@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from posor.errors import ParameterError
 from posor.node_parameters import NodeParameters
-from posor.parameter_model import ParameterGroup
+from posor.parameter_model import FixedAtStart, ParameterGroup
 from pydantic import ConfigDict, Field, create_model, model_validator
 
 from posor_drivers.sample_average import MIN_SAMPLES
@@ -75,7 +75,9 @@ class TimeParameters(ParameterGroup):
 class DriverParameters(NodeParameters):
     """Parameters of every driver."""
 
-    source: str = Field(description="where the scans come from: the name of a source, such as 'table' or 'bag'")
+    source: Annotated[str, FixedAtStart()] = Field(
+        description="where the scans come from: the name of a source, such as 'table' or 'bag'"
+    )
     wait_for_subscribers: Annotated[int, Field(ge=0)] = Field(
         default=1, description="start once the scans have this many subscriptions; 0: at once"
     )

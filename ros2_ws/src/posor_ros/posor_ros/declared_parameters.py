@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import inf
 from typing import TYPE_CHECKING, Generic
 
-from posor.errors import PosorError
+from posor.errors import ParameterError, PosorError
 from posor.node_parameters import ParametersT
 from posor.parameter_model import ParameterSpec, parameter_specs, parameter_value, validate_parameters
 from posor.ros_names import ROS_OWN_PARAMETERS
@@ -74,23 +74,27 @@ class DeclaredParameters(Generic[ParametersT]):
         model: type[ParametersT],
         overrides: dict[str, object],
         *,
+        is_configured: Callable[[], bool],
         accept: Callable[[ParametersT], None],
         on_change: Callable[[ParametersT], None],
     ) -> None:
         """Validate ``overrides``, see ``take_overrides``, and declare every parameter of ``model`` on a node.
 
-        ``accept`` is called with new values before a change and may raise a PosorError to refuse them, ``on_change``
-        after it. Raises ParameterError: a value is wrong or missing, or a name is unknown.
+        While the node is configured, ``accept`` is called with new values before a change and may raise a PosorError
+        to refuse them, ``on_change`` after it.
+
+        Raises ParameterError: a value is wrong or missing, or a name is unknown.
         """
         self._model = model
         self._node = node.get_fully_qualified_name()
         self._specs = {spec.name: spec for spec in parameter_specs(model)}
+        self._is_configured = is_configured
         self._accept = accept
         self._on_change = on_change
         self.current = validate_parameters(model, overrides, node=self._node)
         for spec in self._specs.values():
             _declare(node, spec, parameter_value(self.current, spec.name))
-        node.add_pre_set_parameters_callback(self._integers_to_floats)
+        node.add_pre_set_parameters_callback(self._convert)
         node.add_on_set_parameters_callback(self._check)
         node.add_post_set_parameters_callback(self._apply)
 
@@ -99,31 +103,48 @@ class DeclaredParameters(Generic[ParametersT]):
         values |= {parameter.name: parameter.value for parameter in changes if parameter.name in self._specs}
         return validate_parameters(self._model, values, node=self._node)
 
-    def _integers_to_floats(self, changes: list[Parameter]) -> list[Parameter]:
-        """Accept an integer for a float, as at the start: ``ros2 param set`` sends 2 for 2.0."""
-        return [
-            Parameter(change.name, value=float(change.value))
-            if change.type_ == Parameter.Type.INTEGER and self._is_float(change.name)
-            else change
-            for change in changes
-        ]
+    def _convert(self, changes: list[Parameter]) -> list[Parameter]:
+        """Convert values as at the start: ``ros2 param set`` sends 2 for 2.0, and ``[]`` as a list of booleans."""
+        return [self._as_declared(change) for change in changes]
 
-    def _is_float(self, name: str) -> bool:
-        spec = self._specs.get(name)
-        return spec is not None and spec.element_type is float and not spec.is_list
+    def _as_declared(self, change: Parameter) -> Parameter:
+        spec = self._specs.get(change.name)
+        if spec is None or (change.value is None and not spec.is_list):
+            return change
+        value = spec.as_declared(change.value)
+        if value == () and spec.is_list:
+            return Parameter(change.name, _ros_type(spec), [])
+        return Parameter(change.name, value=list(value) if isinstance(value, tuple) else value)
 
     def _check(self, changes: list[Parameter]) -> SetParametersResult:
         try:
-            self._accept(self._changed_model(changes))
+            new = self._changed_model(changes)
+            if self._is_configured():
+                self._check_configured(changes)
+                self._accept(new)
         except PosorError as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
+
+    def _check_configured(self, changes: list[Parameter]) -> None:
+        """Raise ParameterError: a parameter cannot change while the node is configured."""
+        for change in changes:
+            spec = self._specs.get(change.name)
+            if spec is not None and not spec.at_run_time:
+                where = f"node {self._node}, parameter '{change.name}'"
+                raise ParameterError(
+                    "cannot change while the node is configured",
+                    where=where,
+                    expected="the transition 'cleanup' before",
+                    parameter=change.name,
+                )
 
     def _apply(self, changes: list[Parameter]) -> None:
         new = self._changed_model(changes)
         if new != self.current:
             self.current = new
-            self._on_change(new)
+            if self._is_configured():
+                self._on_change(new)
 
 
 def _declare(node: Node, spec: ParameterSpec, value: object) -> None:

@@ -11,6 +11,7 @@ from lifecycle_msgs.srv import ChangeState
 from posor.errors import ParameterError, PosorError
 from posor.node_parameters import ParametersT
 from posor.parameter_model import help_text
+from rcl_interfaces.msg import ParameterDescriptor
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
@@ -83,7 +84,7 @@ class PosorNode(LifecycleNode, Generic[ParametersT]):
         except (RuntimeError, NameValidationException) as error:
             reason = " ".join(str(error).split(", at ")[0].split())
             raise ParameterError(reason, where=f"node {self.NAME}") from None
-        self.exit_requested = self.may_publish = False
+        self.exit_requested = self.may_publish = self._is_configured = False
         self._failure: Exception | None = None
         self._refusal: Exception | None = None
         self._starting = False
@@ -101,6 +102,7 @@ class PosorNode(LifecycleNode, Generic[ParametersT]):
                 self,
                 self.parameter_model(overrides),
                 overrides,
+                is_configured=lambda: self._is_configured,
                 accept=self.accept_parameters,
                 on_change=self.on_parameters_changed,
             )
@@ -169,10 +171,10 @@ class PosorNode(LifecycleNode, Generic[ParametersT]):
         return cls.Parameters
 
     def accept_parameters(self, parameters: ParametersT) -> None:
-        """Raise a PosorError to refuse a change at run time that the model itself allows."""
+        """Raise a PosorError to refuse a change at run time that the model itself allows; the node is configured."""
 
     def on_parameters_changed(self, parameters: ParametersT) -> None:
-        """Use values that were changed at run time."""
+        """Use values that were changed at run time; the node is configured."""
 
     def configure(self) -> None:
         """Read files, create publishers, register cleanups; raise a PosorError if that is impossible."""
@@ -182,6 +184,12 @@ class PosorNode(LifecycleNode, Generic[ParametersT]):
 
     def deactivate(self) -> None:
         """Stop working; nothing is published afterwards."""
+
+    def declare_parameters(self, namespace: str, parameters: Any, *arguments: Any, **options: Any) -> Any:
+        """Declare parameters; a value that is not set, as an empty list in a parameter file, may have any type."""
+        dynamic = ParameterDescriptor(dynamic_typing=True)
+        typed = [(name, None, dynamic) if rest[:1] == [None] else (name, *rest) for name, *rest in parameters]
+        return super().declare_parameters(namespace, typed, *arguments, **options)
 
     def create_publisher(self, msg_type: Any, topic: str, qos_profile: QoSProfile | int, **options: Any) -> Any:
         """Create a publisher; parameters ``qos_overrides.*`` may change its quality of service."""
@@ -329,7 +337,8 @@ class PosorNode(LifecycleNode, Generic[ParametersT]):
             self.qos_overrides.check_names,
             lambda: super(PosorNode, self).on_configure(state),
         )
-        if result != TransitionCallbackReturn.SUCCESS:
+        self._is_configured = result == TransitionCallbackReturn.SUCCESS
+        if not self._is_configured:
             self._cleanups.close()
         return result
 
@@ -349,7 +358,9 @@ class PosorNode(LifecycleNode, Generic[ParametersT]):
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Run the cleanups, then the hooks of managed entities."""
-        return self._run_steps("unconfigured", self._cleanups.close, lambda: super(PosorNode, self).on_cleanup(state))
+        result = self._run_steps("unconfigured", self._cleanups.close, lambda: super(PosorNode, self).on_cleanup(state))
+        self._is_configured = self._is_configured and result != TransitionCallbackReturn.SUCCESS
+        return result
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Deactivate and clean up as far as the state requires; the program then ends."""
@@ -366,7 +377,7 @@ class PosorNode(LifecycleNode, Generic[ParametersT]):
 
     def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Clean up after a hook has raised an unexpected exception; the node is then unconfigured."""
-        self.may_publish = False
+        self.may_publish = self._is_configured = False
         self._cleanups.close()
         return super().on_error(state)
 

@@ -6,6 +6,7 @@ import signal
 from pathlib import Path
 
 import pytest
+import yaml
 from lifecycle_msgs.msg import Transition
 from posor.errors import ParameterError
 from posor_lab.harness.graph import Graph, values_of
@@ -13,8 +14,8 @@ from posor_lab.harness.program import Program, script
 from posor_ros.node_program import non_ros_arguments
 from posor_ros.ros_arguments import ros_arguments
 from rcl_interfaces.msg import ParameterDescriptor, ParameterType
-from rcl_interfaces.srv import DescribeParameters, GetParameters, SetParameters
-from rclpy.parameter import Parameter
+from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters, SetParameters
+from rclpy.parameter import Parameter, parameter_value_to_python
 
 pytestmark = pytest.mark.usefixtures("ros_domain")
 
@@ -42,6 +43,10 @@ def test_a_signal_ends_an_active_node_cleanly(number: signal.Signals) -> None:
 
 
 COUNT_IS_WRONG = "node /example, parameter 'count': 10 is wrong; expected an integer at least 1 and at most 9."
+COUNT_IS_FIXED = (
+    "node /example, parameter 'count': cannot change while the node is configured; "
+    "expected the transition 'cleanup' before."
+)
 WRONG_FILE = "example:\n  ros__parameters:\n    names: [a, b]\n    count: 10\n"
 
 
@@ -56,6 +61,7 @@ WRONG_FILE = "example:\n  ros__parameters:\n    names: [a, b]\n    count: 10\n"
             "node /joint1/example, parameter 'gian': there is no such parameter; expected perhaps 'gain'.",
             [],
         ),
+        (["-p", "names:=[]", "-p", "count:=2.5"], 2, COUNT_IS_WRONG.replace("10", "2.5"), []),
         (["-p", "fail:=configure"], 1, "some.yaml: is wrong; expected a right one.", ["configure"]),
         (["-p", "fail:=activate"], 1, "some.yaml: is wrong.", [*HOOKS_TO_ACTIVE, "cleanup"]),
         (["-p"], 2, "ROS arguments: cannot be understood, ", []),
@@ -177,8 +183,8 @@ def test_a_refused_activation_leaves_no_publisher_active() -> None:
 
 def test_descriptors_have_type_description_range_and_read_only_mark() -> None:
     with start_example(), Graph() as graph:
-        names = ["gain", "names", "count", "fail"]
-        gain, names_, count, fail = graph.call(
+        names = ["gain", "names", "count", "fail", "autostart"]
+        gain, names_, count, fail, autostart = graph.call(
             DescribeParameters, "/example/describe_parameters", DescribeParameters.Request(names=names)
         ).descriptors
         expected = ParameterDescriptor(
@@ -191,35 +197,73 @@ def test_descriptors_have_type_description_range_and_read_only_mark() -> None:
         assert (span.from_value, span.to_value, span.step) == (0.0, 5.0, 0.0)
         gain.floating_point_range = []
         assert gain == expected
-        assert (names_.type, names_.read_only) == (ParameterType.PARAMETER_STRING_ARRAY, True)
+        assert (names_.type, names_.read_only) == (ParameterType.PARAMETER_STRING_ARRAY, False)
         (span,) = count.integer_range
-        assert (span.from_value, span.to_value, count.read_only) == (1, 9, True)
+        assert (span.from_value, span.to_value, count.read_only) == (1, 9, False)
+        assert autostart.read_only
         assert fail.additional_constraints == "one of 'never', 'configure', 'late', 'activate', 'bug', 'active bug'"
+
+
+def set_parameter(graph: Graph, parameter: Parameter) -> tuple[bool, str]:
+    request = SetParameters.Request(parameters=[parameter.to_parameter_msg()])
+    (result,) = graph.call(SetParameters, "/example/set_parameters", request).results
+    return result.successful, result.reason
+
+
+def parameter_values(graph: Graph) -> dict[str, object]:
+    listed = graph.call(ListParameters, "/example/list_parameters", ListParameters.Request()).result.names
+    request = GetParameters.Request(names=listed)
+    values = graph.call(GetParameters, "/example/get_parameters", request).values
+    return {name: parameter_value_to_python(value) for name, value in zip(listed, values, strict=True)}
+
+
+def test_parameters_of_an_unconfigured_node_may_be_set_and_hold_after_the_next_configuration() -> None:
+    with start_example(autostart=False) as node, Graph() as graph:
+        for value in (3, 4.0):
+            assert set_parameter(graph, Parameter("count", value=value)) == (True, "")
+            assert graph.change_state("/example", Transition.TRANSITION_CONFIGURE)
+            assert parameter_values(graph)["count"] == value
+            assert set_parameter(graph, Parameter("count", value=5)) == (False, COUNT_IS_FIXED)
+            assert graph.change_state("/example", Transition.TRANSITION_CLEANUP)
+        assert not set_parameter(graph, Parameter("autostart", value=True))[0]
+        assert not set_parameter(graph, Parameter("count", value=4.5))[0]
+        for names in (["a"], []):
+            parameter = Parameter("names", value=names) if names else Parameter("names", Parameter.Type.BOOL_ARRAY, [])
+            assert set_parameter(graph, parameter) == (True, "")
+            assert parameter_values(graph)["names"] == names
+        assert node.end() == 0
+
+
+def test_a_node_starts_from_a_dump_of_its_parameters(tmp_path: Path) -> None:
+    file = tmp_path / "dump.yaml"
+    with start_example(gain=2, names=["a"]) as node, Graph() as graph:
+        node.wait_for_line("activate")
+        dumped = parameter_values(graph)
+        assert node.end() == 0
+    file.write_text(yaml.safe_dump({"/example": {"ros__parameters": dumped}}), encoding="utf-8")
+    with Program([*EXAMPLE, "--ros-args", "--params-file", str(file)]) as node, Graph() as graph:
+        node.wait_for_line("activate")
+        assert parameter_values(graph) == dumped
+        assert node.end() == 0
 
 
 def test_parameter_changes_at_run_time() -> None:
     with start_example(gain=2) as node, Graph() as graph:
 
-        def set_parameter(name: str, value: object) -> tuple[bool, str]:
-            request = SetParameters.Request(parameters=[Parameter(name, value=value).to_parameter_msg()])
-            (result,) = graph.call(SetParameters, "/example/set_parameters", request).results
-            return result.successful, result.reason
+        def set_value(name: str, value: object) -> tuple[bool, str]:
+            return set_parameter(graph, Parameter(name, value=value))
 
-        def gain() -> float:
-            request = GetParameters.Request(names=["gain"])
-            return float(graph.call(GetParameters, "/example/get_parameters", request).values[0].double_value)
-
-        assert gain() == 2.0
-        assert set_parameter("gain", 3.0) == (True, "")
-        assert set_parameter("gain", 1) == (True, "")
-        assert gain() == 1.0
+        assert parameter_values(graph)["gain"] == 2.0
+        assert set_value("gain", 3.0) == (True, "")
+        assert set_value("gain", 1) == (True, "")
+        assert parameter_values(graph)["gain"] == 1.0
         node.wait_for_line("gain is now 1.0")
-        assert set_parameter("gain", 4.0) == (False, "gain: four is not wanted.")
+        assert set_value("gain", 4.0) == (False, "gain: four is not wanted.")
         for name, value in (("gain", 6.0), ("gain", float("nan")), ("gain", "high"), ("count", 3), ("gian", 1.0)):
-            successful, reason = set_parameter(name, value)
+            successful, reason = set_value(name, value)
             assert not successful
             assert reason
-        assert gain() == 1.0
+        assert parameter_values(graph)["gain"] == 1.0
         assert node.end() == 0
         assert [line for line in node.stdout if "gain" in line] == ["gain is now 3.0", "gain is now 1.0"]
 
