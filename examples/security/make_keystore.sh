@@ -27,11 +27,20 @@ policies=$(ros2 pkg prefix --share posor_bringup)/security
 work=$(mktemp -d)
 trap 'rm -rf "$work"' EXIT
 
-# write_policies JOINT: write all policies with the names of this arm and joint
+# write_policies JOINT: write all policies with the names of this arm and joint, and with the content of included files:
+# sros2 crashes on nested includes (lxml 4.9 to 6.1)
 write_policies() {
     for file in "$policies"/*.xml; do
         sed -e "s/{arm}/$arm/g" -e "s/{joint}/$1/g" "$file" >"$work/$(basename "$file")"
     done
+    python3 -c '
+import sys
+from xml.etree import ElementInclude, ElementTree
+for path in sys.argv[1:]:
+    tree = ElementTree.parse(path)
+    ElementInclude.include(tree.getroot(), base_url=path)
+    tree.write(path, encoding="UTF-8", xml_declaration=True)
+' "$work"/*.policy.xml
 }
 
 # add_enclave ENCLAVE EXECUTABLE: create an enclave with the permissions of an executable
