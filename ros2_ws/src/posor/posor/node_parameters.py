@@ -208,8 +208,13 @@ class ChainParameters(AlarmParameters):
         description="publish the endpoint in the URDF's base frame, or relative to its pose at home: at the first "
         "pose, or at the last call of ~/set_home",
     )
-    tf_rate: Annotated[float, Field(ge=0.0, le=1000.0)] = Field(
-        default=30.0, description="how often /tf is published [1/s], with the stamp of the last pose; 0: not at all"
+    tf_rate: Annotated[float, Field(ge=0.0, allow_inf_nan=True)] = Field(
+        default=math.inf, description="how often /tf is published at most [1/s]; .inf: with each pose; 0: not at all"
+    )
+    frame_prefix: str = Field(
+        default="",
+        description="prefix of the frames that chain_node publishes, so that arms of one URDF share one /tf: 'cell1/'; "
+        "transforms of joints keep the frames of their calibrations",
     )
 
     @model_validator(mode="after")
@@ -222,7 +227,15 @@ class ChainParameters(AlarmParameters):
     @field_validator("tf_rate")
     @classmethod
     def _check_tf_rate(cls, rate: float) -> float:
-        if 0.0 < rate < MIN_TF_RATE:
+        if not (rate == 0.0 or rate >= MIN_TF_RATE):
             message = f"{rate:g} is wrong; expected 0, or at least {MIN_TF_RATE:g}"
             raise ValueError(message)
         return rate
+
+    @field_validator("frame_prefix")
+    @classmethod
+    def _check_frame_prefix(cls, prefix: str) -> str:
+        if prefix.startswith("/") or prefix.split() not in ([], [prefix]):
+            message = f"'{prefix}' is wrong; expected a prefix without '/' at its begin and without spaces, as tf2 does"
+            raise ValueError(message)
+        return prefix

@@ -2,7 +2,7 @@
 
 Subscribes to ``<joint>/transform`` (posor_msgs/JointTransform) for every floating joint of the URDF. Publishes
 ``endpoint/pose``, ``endpoint/pose_with_covariance`` and ``joint_states``, the angles about the joints' nominal axes.
-/tf has the frames of the arm with the stamp of the last pose; /tf_static and ``robot_description`` have what is fixed.
+/tf has the frames of the arm with the stamp of each pose; /tf_static and ``robot_description`` have what is fixed.
 Transforms are joined by equal stamps. Without a usable transform of every joint in time there is no pose.
 ``endpoint/state`` (posor_msgs/EndpointState) is published for every scan, for every transform that is refused, and
 every 0.08 s during a silence of the input; it and the diagnostics name the joint and the reason.
@@ -18,7 +18,6 @@ from pathlib import Path
 from threading import RLock
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 from posor.chain.arm_file import CHAIN_NODE
 from posor.chain.kinematic_chain import load_chain
@@ -51,7 +50,7 @@ from sensor_msgs.msg import JointState
 
 from posor_estimator.alarm_rate import AlarmRate
 from posor_estimator.endpoint_verdict import SOUND, JointStatus, degraded_verdict, unusable_verdict
-from posor_estimator.frame_publisher import FramePublisher, StampedPoses
+from posor_estimator.frame_publisher import FramePublisher
 from posor_estimator.identity_check import IdentityCheck
 
 if TYPE_CHECKING:
@@ -83,7 +82,7 @@ class ChainNode(PosorNode[ChainParameters]):
     # name, format, and memory of the row, of shared effects and of fault effects of each joint
     _buffers: list[tuple[str, JointTransformFormat, tuple[memoryview, memoryview, memoryview]]]
     _home: FloatArray | None
-    _frames: FramePublisher
+    _frames: FramePublisher | None
     _identity: IdentityCheck
     _pose_stamp: bytes  # of the last complete scan; empty: it has no pose
     _reported: object
@@ -126,13 +125,12 @@ class ChainNode(PosorNode[ChainParameters]):
             Level.STALE, "no complete scan yet", {"joints": ", ".join(names), "urdf": str(path), "beams": beams}
         )
         self._is_relative = self.parameters.reference == "home"
-        frame = f"{self.parameters.endpoint_frame}_home" if self._is_relative else chain.base_frame
+        endpoint = self.parameters.frame_prefix + self.parameters.endpoint_frame
+        frame = f"{endpoint}_home" if self._is_relative else self.parameters.frame_prefix + chain.base_frame
         self._identity = IdentityCheck(self.parameters, names)
         self._writer = EndpointWriter(self._estimator, frame, relative=self._is_relative)
-        endpoint = self.parameters.endpoint_frame
         self._state_writer = EndpointStateWriter(self._estimator, frame, endpoint, relative=self._is_relative)
-        if self.parameters.tf_rate:
-            self._frames = FramePublisher(self, chain, self.parameters.tf_rate, self._newest_frames)
+        self._frames = FramePublisher(self, chain, self._estimator) if self.parameters.tf_rate else None
         self._pose = self._create_publisher(PoseStamped, ENDPOINT_TOPIC)
         self._pose_with_covariance = self._create_publisher(PoseWithCovarianceStamped, ENDPOINT_COVARIANCE_TOPIC)
         self._joint_states = self._create_publisher(JointState, JOINT_STATES_TOPIC)
@@ -307,6 +305,8 @@ class ChainNode(PosorNode[ChainParameters]):
             self._pose_with_covariance.publish(writer.write_pose_with_covariance(stamp))
         if self._joint_states.has_subscriptions:
             self._joint_states.publish(writer.joint_states.write(stamp))
+        if self._frames is not None:
+            self._frames.publish(stamp)
         verdict = SOUND if worst == State.OK else degraded_verdict(self._joints_of(scan))
         verdict = identity.degraded(verdict)
         self._publish_state(stamp, stamp_ns, verdict)
@@ -318,14 +318,6 @@ class ChainNode(PosorNode[ChainParameters]):
             level = Level.ERROR if excess else Level.WARN if verdict.reason else Level.OK
             self._status.report(level, f"{text}; {excess}" if excess else text, self._counts())
             self._reported, self._has_alarm = key, bool(excess)
-
-    def _newest_frames(self) -> StampedPoses | None:
-        """Return the poses of joints and beams of the last complete scan; None: it has no pose."""
-        with self._lock:
-            if not self.may_publish or not self._pose_stamp:
-                return None
-            poses = np.concatenate([self._estimator.poses, self._estimator.beam_transforms])
-            return StampedPoses(stamp_ns_of(self._pose_stamp), poses)
 
     def _refuse_scan(self, stamp: bytes, stamp_ns: int, verdict: EndpointVerdict) -> None:
         self._scans_refused += 1

@@ -1,4 +1,4 @@
-"""Publishes the frames of an arm for viewers: /tf, /tf_static and the robot description.
+"""Publishes the frames of an arm: /tf, /tf_static and the robot description.
 
 The joints and the beams of the beams file move; their product with the fixed joints of the URDF, in the order of the
 links, is the endpoint's pose of the same stamp in the base frame. robot_state_publisher leaves floating joints out.
@@ -6,92 +6,75 @@ links, is the endpoint's pose of the same stamp in the base frame. robot_state_p
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+import time
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
-from builtin_interfaces.msg import Time
-from geometry_msgs.msg import TransformStamped
 from posor.numerics.stamps import NS
 from posor.ros_names import ROBOT_DESCRIPTION_TOPIC, TF_STATIC_TOPIC, TF_TOPIC
-from posor_ros.idle_scheduler import run_when_idle
 from posor_ros.message_classes import schema_of_class
 from posor_ros.qos import LATCHED_QOS, TF_QOS
-from rclpy.clock import Clock
-from rclpy.clock_type import ClockType
 from std_msgs.msg import String
 from tf2_msgs.msg import TFMessage
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Sequence
 
+    from posor.chain.endpoint_estimator import EndpointEstimator
     from posor.chain.kinematic_chain import Chain
+    from posor.node_parameters import ChainParameters
     from posor.numerics.array_types import FloatArray
     from posor_ros.lifecycle_node import PosorNode
 
+STAMP_BYTES, POSE_BYTES = 8, 56  # of a transform: at its begin, and at its end
 
-class StampedPoses(NamedTuple):
-    """Poses of the joints, then of the beams, of one scan."""
 
-    stamp_ns: int  # of the scan [ns]
-    poses: FloatArray  # child link in parent link, (j + b, 7): x, y, z [m], unit quaternion x, y, z, w
+class TransformWriter:
+    """Writes ``TFMessage`` into one buffer: only stamp and numbers change from message to message."""
+
+    def __init__(self, frames: Sequence[tuple[str, str]]) -> None:
+        """Prepare for messages with one transform for each pair of frames: parent and child."""
+        schema = schema_of_class(TFMessage)
+        transforms = [{"header.frame_id": parent, "child_frame_id": child} for parent, child in frames]
+        ends = np.array([len(schema.encode({"transforms": transforms[:n]})) for n in range(len(transforms) + 1)])
+        self._data = np.frombuffer(schema.encode({"transforms": transforms}), dtype=np.uint8).copy()
+        self._stamps = ends[:-1, None] + np.arange(STAMP_BYTES)
+        self._poses = ends[1:, None] + np.arange(-POSE_BYTES, 0)
+
+    def write(self, stamp: bytes, poses: FloatArray) -> bytes:
+        """Return the message. ``stamp``: its eight bytes; ``poses``: of the children in their parents, (n, 7)."""
+        self._data[self._stamps] = np.frombuffer(stamp, dtype=np.uint8)
+        self._data[self._poses] = poses.view(np.uint8)
+        return self._data.tobytes()
 
 
 class FramePublisher:
     """Publishes the frames of an arm while its node is configured."""
 
-    def __init__(
-        self, node: PosorNode[Any], chain: Chain, rate: float, newest: Callable[[], StampedPoses | None]
-    ) -> None:
-        """Publish what does not move, also while the node is inactive, and start to publish the rest.
-
-        ``rate``: how often /tf is published [1/s]; ``newest``: returns the poses of the newest scan; None: it gives no
-        endpoint, or the node must not publish.
-        """
-        self._newest, self._published_ns, self._is_open = newest, 0, True
+    def __init__(self, node: PosorNode[ChainParameters], chain: Chain, estimator: EndpointEstimator) -> None:
+        """Publish the frames that do not move, also while the node is inactive; ``estimator``: of the poses."""
+        prefix = node.parameters.frame_prefix
+        self._estimator, self._next_ns = estimator, 0
+        self._period_ns = round(NS / node.parameters.tf_rate)
         joints = (*chain.joints, *chain.beam_joints)
-        self._moving = TFMessage(transforms=[_transform(joint.parent, joint.child) for joint in joints])
+        self._writer = TransformWriter([(prefix + joint.parent, prefix + joint.child) for joint in joints])
         self._publisher = node.create_publisher(TFMessage, TF_TOPIC, TF_QOS)
-        fixed = TFMessage(transforms=[_transform(each.parent, each.child) for each in chain.fixed_transforms])
+        fixed = TransformWriter([(prefix + each.parent, prefix + each.child) for each in chain.fixed_transforms])
         poses = [pin.SE3ToXYZQUAT(each.T_parent_child) for each in chain.fixed_transforms]
-        _set_transforms(fixed, StampedPoses(node.timing.now_ns(), np.array(poses).reshape(-1, 7)))
+        stamp = np.array(divmod(node.timing.now_ns(), NS), dtype=np.uint32).tobytes()
         static = node.create_publisher(TFMessage, TF_STATIC_TOPIC, LATCHED_QOS)
+        static.publish(fixed.write(stamp, np.array(poses).reshape(-1, 7)))
         description = node.create_publisher(String, ROBOT_DESCRIPTION_TOPIC, LATCHED_QOS)
-        for publisher, message in ((static, fixed), (description, String(data=chain.urdf))):
-            publisher.publish(schema_of_class(type(message)).serialize(message))
+        description.publish(schema_of_class(String).serialize(String(data=chain.urdf)))
         for publisher in (self._publisher, static, description):
             node.add_cleanup(node.destroy_publisher, publisher)
-        node.add_cleanup(self._close)
-        clock = Clock(clock_type=ClockType.STEADY_TIME)
-        timer = node.create_timer(1.0 / rate, lambda: run_when_idle(self._publish), clock=clock)
-        node.add_cleanup(node.destroy_timer, timer)
 
-    def _close(self) -> None:
-        """Publish nothing more; the executor may hold a call of the destroyed timer."""
-        self._is_open = False
-
-    def _publish(self) -> None:
-        """Publish the transforms of the newest scan with a pose, once, and only while there is a subscription."""
-        if not self._is_open or not self._publisher.get_subscription_count():
+    def publish(self, stamp: bytes) -> None:
+        """Publish the transforms of the present scan, unless the last are too recent or nobody subscribes."""
+        now_ns = time.monotonic_ns()
+        if now_ns < self._next_ns or not self._publisher.get_subscription_count():
             return
-        newest = self._newest()
-        if newest is None or newest.stamp_ns == self._published_ns:
-            return
-        self._published_ns = newest.stamp_ns
-        _set_transforms(self._moving, newest)
-        self._publisher.publish(schema_of_class(TFMessage).serialize(self._moving))
-
-
-def _transform(parent: str, child: str) -> TransformStamped:
-    message = TransformStamped(child_frame_id=child)
-    message.header.frame_id = parent
-    return message
-
-
-def _set_transforms(message: TFMessage, frames: StampedPoses) -> None:
-    stamp = Time(sec=frames.stamp_ns // NS, nanosec=frames.stamp_ns % NS)
-    for each, (x, y, z, qx, qy, qz, qw) in zip(message.transforms, frames.poses.tolist(), strict=True):
-        each.header.stamp = stamp
-        translation, rotation = each.transform.translation, each.transform.rotation
-        translation.x, translation.y, translation.z = x, y, z
-        rotation.x, rotation.y, rotation.z, rotation.w = qx, qy, qz, qw
+        self._next_ns = now_ns + self._period_ns
+        poses = np.concatenate([self._estimator.poses, self._estimator.beam_transforms])
+        self._publisher.publish(self._writer.write(stamp, poses))

@@ -14,10 +14,12 @@ from ament_index_python.packages import get_package_share_path
 from posor.chain.joint_measurements import MeasuredJoint
 from posor.chain.kinematic_chain import load_chain
 from posor.chain.robot_model import FreeJoint
+from posor.ros_names import ENDPOINT_STATE_TOPIC
 from posor_estimator.chain_node import ChainNode
 from posor_lab.harness.graph import Graph
-from posor_lab.harness.in_process_nodes import NodeProcess, run_refused_node
+from posor_lab.harness.in_process_nodes import run_refused_node
 from posor_lab.harness.message_conversion import stamp_ns
+from posor_msgs.msg import EndpointState
 from posor_ros.qos import LATCHED_QOS, TF_QOS
 from std_msgs.msg import String
 from tf2_msgs.msg import TFMessage
@@ -30,7 +32,7 @@ ARM = Path(__file__).resolve().parents[2] / "posor_bringup" / "arms" / "five_axi
 TYPE_HASH = "RIHS01_e369d0f05a23ae52508854b66f6aa0437f3449d652e8cbf22d5abe85d020f087"
 """Of tf2_msgs/msg/TFMessage: endpoints with another hash do not understand each other."""
 URDF, BEAMS = ARM / "five_axis.urdf", ARM / "beams.yaml"
-MOVING: dict[str, object] = {"urdf": str(URDF), "beams": str(BEAMS), "tf_rate": 200.0, **LOSSLESS}
+MOVING: dict[str, object] = {"urdf": str(URDF), "beams": str(BEAMS), **LOSSLESS}
 
 
 def small_pose(rng: np.random.Generator) -> pin.SE3:
@@ -122,14 +124,45 @@ def test_without_a_rate_nothing_is_published() -> None:
     assert not topics & {"/tf", "/tf_static", "/robot_description"}
 
 
-def test_a_timer_call_that_the_executor_still_holds_may_come_after_cleanup() -> None:
-    with NodeProcess() as process:
-        node = process.start(ChainNode, parameters={"urdf": str(URDF), "beams": str(BEAMS), "tf_rate": 1.0})
-        held_call = node._frames._publish
-        node.trigger_deactivate()
-        node.trigger_cleanup()
-        process.spin_once()
-        held_call()  # asks no destroyed publisher
+def test_a_rate_limits_the_frames() -> None:
+    rng, chain = np.random.default_rng(9), load_chain(URDF, "endpoint", BEAMS)
+    with chain_node(**MOVING, tf_rate=0.01) as node, Graph() as graph:
+        rig = ChainRig(graph)
+        publishers = {joint.name: rig.joint_publisher(joint.name) for joint in chain.joints}
+        frames = graph.collect(TFMessage, "/tf", TF_QOS)
+        for second in range(1, 4):
+            send(publishers, chain.joints, second, rng)
+        graph.wait_until(lambda: bool(frames) and len(rig.poses) == 3, "frames and poses")
+        assert node.end() == 0
+    assert [second_of(message) for message in frames] == [1]
+
+
+def test_a_prefix_stands_before_all_frames() -> None:
+    rng, chain = np.random.default_rng(9), load_chain(URDF, "endpoint", BEAMS)
+    with chain_node(**MOVING, frame_prefix="cell1/") as node, Graph() as graph:
+        rig = ChainRig(graph)
+        publishers = {joint.name: rig.joint_publisher(joint.name) for joint in chain.joints}
+        frames = graph.collect(TFMessage, "/tf", TF_QOS)
+        static = graph.collect(TFMessage, "/tf_static", LATCHED_QOS)
+        states = graph.collect(EndpointState, ENDPOINT_STATE_TOPIC)
+        send(publishers, chain.joints, 1, rng)
+        graph.wait_until(lambda: bool(frames and static and states and rig.poses), "frames and the endpoint")
+        assert node.end() == 0
+    assert product([frames[0], *static], "cell1/endpoint")[1] == "cell1/base"
+    names = {
+        name
+        for each in (*frames[0].transforms, *static[0].transforms)
+        for name in (each.header.frame_id, each.child_frame_id)
+    }
+    assert all(name.startswith("cell1/") for name in names)
+    assert rig.poses[0].header.frame_id == "cell1/base"
+    assert (states[-1].header.frame_id, states[-1].child_frame_id) == ("cell1/base", "cell1/endpoint")
+
+
+@pytest.mark.parametrize("prefix", ["/cell1/", "cell 1/"])
+def test_a_prefix_that_tf2_refuses_is_refused(prefix: str, capfd: pytest.CaptureFixture[str]) -> None:
+    code, (sentence,) = run_refused_node(ChainNode, {"urdf": str(URDF), "frame_prefix": prefix}, capfd)
+    assert (code, "frame_prefix" in sentence) == (2, True)
 
 
 def test_fixed_frames_are_those_of_the_urdf() -> None:
