@@ -9,10 +9,11 @@ from pathlib import Path
 
 import pytest
 from geometry_msgs.msg import PointStamped
-from posor_drivers.sources.table_source import read_table
+from posor_lab.thesis_data import read_table
 from posor_msgs.msg import RawScan
 from rclpy.serialization import deserialize_message
 from rosbags.rosbag2 import Reader
+from scipy.constants import inch
 
 ROOT = Path(__file__).resolve().parent.parent
 BAGS = ROOT / "bags"
@@ -52,18 +53,19 @@ def test_bag_holds_the_record(test: str, steps: int) -> None:
             stamp = content.header.stamp
             assert stamp.sec * 1_000_000_000 + stamp.nanosec == time_ns
             (scans if raw else truths).append(content)
-    rows = read_table(ROOT / f"data/slocum1985/{test}_input.csv")
+    rows = read_table(ROOT / f"data/slocum1985/{test}_input.csv", ())
     assert len(rows) == len(scans) == len(truths) == steps
     for index, (row, scan, truth) in enumerate(zip(rows, scans, truths, strict=True)):
-        assert scan.scan == row.step == index + 1
-        assert scan.status == ESTIMATED[test].get(row.step, 0)
-        assert tuple(scan.gap_voltages) == row.gap_voltages
+        assert scan.scan == int(row["step"]) == index + 1
+        assert scan.status == ESTIMATED[test].get(index + 1, 0)
+        assert list(scan.gap_voltages) == [float(row[column]) for column in ("l1_v", "l2_v", "l3_v")]
         a, b, c, d = (scan.diode_currents[contact::4] for contact in range(4))
         assert [x + z for x, z in zip(a, c, strict=True)] == pytest.approx([1e-4, 1e-4], rel=1e-14)
         assert [y + z for y, z in zip(b, d, strict=True)] == pytest.approx([1e-4, 1e-4], rel=1e-14)
         ratios = [(one - other) / (one + other) for k in range(2) for one, other in ((a[k], c[k]), (b[k], d[k]))]
-        assert ratios == pytest.approx(row.ratios, abs=1e-15)
-        for place, reading in zip((truth.point.x, truth.point.y, truth.point.z), row.truth, strict=True):
+        assert ratios == pytest.approx([float(row[column]) for column in ("dx1", "dy1", "dx2", "dy2")], abs=1e-15)
+        for axis in "xyz":
+            place, reading = getattr(truth.point, axis), float(row[f"{axis}_in"]) * inch
             assert place == reading or (math.isnan(place) and math.isnan(reading))
         assert truth.header.stamp == scan.header.stamp
         assert scan.header.stamp.sec * 1_000_000_000 + scan.header.stamp.nanosec == START_NS + index * STEP_NS

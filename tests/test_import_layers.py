@@ -24,7 +24,7 @@ LAYERS_OF_POSOR = (  # lowest first; parts of one line may import each other
     ("chain",),
     ("uncertainty",),
     ("messages",),
-    ("bags", "warm_up"),
+    ("bags", "tables", "warm_up"),
     ("",),  # posor itself: the public Python API
 )
 LAYER = {f"posor.{part}".rstrip("."): layer for layer, parts in enumerate(LAYERS_OF_POSOR) for part in parts}

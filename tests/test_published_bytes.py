@@ -30,7 +30,8 @@ DRIVERS = {
     "bag, restamped": f"{BAG}, restamp: true",
     "bag, means": f"{BAG}, restamp: true, rate: 4.0, conditioning: {{method: mean, samples: 2, subtract_dark: true}}",
     "bag, looped": f"{BAG}, rate: 20.0",
-    "table": f"source: table, table: {{path: {ROOT}/data/slocum1985/ymo_input.csv}}, loop: true, restamp: true",
+    "table": f"source: table, table: {{path: {ROOT}/data/slocum1985/ymo_input.csv, map: {ROOT}/data/slocum1985/table_map.yaml}}"
+    ", loop: true, restamp: true",
     "looped": f"source: looped, looped: {{path: {bag_path('ymo')}, rate: 20}}",
 }
 RIG_TOPICS = (

@@ -18,10 +18,10 @@ from posor.chain.arm_file import load_arm_file
 from posor.chain.beams_file import load_beams
 from posor.chain.kinematic_chain import load_chain
 from posor.errors import PosorError
+from posor.tables.table_readings import load_readings
 from posor_bringup.arms import load_checked_arm
 from posor_bringup.installed import share
 from posor_drivers.simulator.scenario import load_scenario
-from posor_drivers.sources.table_source import read_table
 
 from posor_lab.fuzz.message_fuzz import ScanFuzz, TransformFuzz, fuzz_simulation, mutate
 from posor_lab.fuzz.node_fuzz import NodeFuzzError, NodeScanFuzz, NodeTransformFuzz
@@ -62,7 +62,8 @@ def readers() -> dict[str, tuple[Path, Callable[[Path], object]]]:
         "arm": (arm / "arm.yaml", load_arm_file),
         "scenario": (arm / "scenario.yaml", load_scenario),
         "urdf": (arm / "five_axis.urdf", lambda path: load_chain(path, "endpoint")),
-        "table": (data_path("ymo_output.csv"), read_table),
+        "table": (data_path("ymo_input.csv"), lambda path: load_readings(path, data_path("table_map.yaml"))),
+        "table map": (data_path("table_map.yaml"), lambda path: load_readings(data_path("ymo_input.csv"), path)),
     }
 
 

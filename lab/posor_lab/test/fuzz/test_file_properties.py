@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from posor.errors import PosorError
 from posor_lab.fuzz.fuzz_command import readers
 
-YAML_FORMATS = ("calibration", "beams", "arm", "scenario")
+YAML_FORMATS = ("calibration", "beams", "arm", "scenario", "table map")
 TEXTS = st.text(st.characters(exclude_categories=("Cs", "Cc")), max_size=12)
 NUMBERS = st.one_of(st.floats(), st.integers(), st.sampled_from((0, 1, -1, 10**400, 1e300, 5e-324)))
 SCALARS = st.one_of(st.none(), st.booleans(), NUMBERS, TEXTS, st.dates())

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
         BagError,
         CalibrationError,
         ChainError,
+        DataFileError,
         FitError,
         ParameterError,
         PosorError,
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
     from posor.messages.estimate_arrays import ArmEstimates, EndpointEstimates
     from posor.model.fault import Fault, State
     from posor.model.scan import Scan, Scans
+    from posor.tables.table_readings import read_table
     from posor.uncertainty.first_order import ErrorBudget, error_budget
     from posor.uncertainty.protection_level import joint_protection_levels
     from posor.uncertainty.reliability import Reliability, joint_reliability
@@ -41,6 +43,7 @@ __all__ = [
     "Calibration",
     "CalibrationError",
     "ChainError",
+    "DataFileError",
     "EndpointEstimates",
     "ErrorBudget",
     "Estimate",
@@ -62,6 +65,7 @@ __all__ = [
     "load_arm",
     "load_calibration",
     "read_scans",
+    "read_table",
     "simulate",
     "to_arrow",
     "to_dataframe",
@@ -78,6 +82,7 @@ _MODULES = {
     "estimation.forward": ("simulate",),
     "estimation.posor": ("Posor",),
     "model.scan": ("Scan", "Scans"),
+    "tables.table_readings": ("read_table",),
     "uncertainty.first_order": ("ErrorBudget", "error_budget"),
     "uncertainty.protection_level": ("joint_protection_levels",),
     "uncertainty.reliability": ("Reliability", "joint_reliability"),

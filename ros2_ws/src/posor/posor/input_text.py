@@ -18,9 +18,20 @@ def read_input_text(path: Path) -> str:
     Raises OSError: the file cannot be read, is larger than MAX_BYTES, or is a pipe or device, on which a reader may
     wait for ever. ``strerror`` names the cause. Raises UnicodeDecodeError: it is not UTF-8 text.
     """
+    check_input_file(path, MAX_BYTES)
+    return path.read_text(encoding="utf-8")
+
+
+def read_input_bytes(path: Path, most: int) -> bytes:
+    """Return the bytes of a file of at most ``most`` bytes. Raises OSError as ``read_input_text``."""
+    check_input_file(path, most)
+    return path.read_bytes()
+
+
+def check_input_file(path: Path, most: int) -> None:
+    """Raise OSError if a path is no file of at most ``most`` bytes; a folder is refused when it is opened."""
     status = path.stat()
     if not (stat.S_ISREG(status.st_mode) or stat.S_ISDIR(status.st_mode)):  # open() refuses a folder
         raise OSError(errno.EINVAL, "a pipe or device, not a file", str(path))
-    if status.st_size > MAX_BYTES:
-        raise OSError(errno.EFBIG, f"{status.st_size >> 20} MiB, more than {MAX_BYTES >> 20} MiB", str(path))
-    return path.read_text(encoding="utf-8")
+    if status.st_size > most:
+        raise OSError(errno.EFBIG, f"{status.st_size >> 20} MiB, more than {most >> 20} MiB", str(path))

@@ -10,7 +10,7 @@ from posor.library_programs import recover, reprocess
 from posor.reporting.program_errors import reports_errors
 from posor_calibration.calibration_programs import calibrate
 from posor_design.design_programs import budget, design
-from posor_drivers.driver_programs import instruments, record
+from posor_drivers.driver_programs import import_table, instruments, record
 
 from posor_bringup.bringup_programs import bringup, commission, view
 
@@ -43,6 +43,7 @@ SUBCOMMANDS = {
     "view": Subcommand(view, "show an arm or a bag in the browser"),
     "commission": Subcommand(commission, "check plugs, motions and files of an arm, record its identity"),
     "instruments": Subcommand(instruments, "list, try and watch the devices of an instruments file"),
+    "import": Subcommand(import_table, "make a bag of a table: CSV, Parquet, TDMS or MATLAB"),
     "record": Subcommand(record, "record topics into a bag"),
     "reprocess": Subcommand(reprocess, "compute transforms and endpoint poses from recorded scans"),
     "recover": Subcommand(recover, "write what is whole in a damaged bag to a new bag"),

@@ -11,7 +11,7 @@ from posor.messages.message_definitions import MessageTypes
 from posor.model.scan import HOME_BUMP
 from posor.ros_names import POINT_STAMPED, RAW_SCAN
 
-from posor_drivers.message_builder import header, point_stamped, raw_scan, scan_fields
+from posor_drivers.message_builder import TRANSFORM_STAMPED, point_stamped, raw_scan, scan_fields, transform_stamped
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -22,7 +22,6 @@ if TYPE_CHECKING:
 
 TYPES = MessageTypes()
 FLOAT64 = "std_msgs/msg/Float64"
-TRANSFORM_STAMPED = "geometry_msgs/msg/TransformStamped"
 RAW = "/joint1/raw"
 FRAME = "receiving"
 LOG_DELAY_NS = 5_000_000
@@ -50,12 +49,7 @@ def point(topic: str, stamp_ns: int, values: Iterable[float], *, delay_ns: int =
 
 def transform(topic: str, stamp_ns: int, values: Iterable[float], child: str = "target") -> Entry:
     """Return the entry of a pose: x, y, z [m] and the unit quaternion x, y, z, w."""
-    x, y, z, qx, qy, qz, qw = values
-    translation = TYPES.new("geometry_msgs/msg/Vector3", x=x, y=y, z=z)
-    rotation = TYPES.new("geometry_msgs/msg/Quaternion", x=qx, y=qy, z=qz, w=qw)
-    content = TYPES.new("geometry_msgs/msg/Transform", translation=translation, rotation=rotation)
-    stamped = header(TYPES, stamp_ns, FRAME)
-    message = TYPES.new(TRANSFORM_STAMPED, header=stamped, child_frame_id=child, transform=content)
+    message = transform_stamped(TYPES, stamp_ns, (FRAME, child), values)
     return topic, TRANSFORM_STAMPED, stamp_ns + LOG_DELAY_NS, message
 
 

@@ -5,5 +5,6 @@ from __future__ import annotations
 from posor.lazy_program import LazyProgram
 
 driver_node = LazyProgram("driver_node", "posor_drivers.driver_node")
+import_table = LazyProgram("import", "posor_drivers.import_command")
 instruments = LazyProgram("instruments", "posor_drivers.instruments.instruments_command")
 record = LazyProgram("record", "posor_drivers.recorder")

@@ -24,6 +24,9 @@ if TYPE_CHECKING:
     from posor_drivers.simulator.simulated_scans import SimulatedScans
 
 
+TRANSFORM_STAMPED = "geometry_msgs/msg/TransformStamped"
+
+
 def header(types: MessageTypes, stamp_ns: int, frame_id: str) -> Any:
     """Return a std_msgs/Header."""
     sec, nanosec = divmod(stamp_ns, NS)
@@ -79,6 +82,16 @@ def point_stamped(types: MessageTypes, stamp_ns: int, frame_id: str, position: I
     x, y, z = position
     point = types.new("geometry_msgs/msg/Point", x=x, y=y, z=z)
     return types.new(POINT_STAMPED, header=header(types, stamp_ns, frame_id), point=point)
+
+
+def transform_stamped(types: MessageTypes, stamp_ns: int, frames: tuple[str, str], values: Iterable[float]) -> Any:
+    """Return a geometry_msgs/TransformStamped: x, y, z [m] and the unit quaternion x, y, z, w of frame 2 in frame 1."""
+    x, y, z, qx, qy, qz, qw = values
+    translation = types.new("geometry_msgs/msg/Vector3", x=x, y=y, z=z)
+    rotation = types.new("geometry_msgs/msg/Quaternion", x=qx, y=qy, z=qz, w=qw)
+    content = types.new("geometry_msgs/msg/Transform", translation=translation, rotation=rotation)
+    stamped = header(types, stamp_ns, frames[0])
+    return types.new(TRANSFORM_STAMPED, header=stamped, child_frame_id=frames[1], transform=content)
 
 
 def pose_stamped(types: MessageTypes, stamp_ns: int, frame_id: str, pose: pin.SE3) -> Any:

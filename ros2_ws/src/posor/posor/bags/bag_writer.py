@@ -313,12 +313,12 @@ class BagWriter:
 
 
 @contextmanager
-def replace_bag(bag: Path) -> Iterator[BagWriter]:
+def replace_bag(bag: Path, custom_data: Mapping[str, str] | None = None) -> Iterator[BagWriter]:
     """Write a bag that replaces an existing bag only once it is complete. Raises OutputError: the storage fails."""
     bag.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=bag.parent, prefix=".making-") as folder:
         new = Path(folder) / bag.name
-        with BagWriter(new) as writer:
+        with BagWriter(new, custom_data) as writer:
             yield writer
         if bag.exists():
             shutil.rmtree(bag)

@@ -1,0 +1,76 @@
+"""The channels that a calibration has, and the values that it accepts: compared with the columns of a table."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from posor.sensors.bumpy_ring import BumpyRingCalibration
+from posor.sensors.diodes import DiodesCalibration
+from posor.sensors.gap_probes import GapProbesCalibration
+
+if TYPE_CHECKING:
+    from posor.calibration.calibration_file import Calibration
+    from posor.model.scan import Scans
+    from posor.numerics.array_types import FloatArray
+
+CONTACTS = "ABCD"
+
+
+class Channel(NamedTuple):
+    """A channel of a calibration: the reading of a map, its index there, its name, and the values that are accepted."""
+
+    reading: str
+    index: int
+    name: str
+    lowest: float
+    highest: float
+    required: bool = True
+
+
+def channels_of(calibration: Calibration) -> list[Channel]:
+    """Return the channels in the order of the file; a diode has four, whose range is that of the sum of two."""
+    channels: list[Channel] = []
+    for sensor in calibration.sensors:
+        if isinstance(sensor, GapProbesCalibration | BumpyRingCalibration):
+            reading = "gap_voltages" if isinstance(sensor, GapProbesCalibration) else "ring_voltages"
+            for probe in sensor.probes:
+                low, high = probe.range.array - probe.zero_shift.number
+                channels.append(Channel(reading, _count(channels, reading), probe.name, float(low), float(high)))
+        elif isinstance(sensor, DiodesCalibration):
+            for diode in sensor.diodes:
+                for contact in CONTACTS:
+                    name, index = f"{diode.name} {contact}", _count(channels, "diode_currents")
+                    channels.append(Channel("diode_currents", index, name, *diode.sums))
+    environment = calibration.environment
+    for reading, part in (("supply_voltage", "supply"), ("temperature", "temperature")):
+        stated = environment and getattr(environment, part)
+        if stated:
+            low, high = stated.range.array
+            channels.append(Channel(reading, 0, part, float(low), float(high), required=False))
+    return channels
+
+
+def _count(channels: list[Channel], reading: str) -> int:
+    return sum(channel.reading == reading for channel in channels)
+
+
+def light_sources(calibration: Calibration) -> int:
+    """Return the number of light sources."""
+    found = [len(sensor.light_sources) for sensor in calibration.sensors if isinstance(sensor, DiodesCalibration)]
+    return sum(found)
+
+
+def compared_values(channel: Channel, scans: Scans) -> FloatArray:
+    """Return what of a channel is compared with its range (n,): voltages, or the sum A + C, or B + D, of a diode [A]."""
+    if channel.reading == "supply_voltage":
+        return scans.supply_voltages
+    if channel.reading == "temperature":
+        return scans.temperatures
+    if channel.reading != "diode_currents":
+        voltages: FloatArray = getattr(scans, channel.reading)
+        return voltages[:, channel.index]
+    diode, contact = divmod(channel.index, len(CONTACTS))
+    currents = scans.diode_currents[~scans.dark][:, diode]
+    return np.asarray(currents[:, contact] + currents[:, (contact + 2) % len(CONTACTS)])

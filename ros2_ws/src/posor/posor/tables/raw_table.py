@@ -1,0 +1,163 @@
+"""A table as its file has it: named columns of numbers or texts, and the place of each row."""
+
+from __future__ import annotations
+
+import re
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from posor.errors import DataFileError, similar_name
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Sequence
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from posor.numerics.array_types import FloatArray, IntArray
+    from posor.tables.table_units import Unit
+
+MISSING = {"", "nan", "na", "n/a", "#n/a", "null", "none", "-", "--", "---"}
+"""Texts of a cell without a value, in lower case."""
+_NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][-+]?\d+)?", re.ASCII)
+
+
+class Column(NamedTuple):
+    """A column: its name, its unit and the time from row to row, where the file states them."""
+
+    name: str
+    unit: Unit | None = None
+    interval_s: float | None = None
+
+
+class InvalidCell(NamedTuple):
+    """A cell that is no number: row and column from 0, and its text."""
+
+    row: int
+    column: int
+    text: str
+
+
+@dataclass
+class Cells:
+    """The columns of a table that were asked for, r rows."""
+
+    places: IntArray  # number of the line or row in the file, (r,)
+    numbers: dict[int, FloatArray] = field(default_factory=dict)  # by column, (r,); NaN: missing or invalid
+    values: dict[int, NDArray[Any]] = field(default_factory=dict)  # by column, as in the file, (r,)
+    invalid: list[InvalidCell] = field(default_factory=list)
+    incomplete: list[tuple[int, str]] = field(default_factory=list)  # place and reason of rows that are not whole
+
+
+class RawTable(ABC):
+    """A file with a table."""
+
+    place_word = "row"
+
+    def __init__(self, path: Path, columns: Sequence[Column]) -> None:
+        """Store the columns that the file has."""
+        self.path, self.columns = path, tuple(columns)
+        if not self.columns:
+            raise DataFileError("holds no columns", where=str(path), expected="columns of numbers with equal lengths")
+
+    @abstractmethod
+    def read(self, numbers: Collection[int], values: Collection[int]) -> Cells:
+        """Return columns as numbers, and columns as the file has them.
+
+        Raises:
+            DataFileError: The file cannot be read, or its columns have different lengths.
+
+        """
+
+    def index(self, column: str | int, where: str) -> int:
+        """Return the index of a column by its name, or by its number from 1; ``where``: names the entry of the map.
+
+        Raises:
+            DataFileError: The column is missing, or several have this name.
+
+        """
+        names = [each.name for each in self.columns]
+        if isinstance(column, int):
+            if column <= len(names):
+                return column - 1
+            raise DataFileError(f"column {column} of {where} is missing", where=str(self.path), expected=f"1 to {len(names)}")
+        found = [n for n, name in enumerate(names) if name == column.strip()]
+        if not found:
+            expected = similar_name(column, names, f"one of {', '.join(repr(name) for name in names)}", least=0.8)
+            raise DataFileError(f"column '{column}' of {where} is missing", where=str(self.path), expected=expected)
+        if len(found) > 1:
+            numbers = " and ".join(str(n + 1) for n in found)
+            what = f"column '{column}' of {where} occurs {len(found)} times"
+            raise DataFileError(what, where=str(self.path), expected=f"its number, {numbers.replace(' and ', ' or ')}")
+        return found[0]
+
+    def place(self, row: int, column: int | None = None) -> str:
+        """Return the place of a cell, or of a row, for errors; ``row``: its number in the file."""
+        name = "" if column is None else f", column '{self.columns[column].name}'"
+        return f"{self.path}, {self.place_word} {row}{name}"
+
+
+class ArrayTable(RawTable):
+    """A table whose columns are arrays already."""
+
+    def __init__(self, path: Path, columns: Sequence[tuple[Column, NDArray[Any]]], *, note: str = "") -> None:
+        """Store the columns; ``note``: what is incomplete in the file."""
+        super().__init__(path, [column for column, _ in columns])
+        self._arrays, self._note = [array for _, array in columns], note
+
+    def read(self, numbers: Collection[int], values: Collection[int]) -> Cells:
+        """Return the columns."""
+        wanted = sorted({*numbers, *values})
+        for n in wanted:
+            first, other = self._arrays[wanted[0]], self._arrays[n]
+            if len(first) != len(other):
+                what = f"column '{self.columns[n].name}' has {len(other)} rows"
+                expected = f"{len(first)}, as column '{self.columns[wanted[0]].name}'"
+                raise DataFileError(what, where=str(self.path), expected=expected)
+        count = len(self._arrays[wanted[0]]) if wanted else 0
+        cells = Cells(places=np.arange(1, count + 1))
+        if self._note:
+            cells.incomplete.append((count, self._note))
+        for n in numbers:
+            array = self._arrays[n]
+            if array.dtype.kind in "biuf":
+                column = array.astype(np.float64)
+                cells.invalid += [InvalidCell(int(row), n, "inf") for row in np.flatnonzero(np.isinf(column))]
+                column[np.isinf(column)] = np.nan
+            else:
+                column = parse_numbers(["" if cell is None else str(cell) for cell in array.tolist()], ".", n, 0, cells)
+            cells.numbers[n] = column
+        cells.values |= {n: self._arrays[n] for n in values}
+        return cells
+
+
+def parse_numbers(texts: Sequence[str], decimal: str, column: int, first_row: int, cells: Cells) -> FloatArray:
+    """Return the numbers of a column's cells, (r,); NaN: missing, or invalid and added to ``cells``."""
+    joined = "\n".join(texts)
+    if joined.isascii() and "_" not in joined and (decimal == "." or "." not in joined):
+        try:
+            parsed = np.array(joined.replace(",", ".").split("\n") if decimal == "," else texts, dtype=np.float64)
+        except ValueError:
+            pass
+        else:
+            if np.isfinite(parsed).all():
+                return parsed
+    numbers = np.full(len(texts), np.nan)
+    for n, text in enumerate(texts):
+        cell = text.strip()
+        if cell.lower() in MISSING:
+            continue
+        plain = cell.replace(",", ".") if decimal == "," and "." not in cell else "" if decimal == "," else cell
+        if decimal == "," and cell.lstrip("+-").isdigit():
+            plain = cell
+        if _NUMBER.fullmatch(plain) and np.isfinite(number := float(plain.translate(_EXPONENTS))):
+            numbers[n] = number
+        else:
+            cells.invalid.append(InvalidCell(first_row + n, column, text))
+    return numbers
+
+
+_EXPONENTS = str.maketrans("dD", "ee")

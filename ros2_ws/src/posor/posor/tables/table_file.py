@@ -1,0 +1,201 @@
+"""Open a table of any format that a map can read: text, Parquet, TDMS, MATLAB."""
+
+from __future__ import annotations
+
+import warnings
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from posor.errors import DataFileError, ParameterError
+from posor.input_text import check_input_file, read_input_bytes
+from posor.tables.raw_table import ArrayTable, Column
+from posor.tables.table_map import FileLayout
+from posor.tables.table_units import find_unit, unit_in_name
+from posor.tables.text_table import TextTable, decode
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Mapping
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from posor.tables.raw_table import RawTable
+
+MAX_BYTES = 1 << 31  # largest text file
+LARGEST_FILE = 1 << 36
+NS = 1_000_000_000
+_MAGIC_BYTES = 24
+_MATRIX = 2  # dimensions
+
+
+def open_table(path: Path, layout: FileLayout) -> RawTable:
+    """Open a table; its content, not its name, decides on the format.
+
+    Raises:
+        DataFileError: The file cannot be read, or is of another format.
+        ParameterError: The library of an optional format is not installed.
+
+    """
+    found = _binary_format(path)
+    if found is not None:
+        return _read_binary(path, *found)
+    return TextTable(path, decode(read_bytes(path), layout.encoding, str(path)), layout)
+
+
+def is_text(path: Path) -> bool:
+    """Return whether a table is a text file. Raises the errors of ``open_table``."""
+    return _binary_format(path) is None
+
+
+def read_bytes(path: Path) -> bytes:
+    """Return the bytes of a text file. Raises DataFileError: it cannot be read."""
+    try:
+        return read_input_bytes(path, MAX_BYTES)
+    except OSError as error:
+        raise DataFileError(f"cannot be read, {(error.strerror or str(error)).lower()}", where=str(path)) from None
+
+
+def _binary_format(path: Path) -> tuple[str, Callable[[Path], RawTable]] | None:
+    """Return name and reader of a file's format; None: text."""
+    try:
+        check_input_file(path, LARGEST_FILE)
+        with path.open("rb") as file:
+            magic = file.read(_MAGIC_BYTES)
+    except OSError as error:
+        raise DataFileError(f"cannot be read, {(error.strerror or str(error)).lower()}", where=str(path)) from None
+    for begin, what in _REFUSED.items():
+        if magic.startswith(begin):
+            raise DataFileError(what, where=str(path), expected="a CSV, Parquet, TDMS or MATLAB file")
+    for begin, found in _READERS.items():
+        if magic.startswith(begin) and (begin or path.suffix.lower() == ".mat"):
+            return found
+    return None
+
+
+def _read_binary(path: Path, kind: str, reader: Callable[[Path], RawTable]) -> RawTable:
+    """Return a table; whatever a library raises about a damaged file becomes one sentence."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            return reader(path)
+    except (DataFileError, ParameterError):
+        raise
+    except Exception as error:
+        reason = " ".join(str(error).split()).rstrip(".") or type(error).__name__
+        raise DataFileError(f"is not a whole {kind} file, {reason}", where=str(path)) from error
+
+
+def _library(name: str, extra: str, path: Path) -> Any:
+    try:
+        return import_module(name)
+    except ImportError:
+        package = name.partition(".")[0]
+        what = f"the Python library '{package}' is not installed"
+        raise ParameterError(what, where=str(path), expected=f"pip install 'posor[{extra}]'") from None
+
+
+def _parquet(path: Path) -> RawTable:
+    parquet, arrow = _library("pyarrow.parquet", "tables", path), _library("pyarrow", "tables", path)
+    table = parquet.ParquetFile(path).read()
+    columns = []
+    for field, chunks in zip(table.schema, table.columns, strict=True):
+        stated = (field.metadata or {}).get(b"unit", b"").decode("utf-8", "replace")
+        kind = field.type
+        if arrow.types.is_dictionary(kind):
+            chunks = chunks.cast(kind.value_type)  # noqa: PLW2901
+        if arrow.types.is_timestamp(kind):
+            array = _iso(chunks.cast(arrow.timestamp("ns")).to_numpy(), zone="Z" if kind.tz else "")
+        elif arrow.types.is_decimal(kind):
+            array = np.array([None if cell is None else str(cell) for cell in chunks.to_pylist()], dtype=object)
+        elif arrow.types.is_nested(kind):
+            continue
+        else:
+            array = chunks.to_numpy()
+        columns.append((Column(field.name, find_unit(stated) or unit_in_name(field.name)), array))
+    return ArrayTable(path, columns)
+
+
+def _tdms(path: Path) -> RawTable:
+    tdms = _library("nptdms", "tdms", path).TdmsFile.read(path)
+    columns: list[tuple[Column, NDArray[Any]]] = []
+    for group in tdms.groups():
+        for channel in group.channels():
+            name, properties = f"{group.name}/{channel.name}", channel.properties
+            unit = find_unit(str(properties.get("unit_string", ""))) or unit_in_name(channel.name)
+            interval = properties.get("wf_increment")
+            array = channel[:]
+            if array.dtype.kind == "M":
+                array = _iso(array, zone="Z")
+            columns.append((Column(name, unit, float(interval) if interval else None), array))
+    incomplete = tdms.file_status.incomplete_final_segment
+    return ArrayTable(path, columns, note="the last segment of the TDMS file is incomplete" if incomplete else "")
+
+
+def _iso(times: NDArray[Any], zone: str) -> NDArray[Any]:
+    """Return times as texts."""
+    return np.array([f"{text}{zone}" if text != "NaT" else "" for text in np.datetime_as_string(times, unit="ns")], dtype=object)
+
+
+def _matlab(path: Path) -> RawTable:
+    from scipy.io import loadmat  # noqa: PLC0415  takes time to load
+
+    return _of_variables(path, loadmat(path, simplify_cells=True))
+
+
+def _matlab_73(path: Path) -> RawTable:
+    h5py = _library("h5py", "matlab", path)
+
+    def content(node: Any) -> Any:
+        if isinstance(node, h5py.Group):
+            return {name: content(part) for name, part in node.items() if not name.startswith("#")}
+        kind = node.attrs.get("MATLAB_class", b"double")
+        array = node[()]
+        if node.attrs.get("MATLAB_empty") or kind not in (b"double", b"single", b"logical") and b"int" not in kind:
+            return None
+        return np.squeeze(np.transpose(array))
+
+    with h5py.File(path, "r") as file:
+        return _of_variables(path, content(file))
+
+
+def _of_variables(path: Path, variables: Mapping[str, Any]) -> RawTable:
+    """Return the vectors, and the columns of matrices, of the variables and of structs of them."""
+    columns = [
+        (Column(name, unit_in_name(name)), array)
+        for name, array in _columns_of("", {k: v for k, v in variables.items() if not k.startswith("__")})
+    ]
+    if not columns:
+        expected = "vectors, matrices or structs of numbers, not objects such as table or datetime"
+        raise DataFileError("holds no arrays of numbers", where=str(path), expected=expected)
+    return ArrayTable(path, columns)
+
+
+def _columns_of(name: str, value: Any) -> Iterator[tuple[str, NDArray[Any]]]:
+    if isinstance(value, dict):
+        for key, part in value.items():
+            yield from _columns_of(f"{name}.{key}".lstrip("."), part)
+    elif isinstance(value, np.ndarray) and value.dtype.names is None and value.dtype.kind in "biufOU":
+        if value.ndim == 1:
+            yield name, value
+        elif value.ndim == _MATRIX:
+            yield from ((f"{name}(:,{n + 1})", value[:, n]) for n in range(value.shape[1]))
+
+
+_READERS: dict[bytes, tuple[str, Callable[[Path], RawTable]]] = {
+    b"PAR1": ("Parquet", _parquet),
+    b"TDSm": ("TDMS", _tdms),
+    b"MATLAB 7.3": ("MATLAB", _matlab_73),
+    b"\x89HDF": ("MATLAB", _matlab_73),
+    b"MATLAB": ("MATLAB", _matlab),
+    b"": ("MATLAB", _matlab),  # version 4 has no mark
+}
+_REFUSED = {
+    b"PK\x03\x04": "is a ZIP archive, such as a workbook of Excel",
+    b"\xd0\xcf\x11\xe0": "is a workbook of Excel",
+    b"\x1f\x8b": "is compressed with gzip",
+    b"\x28\xb5\x2f\xfd": "is compressed with zstd",
+    b"\x89MCAP": "is an MCAP bag",
+    b"SQLite format 3": "is an SQLite bag",
+}

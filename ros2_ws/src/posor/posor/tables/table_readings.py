@@ -1,0 +1,437 @@
+"""The readings of a table by its map: scans of each joint, and references."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from posor.calibration.calibration_file import load_calibration
+from posor.calibration.quantity import Quantity
+from posor.errors import CalibrationError, DataFileError, ParameterError, checked_path
+from posor.model.scan import DARK_SUBTRACTED, HOME_BUMP, NO_SOURCE, Scans
+from posor.tables.channel_ranges import channels_of, compared_values, light_sources
+from posor.tables.table_file import open_table
+from posor.tables.table_map import FLAGS, ColumnEntry, load_table_map
+from posor.tables.table_time import (
+    EXAMPLE,
+    INVALID_NS,
+    MISSING_NS,
+    parse_zone,
+    start_ns,
+    times_at_rate,
+    times_of_numbers,
+    times_of_texts,
+)
+from posor.tables.table_units import UNITS, units_of
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from numpy.typing import NDArray
+
+    from posor.calibration.calibration_file import Calibration
+    from posor.numerics.array_types import BoolArray, FloatArray, IntArray
+    from posor.tables.channel_ranges import Channel
+    from posor.tables.raw_table import Cells, RawTable
+    from posor.tables.table_map import Flag, JointMap, LoadedMap, ReferenceMap, TableMap
+
+_MOST_RATE_ERROR = 1e-3
+"""Largest relative difference between the rate of a map and that of the file."""
+
+
+@dataclass(frozen=True)
+class JointReadings:
+    """The scans of a joint."""
+
+    scans: Scans
+    frame_id: str
+    topic: str
+
+
+@dataclass(frozen=True)
+class ReferenceReadings:
+    """The values of a reference at the times of the scans: the number, a point, or a pose x, y, z, qx, qy, qz, qw."""
+
+    values: FloatArray  # SI, (n, k); NaN where missing
+    entry: ReferenceMap
+    topic: str
+    joint: str
+
+
+@dataclass(frozen=True)
+class TableReadings:
+    """All that was read of a table, and what was not."""
+
+    joints: dict[str, JointReadings]
+    references: dict[str, ReferenceReadings]
+    unused: tuple[str, ...]  # columns without use in the map
+    left_out: dict[str, int]  # rows by kind
+    notes: tuple[str, ...]  # sentences on what is suspicious but possible
+
+
+def read_table(path: Path | str, table_map: Path | str, joint: str = "") -> Scans:
+    """Return the scans of one joint from a table of another program: CSV, Parquet, TDMS or MATLAB.
+
+    Args:
+        path: The table.
+        table_map: The map (YAML) that says which column is which reading.
+        joint: Of the map; empty: the only one.
+
+    Raises:
+        CalibrationError: The map, or a calibration that it names, is invalid.
+        DataFileError: The table cannot be read, or does not fit the map or the calibration.
+        ParameterError: The map has no such joint, or the library of the format is not installed.
+
+    """
+    file = checked_path(path, "read_table", "the path of a table")
+    readings = load_readings(file, checked_path(table_map, "read_table", "the path of a table map"))
+    return readings.joints[only_joint(readings, joint, str(table_map))].scans
+
+
+def only_joint(readings: TableReadings, joint: str, where: str) -> str:
+    """Return the name of a joint, or of the only one. Raises ParameterError: it is missing, or there are several."""
+    if not joint and len(readings.joints) == 1:
+        return next(iter(readings.joints))
+    if joint not in readings.joints:
+        what = f"joint '{joint}' is not in the map" if joint else "the map has several joints"
+        raise ParameterError(what, where=where, expected=f"one of {', '.join(readings.joints)}")
+    return joint
+
+
+def load_readings(path: Path, map_path: Path) -> TableReadings:
+    """Return the readings of a table by a map. Raises the errors of ``read_table``."""
+    loaded = load_table_map(map_path)
+    return _Reader(loaded, open_table(path, loaded.map.file)).read()
+
+
+@dataclass
+class _Reader:
+    """A table that is being read."""
+
+    loaded: LoadedMap
+    table: RawTable
+    notes: list[str] = field(default_factory=list)
+
+    @property
+    def map(self) -> TableMap:
+        return self.loaded.map
+
+    def read(self) -> TableReadings:
+        table_map, table = self.map, self.table
+        entries = {id(entry): self._index(entry.column, key) for key, _, entry in table_map.entries()}
+        times = [self._index(column, ("time", "column")) for column in table_map.time.columns]
+        number = [] if table_map.number is None else [self._index(table_map.number, ("number",))]
+        flags = {
+            (joint, flag): self._index(entry.column, ("joints", joint, "flags", flag, "column"))
+            for joint, each in table_map.joints.items()
+            for flag, entry in each.flags.items()
+        }
+        self._check_header_units(entries)
+        calibrations = {name: self._calibration(name, joint) for name, joint in table_map.joints.items()}
+        cells = table.read({*entries.values(), *number}, {*times, *flags.values()})
+        if not len(cells.places):
+            raise DataFileError("has no rows", where=str(table.path), expected="one row for each scan after the header")
+        stamps = self._stamps(cells, times)
+        optional = {
+            entries[id(entry)]
+            for reference in table_map.references.values()
+            if reference.missing
+            for _, _, entry in reference.entries()
+        }
+        required = {*entries.values(), *number} - optional
+        keep, left_out = self._select_rows(cells, stamps, required, {*entries.values(), *number})
+        numbers = {id_: cells.numbers[column][keep] for id_, column in entries.items()}
+        scan_numbers = self._scan_numbers(cells, keep, number)
+        joints = {}
+        for name, joint in table_map.joints.items():
+            matches = {flag: cells.values[flags[name, flag]][keep] for flag in joint.flags}
+            joints[name] = self._joint(name, numbers, stamps[keep], scan_numbers, matches, calibrations[name])
+        first = next(iter(joints))
+        references = {
+            name: ReferenceReadings(
+                np.column_stack([entry.reading(numbers[id(entry)], si) for _, si, entry in each.entries()]),
+                each,
+                each.topic or f"/reference/{name}",
+                each.joint or first,
+            )
+            for name, each in table_map.references.items()
+        }
+        used = {*entries.values(), *times, *number, *flags.values()}
+        unused = tuple(column.name for n, column in enumerate(table.columns) if n not in used)
+        return TableReadings(joints, references, unused, left_out, tuple(self.notes))
+
+    def _place(self, *key: str | int) -> str:
+        return self.loaded.locations.describe(*key)
+
+    def _index(self, column: str | int, key: tuple[str | int, ...]) -> int:
+        return self.table.index(column, self._place(*key))
+
+    def _check_header_units(self, entries: dict[int, int]) -> None:
+        """Refuse a unit that contradicts the file's, and a rate that contradicts that of a channel."""
+        time = self.map.time
+        stated = [(key, entry.unit, entries[id(entry)]) for key, _, entry in self.map.entries() if not entry.header_unit]
+        if time.unit is not None:
+            stated.append((("time",), time.unit, self._index(time.columns[0], ("time", "column"))))
+        for key, name, index in stated:
+            column = self.table.columns[index]
+            if column.unit is not None and not _same_unit(column.unit.name, name):
+                what = f"column '{column.name}' is in {column.unit.name} by the file, in {name} by the map"
+                expected = f"unit: {column.unit.name}, or header_unit: ignored if the file is wrong"
+                raise DataFileError(what, where=self._place(*key, "unit"), expected=expected)
+            if time.rate is not None and column.interval_s is not None:
+                rate = 1.0 / column.interval_s
+                if abs(rate / time.rate.number - 1.0) > _MOST_RATE_ERROR:
+                    what = f"rate {time.rate.number:g} Hz, but column '{column.name}' has {rate:g} Hz"
+                    raise DataFileError(what, where=self._place("time", "rate"), expected=f"{rate:g} Hz")
+
+    def _calibration(self, name: str, joint: JointMap) -> Calibration | None:
+        """Return the calibration of a joint, whose channels the map has all."""
+        if joint.calibration is None:
+            self.notes.append(f"joint {name} is not compared with a calibration; add calibration: FILE.yaml to the map")
+            return None
+        calibration = load_calibration(self.loaded.path.parent / joint.calibration)
+        where = self._place("joints", name, "calibration")
+        if joint.frame_id not in (None, calibration.frames.parent):
+            raise CalibrationError(f"frame_id '{joint.frame_id}'", where=where, expected=f"'{calibration.frames.parent}'")
+        channels = channels_of(calibration)
+        for reading in ("gap_voltages", "ring_voltages", "diode_currents"):
+            names = [channel.name for channel in channels if channel.reading == reading]
+            mapped = 4 * joint.diodes if reading == "diode_currents" else len(getattr(joint, reading))
+            if mapped < len(names):
+                what = f"{reading} of {', '.join(names[mapped:])} are missing"
+                raise CalibrationError(what, where=where, expected=f"{len(names)} columns, in the order of the calibration")
+            if mapped > len(names):
+                expected = f"{len(names)}, those of the calibration"
+                raise CalibrationError(f"there are {mapped} {reading}", where=where, expected=expected)
+        for channel in channels:
+            if not channel.required and getattr(joint, channel.reading) is None:
+                self.notes.append(f"{channel.reading} of joint {name} is not mapped: its effect is not corrected")
+        sources = light_sources(calibration)
+        for n, lit in enumerate(joint.lit_sources):
+            if isinstance(lit, int) and lit >= sources:
+                where = self._place("joints", name, "lit_sources", n)
+                raise CalibrationError(f"light source {lit}", where=where, expected=f"0 to {sources - 1}")
+        return calibration
+
+    def _stamps(self, cells: Cells, columns: list[int]) -> IntArray:
+        """Return the time of each row [ns], MISSING_NS or INVALID_NS."""
+        time = self.map.time
+        first_ns = start_ns(time, self._place("time", "start")) if time.start else 0
+        if time.rate is not None:
+            return times_at_rate(time, len(cells.places), first_ns)
+        parts = [cells.values[n] for n in columns]
+        if time.unit is not None:
+            return times_of_numbers(parts[0], time, first_ns, self.map.file.decimal)
+        zone = parse_zone(time.time_zone, self._place("time", "time_zone")) if time.time_zone else None
+        joined = [" ".join(map(str, row)).strip() for row in zip(*parts, strict=True)]
+        try:
+            return times_of_texts(np.array(joined, dtype=object), time, zone)
+        except LookupError as error:
+            where = self.table.place(int(cells.places[int(error.args[0])]), columns[-1])
+            what = f"'{joined[int(error.args[0])]}' has no time zone"
+            raise DataFileError(what, where=where, expected="time_zone of the map, such as UTC") from None
+
+    def _select_rows(
+        self, cells: Cells, stamps: IntArray, required: set[int], numeric: set[int]
+    ) -> tuple[BoolArray, dict[str, int]]:
+        """Return which rows are read, and the number of the others by kind.
+
+        Raises DataFileError: a row is not whole, and the map does not say that such rows are left out.
+        """
+        places, table, allowed = cells.places, self.table, self.map.leave_out
+        left_out: Counter[str] = Counter()
+
+        def refuse(kind: str, where: str, what: str, expected: str, count: int) -> None:
+            if kind in allowed:
+                left_out[kind] += count
+                return
+            more = f" (and {count - 1} more)" if count > 1 else ""
+            raise DataFileError(f"{what}{more}", where=where, expected=f"{expected}, or leave_out: [{kind}] in the map")
+
+        if cells.incomplete:
+            row, reason = cells.incomplete[0]
+            what, _, expected = reason.partition("; expected ")
+            what = f"there are {what}" if what.endswith("cells") else what
+            refuse("incomplete_rows", table.place(row), what, expected or "a whole file", len(cells.incomplete))
+        keep = np.ones(len(places), dtype=np.bool_)
+        invalid = sorted(cell for cell in cells.invalid if cell.column in numeric)
+        bad_rows = sorted({cell.row for cell in invalid})
+        if invalid:
+            cell = invalid[0]
+            expected = "a number"
+            if self.map.file.decimal == "." and "," in cell.text:
+                expected = "a number with a decimal point; file: {decimal: ','} in the map if it has a decimal comma"
+            where = table.place(int(places[cell.row]), cell.column)
+            refuse("invalid_cells", where, f"'{cell.text}' is invalid", expected, len(bad_rows))
+            keep[bad_rows] = False
+        time_columns = [self._index(column, ("time", "column")) for column in self.map.time.columns]
+        wrong = keep & (stamps == INVALID_NS)
+        if wrong.any():
+            row = int(np.flatnonzero(wrong)[0])
+            text = " ".join(str(cells.values[n][row]) for n in time_columns)
+            where, what = table.place(int(places[row]), time_columns[-1]), f"'{text}' is no time from 1970 to 2038"
+            expected = EXAMPLE if self.map.time.format == "iso" else f"a time in the form '{self.map.time.format}'"
+            expected = "a number from the start on" if self.map.time.unit else expected
+            refuse("invalid_cells", where, what, expected, int(wrong.sum()))
+        keep &= ~wrong
+        missing = keep & (stamps == MISSING_NS)
+        columns = {n: np.isnan(cells.numbers[n]) for n in required}
+        for each in columns.values():
+            missing |= keep & each
+        if missing.any():
+            row = int(np.flatnonzero(missing)[0])
+            column = next((n for n in sorted(columns) if columns[n][row]), (time_columns or [0])[0])
+            where = table.place(int(places[row]), column)
+            refuse("missing_cells", where, "the cell has no value", "a number", int(missing.sum()))
+        keep &= ~missing
+        rows = np.flatnonzero(keep)
+        highest = np.maximum.accumulate(stamps[rows]) if len(rows) else stamps[rows]
+        back = np.zeros(len(rows), dtype=np.bool_)
+        back[1:] = stamps[rows][1:] <= highest[:-1]
+        if back.any():
+            n = int(np.flatnonzero(back)[0])
+            where = table.place(int(places[rows[n]]), time_columns[0] if time_columns else None)
+            step_ns = int(stamps[rows[n]] - highest[n - 1])
+            what = "the time is that of the row before" if step_ns == 0 else f"the time goes back by {-step_ns / 1e9:g} s"
+            expected = "times that increase" + ("; a column with too few digits needs rate in its place" if step_ns == 0 else "")
+            refuse("time_back", where, what, expected, int(back.sum()))
+        keep[rows[back]] = False
+        if not keep.any():
+            raise DataFileError("no row is whole", where=str(table.path), expected="rows with a number in every mapped column")
+        return keep, dict(left_out)
+
+    def _scan_numbers(self, cells: Cells, keep: BoolArray, columns: list[int]) -> IntArray:
+        """Return the number of each scan: that of its row, or of a column; both ascend."""
+        if not columns:
+            return np.flatnonzero(keep).astype(np.int64) + 1
+        values = cells.numbers[columns[0]][keep]
+        bad = (values < 0) | (values != np.floor(values)) | (values > 2.0**53)
+        bad[1:] |= values[1:] <= values[:-1]
+        if bad.any():
+            row = int(np.flatnonzero(bad)[0])
+            where = self.table.place(int(cells.places[keep][row]), columns[0])
+            before = f" after {values[row - 1]:g}" if row else ""
+            raise DataFileError(f"scan number {values[row]:g}{before}", where=where, expected="ascending whole numbers")
+        return values.astype(np.int64)
+
+    def _joint(
+        self,
+        name: str,
+        numbers: dict[int, FloatArray],
+        stamps: IntArray,
+        scan_numbers: IntArray,
+        matches: dict[Flag, NDArray[Any]],
+        calibration: Calibration | None,
+    ) -> JointReadings:
+        joint, count = self.map.joints[name], len(stamps)
+
+        def values(entry: ColumnEntry, si: str) -> FloatArray:
+            return entry.reading(numbers[id(entry)], si)
+
+        def stacked(entries: Iterable[ColumnEntry], si: str) -> FloatArray:
+            return np.column_stack([values(entry, si) for entry in entries])
+
+        arrays: dict[str, Any] = {"stamps_ns": stamps, "numbers": scan_numbers}
+        for reading, si in (("gap_voltages", "V"), ("ring_voltages", "V"), ("diode_currents", "A")):
+            if part := getattr(joint, reading):
+                arrays[reading] = stacked(part, si)
+        if joint.diode_ratios:
+            arrays["diode_currents"] = np.hstack([self._currents(name, n, numbers) for n in range(joint.diodes)])
+        for reading, si, attribute in (
+            ("supply_voltage", "V", "supply_voltages"),
+            ("temperature", "K", "temperatures"),
+            ("reference_voltage", "V", "reference_voltages"),
+        ):
+            if (entry := getattr(joint, reading)) is not None:
+                arrays[attribute] = values(entry, si)
+        statuses = np.full(count, DARK_SUBTRACTED if joint.demodulated else 0, dtype=np.int64)
+        if joint.lit_sources:
+            lit = np.column_stack(
+                [np.full(count, float(each)) if isinstance(each, int) else values(each, "1") for each in joint.lit_sources]
+            )
+            self._check_lit_sources(name, lit, calibration)
+            if joint.light is not None:
+                lit[values(joint.light, "1") == 0.0] = NO_SOURCE
+            arrays["lit_sources"] = lit.astype(np.int64)
+        if joint.home_mark is not None:
+            at_home = values(joint.home_mark, "1") != 0.0
+            arrays["at_home"] = at_home.astype(np.int64)
+            statuses |= np.where(at_home, HOME_BUMP, 0)
+        for flag, texts in matches.items():
+            pattern = joint.flags[flag].pattern
+            statuses |= np.array([FLAGS[flag] if re.search(pattern, str(text)) else 0 for text in texts], dtype=np.int64)
+        arrays["statuses"] = statuses
+        scans = Scans.from_fields(**arrays)
+        if calibration is not None:
+            for channel in channels_of(calibration):
+                if channel.required or getattr(joint, channel.reading) is not None:
+                    self._check_range(name, channel, scans)
+        frame = joint.frame_id or (calibration.frames.parent if calibration else "")
+        return JointReadings(scans, frame, joint.topic or f"/{self.map.name}/{name}/raw")
+
+    def _currents(self, joint: str, diode: int, numbers: dict[int, FloatArray]) -> FloatArray:
+        """Return the contact currents A, B, C, D (n, 4) [A] by ratios; half of the total falls on either axis."""
+        entry = self.map.joints[joint].diode_ratios[diode]
+        for key, each in (("x", entry.x), ("y", entry.y)):
+            ratios = each.reading(numbers[id(each)], "1")
+            if (np.abs(ratios) > 1.0).any():
+                what = f"column '{each.column}' holds {ratios[np.abs(ratios) > 1.0][0]:g}, which is no ratio of currents"
+                where = self._place("joints", joint, "diode_ratios", diode, key)
+                raise DataFileError(what, where=where, expected="-1 to 1")
+        dx, dy = (each.reading(numbers[id(each)], "1") for each in (entry.x, entry.y))
+        total: Any = entry.total.number if isinstance(entry.total, Quantity) else entry.total.reading(numbers[id(entry.total)], "A")
+        return np.asarray((total / 4.0 * np.stack([1.0 + dx, 1.0 + dy, 1.0 - dx, 1.0 - dy])).T)
+
+    def _check_lit_sources(self, name: str, lit: FloatArray, calibration: Calibration | None) -> None:
+        most = light_sources(calibration) - 1 if calibration else NO_SOURCE - 1
+        bad = ~(((lit >= 0) & (lit <= most)) | (lit == NO_SOURCE)) | (lit != np.floor(lit))
+        if bad.any():
+            what = f"light source {lit[bad][0]:g}"
+            where = self._place("joints", name, "lit_sources")
+            raise DataFileError(what, where=where, expected=f"whole numbers from 0 to {most}, or {NO_SOURCE} for none")
+
+    def _check_range(self, name: str, channel: Channel, scans: Scans) -> None:
+        """Refuse a channel whose values are all beyond the calibration, and name the likely unit."""
+        values = compared_values(channel, scans)
+        if not len(values):
+            return
+        beyond = (values < channel.lowest) | (values > channel.highest)
+        kind = "sum of opposite currents" if channel.reading == "diode_currents" else "value"
+        si = "V" if "voltage" in channel.reading else "A" if channel.reading == "diode_currents" else "K"
+        text = f"{channel.lowest:g} to {channel.highest:g} {si}"
+        if beyond.all():
+            joint = self.map.joints[name]
+            likely = _likely_units(joint, channel, float(np.median(values)), si)
+            what = f"every {kind} of {channel.name} is beyond its calibration, the first {values[0]:g} {si}"
+            key = channel.reading if not joint.diode_ratios or si != "A" else "diode_ratios"
+            where = self._place("joints", name, key, channel.index)
+            raise DataFileError(what, where=where, expected=f"{text}{likely}")
+        if beyond.any():
+            self.notes.append(
+                f"{int(beyond.sum())} of {len(values)} {kind}s of {channel.name} are beyond its calibration, {text}"
+            )
+
+
+def _same_unit(one: str, other: str) -> bool:
+    first, second = UNITS.get(one), UNITS.get(other)
+    return one == other or (first is not None and second is not None and first[1:] == second[1:])
+
+
+def _likely_units(joint: JointMap, channel: Channel, value: float, si: str) -> str:
+    """Return the units in which a value would be within the range of a channel, as a question."""
+    part: Any = getattr(joint, channel.reading)
+    entry = part[channel.index] if isinstance(part, tuple) and part else part
+    if not isinstance(entry, ColumnEntry) or entry.scale is not None:
+        return ""
+    raw = (value - float(entry.column_unit.shift)) / float(entry.column_unit.factor)
+    names = [
+        name
+        for name in units_of(si)
+        if channel.lowest <= raw * float(UNITS[name].factor) + float(UNITS[name].shift) <= channel.highest
+    ]
+    return f"; unit: {' or '.join(names)}?" if names else ""
