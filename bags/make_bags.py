@@ -1,8 +1,8 @@
 """Make the bags of the 1985 tests YMO, YZMO and ZMO from the recorded tables.
 
 ``make data`` runs it in the environment of the workspace; an optional argument is the output folder. An existing bag is
-replaced when the new one is complete. The tables are imported by their map as ``posor import`` does; every run gives the
-same bytes.
+replaced when the new one is complete. The tables are imported by their map, as ``posor import`` does; every run
+gives the same bytes.
 """
 
 from __future__ import annotations

@@ -25,13 +25,13 @@ from tests.composed_rig import COMPOSE, RIG, write_composition
 pytestmark = pytest.mark.usefixtures("ros_domain")
 
 ROOT = Path(__file__).resolve().parents[1]
+TABLE = f"{{path: {ROOT}/data/slocum1985/ymo_input.csv, map: {ROOT}/data/slocum1985/table_map.yaml}}"
 BAG = f"source: bag, bag: {{path: {bag_path('ymo')}, other_topics: [/truth/machining_centre]}}, loop: true"
 DRIVERS = {
     "bag, restamped": f"{BAG}, restamp: true",
     "bag, means": f"{BAG}, restamp: true, rate: 4.0, conditioning: {{method: mean, samples: 2, subtract_dark: true}}",
     "bag, looped": f"{BAG}, rate: 20.0",
-    "table": f"source: table, table: {{path: {ROOT}/data/slocum1985/ymo_input.csv, map: {ROOT}/data/slocum1985/table_map.yaml}}"
-    ", loop: true, restamp: true",
+    "table": f"source: table, table: {TABLE}, loop: true, restamp: true",
     "looped": f"source: looped, looped: {{path: {bag_path('ymo')}, rate: 20}}",
 }
 RIG_TOPICS = (

@@ -14,9 +14,9 @@ from posor.bags.provenance import provenance_of
 from posor.chain.arm_file import load_arm_file
 from posor.errors import BagError, ParameterError
 from posor.messages.message_definitions import MessageTypes
-from posor.ros_names import RAW_TOPIC
 from posor.reporting.command_line_parser import CommandLineParser
 from posor.reporting.program_errors import reports_errors
+from posor.ros_names import RAW_TOPIC
 from posor.tables.map_proposal import propose_map
 from posor.tables.table_readings import load_readings
 from posor_ros.qos import RELIABLE_QOS, SENSOR_QOS
@@ -42,7 +42,9 @@ def _parse_options(arguments: Sequence[str] | None) -> Namespace:
     parser.add_argument("--force", action="store_true", help="replace an existing bag")
     text = "print a map to be completed, from the header of the file and the calibrations"
     parser.add_argument("--propose", action="store_true", help=text)
-    parser.add_argument("--arm", type=Path, metavar="ARM.yaml", help="of --propose: arm file that names the calibrations")
+    parser.add_argument(
+        "--arm", type=Path, metavar="ARM.yaml", help="of --propose: arm file that names the calibrations"
+    )
     text = "of --propose: calibration file of a joint; may be repeated"
     parser.add_argument("--calibration", action="append", default=[], metavar="JOINT=FILE", help=text)
     return parser.parse_args(arguments)
@@ -54,7 +56,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = _parse_options(arguments)
     if options.propose:
         if options.map is not None or options.output is not None:
-            raise ParameterError("--propose with --map or --output", where="import", expected="a map on standard output")
+            raise ParameterError(
+                "--propose with --map or --output", where="import", expected="a map on standard output"
+            )
         name, calibrations = _calibrations(options)
         proposal = propose_map(options.file, name, calibrations)
         sys.stdout.write(proposal.text)
@@ -80,7 +84,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def write_bag(readings: TableReadings, bag: Path, custom_data: dict[str, str] | None = None) -> int:
-    """Write the readings of all joints of a table to a bag, which replaces an existing one; return the messages' number.
+    """Write the readings of all joints of a table to a bag, replacing an existing one; return the number of messages.
 
     Raises:
         OutputError: The storage fails.

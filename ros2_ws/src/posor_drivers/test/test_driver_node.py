@@ -24,7 +24,7 @@ from rclpy.serialization import serialize_message
 
 from .driver_program import LOSSLESS, driver_program
 from .sample_bags import SECOND, Record, point, scan, write_bag
-from .sample_tables import write_table
+from .sample_tables import MAP, write_table
 
 pytestmark = pytest.mark.usefixtures("ros_domain")
 
@@ -64,7 +64,12 @@ def test_table_is_published_as_scans_and_truth(tmp_path: Path) -> None:
         scans = graph.collect(RawScan, "/joint1/raw")
         truths = graph.collect(PointStamped, "/truth/machining_centre")
         with driver_program(
-            source="table", table__path=str(table), wait_for_other_subscribers=1, rate=0.0, **LOSSLESS
+            source="table",
+            table__path=str(table),
+            table__map=str(MAP),
+            wait_for_other_subscribers=1,
+            rate=0.0,
+            **LOSSLESS,
         ) as node:
             graph.wait_until(lambda: len(scans) == len(truths) == 4, "all steps")
             assert node.wait() == 0
@@ -79,7 +84,7 @@ def test_parameters_state_the_times_of_scans(tmp_path: Path) -> None:
     offsets = [-1e-4, 0.0, 1e-4, *([math.nan] * 8)]
     stated = {"stamp_uncertainty": 1e-5, "stamp_limit": 1e-4, "exposure_offsets": offsets, "exposure_span": 1e-3}
     parameters: dict[str, Any] = {f"time__{name}": value for name, value in stated.items()}
-    program = partial(driver_program, source="table", table__path=str(table), rate=0.0, **LOSSLESS)
+    program = partial(driver_program, source="table", table__path=str(table), table__map=str(MAP), rate=0.0, **LOSSLESS)
     with Graph() as graph:
         scans = graph.collect(RawScan, "/joint1/raw")
         with program(**parameters) as node:
@@ -186,8 +191,11 @@ def test_missing_parameter_ends_the_program_with_one_sentence() -> None:
 
 def test_unreadable_input_ends_the_program_with_one_sentence(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     table = write_table(tmp_path / "table.csv", "1,0,0,0,x,0,0,0,0,0,0,")
-    sentence = f"{table}, line 4, column 'l1_v': 'x' is invalid; expected a finite number."
-    assert run_refused_node(DriverNode, {"source": "table", "table.path": str(table)}, capfd) == (1, [sentence])
+    sentence = (
+        f"{table}, line 4, column 'l1_v': 'x' is invalid; expected a number, or leave_out: [invalid_cells] in the map."
+    )
+    parameters = {"source": "table", "table.path": str(table), "table.map": str(MAP)}
+    assert run_refused_node(DriverNode, parameters, capfd) == (1, [sentence])
 
 
 def test_offsets_beyond_the_record_end_the_program_with_one_sentence(tmp_path: Path) -> None:

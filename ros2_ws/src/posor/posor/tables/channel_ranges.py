@@ -9,6 +9,7 @@ import numpy as np
 from posor.sensors.bumpy_ring import BumpyRingCalibration
 from posor.sensors.diodes import DiodesCalibration
 from posor.sensors.gap_probes import GapProbesCalibration
+from posor.tables.table_units import UNITS, units_of
 
 if TYPE_CHECKING:
     from posor.calibration.calibration_file import Calibration
@@ -19,7 +20,7 @@ CONTACTS = "ABCD"
 
 
 class Channel(NamedTuple):
-    """A channel of a calibration: the reading of a map, its index there, its name, and the values that are accepted."""
+    """A channel of a calibration: the reading of a map, its index there, its name, and the accepted values."""
 
     reading: str
     index: int
@@ -27,6 +28,16 @@ class Channel(NamedTuple):
     lowest: float
     highest: float
     required: bool = True
+
+
+def likely_unit(number: float, si: str, channel: Channel) -> str:
+    """Return the unit in which a number is within the range of a channel: SI, or the largest one; empty: none."""
+    units = [UNITS[name] for name in units_of(si)]
+    fitting = [
+        unit for unit in units if channel.lowest <= number * float(unit.factor) + float(unit.shift) <= channel.highest
+    ]
+    best = max(fitting, key=lambda unit: (unit.name == si, unit.factor), default=None)
+    return best.name if best else ""
 
 
 def channels_of(calibration: Calibration) -> list[Channel]:
@@ -63,7 +74,7 @@ def light_sources(calibration: Calibration) -> int:
 
 
 def compared_values(channel: Channel, scans: Scans) -> FloatArray:
-    """Return what of a channel is compared with its range (n,): voltages, or the sum A + C, or B + D, of a diode [A]."""
+    """Return what is compared with a channel's range (n,): values, or the sums A + C, or B + D, of a diode [A]."""
     if channel.reading == "supply_voltage":
         return scans.supply_voltages
     if channel.reading == "temperature":

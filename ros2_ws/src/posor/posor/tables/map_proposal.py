@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import datetime as dt
 import re
 from dataclasses import dataclass, field
@@ -11,12 +12,12 @@ import numpy as np
 
 from posor.calibration.calibration_file import load_calibration
 from posor.errors import DataFileError
-from posor.tables.channel_ranges import CONTACTS, channels_of, light_sources
+from posor.tables.channel_ranges import CONTACTS, channels_of, light_sources, likely_unit
 from posor.tables.raw_table import Cells, parse_numbers
 from posor.tables.table_file import is_text, open_table, read_bytes
 from posor.tables.table_map import FileLayout
 from posor.tables.table_time import parse_moment
-from posor.tables.table_units import UNITS, units_of
+from posor.tables.table_units import UNITS
 from posor.tables.text_table import byte_order_mark
 
 if TYPE_CHECKING:
@@ -79,7 +80,11 @@ def propose_map(path: Path, name: str, calibrations: dict[str, Path]) -> Proposa
     bad = {cell.column: 0 for cell in cells.invalid}
     for cell in cells.invalid:
         bad[cell.column] += 1
-    numbers = {n: cells.numbers[n] for n in every if 2 * (bad.get(n, 0) + int(np.isnan(cells.numbers[n]).sum())) < len(cells.places)}
+    numbers = {
+        n: cells.numbers[n]
+        for n in every
+        if 2 * (bad.get(n, 0) + int(np.isnan(cells.numbers[n]).sum())) < len(cells.places)
+    }
     draft = _Draft(table, numbers, {n: str(cells.values[n][0]) for n in every})
     draft.add(f"# Map of {path.name}, proposed from its header; to be checked and completed.")
     draft.add(f"# `posor import {path} --map THIS.yaml --output BAG` makes the bag.")
@@ -92,7 +97,9 @@ def propose_map(path: Path, name: str, calibrations: dict[str, Path]) -> Proposa
         for key, value in stated.items():
             draft.add(f"  {key}: {_quoted(value) if isinstance(value, str) else value}", doubts.get(key, ""))
     _propose_time(draft, path)
-    draft.add("# leave_out: [missing_cells, invalid_cells, incomplete_rows, time_back]     # kinds of rows to be left out")
+    draft.add(
+        "# leave_out: [missing_cells, invalid_cells, incomplete_rows, time_back]     # kinds of rows to be left out"
+    )
     draft.add("joints:")
     for joint, calibration in calibrations.items():
         _propose_joint(draft, joint, calibration)
@@ -116,7 +123,11 @@ def guess_layout(path: Path) -> tuple[FileLayout, dict[str, str]]:
     lines = data.decode(mark or encoding, "replace").splitlines()[:_SAMPLE_LINES]
     separator, decimal = max(_layouts(), key=lambda each: _score(lines, *each))
     header_line, data_line = _header_of(lines, separator, decimal)
-    options: dict[str, object] = {"separator": "tab" if separator == "\t" else separator, "decimal": decimal, "encoding": encoding}
+    options: dict[str, object] = {
+        "separator": "tab" if separator == "\t" else separator,
+        "decimal": decimal,
+        "encoding": encoding,
+    }
     first = next((n for n, line in enumerate(lines, 1) if line.strip() and not line.startswith("#")), 1)
     if header_line != first:
         options["header_line"] = header_line
@@ -126,12 +137,13 @@ def guess_layout(path: Path) -> tuple[FileLayout, dict[str, str]]:
 
 
 def _layouts() -> list[tuple[str, str]]:
-    every = [(separator, decimal) for separator in (*_SEPARATORS, "space") for decimal in ".,"]
-    return [each for each in every if each[0] != each[1]]
+    return [(separator, decimal) for separator in (*_SEPARATORS, "space") for decimal in ".,"]
 
 
 def _cells(line: str, separator: str) -> list[str]:
-    return line.split() if separator == "space" else [cell.strip().strip('"') for cell in line.rstrip().split(separator)]
+    if separator == "space":
+        return line.split()
+    return [cell.strip() for cell in next(csv.reader([line], delimiter=separator, skipinitialspace=True), [])]
 
 
 def _is_number(cell: str, decimal: str) -> bool:
@@ -149,7 +161,9 @@ def _score(lines: Sequence[str], separator: str, decimal: str) -> tuple[int, int
 
 def _header_of(lines: Sequence[str], separator: str, decimal: str) -> tuple[int, int]:
     """Return the lines of the header (0: none) and of the first data."""
-    rows = [(n, _cells(line, separator)) for n, line in enumerate(lines, 1) if line.strip() and not line.startswith("#")]
+    rows = [
+        (n, _cells(line, separator)) for n, line in enumerate(lines, 1) if line.strip() and not line.startswith("#")
+    ]
     width = max((len(row) for _, row in rows), default=0)
     data = [n for n, row in rows if len(row) == width and 2 * sum(_is_number(cell, decimal) for cell in row) > width]
     first = data[0] if data else rows[-1][0] + 1 if rows else 1
@@ -167,7 +181,11 @@ def _propose_time(draft: _Draft, path: Path) -> None:
     date = _DATE.search(read_bytes(path)[:4096].decode("latin-1")) if is_text(path) else None
     moment = dt.datetime.fromtimestamp(path.stat().st_mtime, dt.UTC).replace(microsecond=0)
     start = f"{date[0]}T00:00:00Z" if date else moment.isoformat().replace("+00:00", "Z")
-    doubt = "the date in the file, but its time of day and zone are not known" if date else "the time at which the file was saved"
+    doubt = (
+        "the date in the file, but its time of day and zone are not known"
+        if date
+        else "the time at which the file was saved"
+    )
     draft.add("time:")
     for n, text in draft.texts.items():
         for form in _EXAMPLES:
@@ -184,7 +202,9 @@ def _propose_time(draft: _Draft, path: Path) -> None:
             if not re.search(r"(Z|[+-]\d\d:\d\d)$", text):
                 draft.add("  time_zone: UTC", "the texts have no time zone")
             return
-    ascending = [n for n, column in draft.numbers.items() if len(column) > 1 and (np.diff(column[np.isfinite(column)]) > 0).all()]
+    ascending = [
+        n for n, column in draft.numbers.items() if len(column) > 1 and (np.diff(column[np.isfinite(column)]) > 0).all()
+    ]
     names = {n: draft.table.columns[n] for n in ascending}
     found = [n for n, column in names.items() if column.unit is not None and column.unit.si == "s"]
     found += [n for n, column in names.items() if _TIME_NAME.search(column.name) and n not in found]
@@ -192,7 +212,9 @@ def _propose_time(draft: _Draft, path: Path) -> None:
         column = names[found[0]]
         draft.used.add(found[0])
         draft.add(f"  column: {_quoted(column.name)}")
-        draft.add(f"  unit: {column.unit.name if column.unit else 's'}", "" if column.unit else "the header states no unit")
+        draft.add(
+            f"  unit: {column.unit.name if column.unit else 's'}", "" if column.unit else "the header states no unit"
+        )
         first = draft.numbers[found[0]][0]
         if first > 1e8 and (column.unit is None or column.unit.name == "s"):  # noqa: PLR2004  three years
             draft.add("  start: 1970-01-01T00:00:00Z", "taken for seconds since 1970")
@@ -237,7 +259,9 @@ def _propose_joint(draft: _Draft, joint: str, path: Path) -> None:
         found = [n for n in draft.numbers if n not in draft.used and pattern.search(draft.table.columns[n].name)]
         channel = next((each for each in channels if each.reading == reading), None)
         if found and channel:
-            _propose_column(draft, f"    {reading}: ", channel, found[0], "V" if reading == "supply_voltage" else "K", "by its name")
+            _propose_column(
+                draft, f"    {reading}: ", channel, found[0], "V" if reading == "supply_voltage" else "K", "by its name"
+            )
         elif channel:
             draft.add(f"    # {reading}: no column found; without it, its effect is not corrected")
 
@@ -258,7 +282,11 @@ def _by_name(draft: _Draft, joint: str, channel: Channel) -> int | None:
 
 def _candidates(draft: _Draft, si: str) -> list[int]:
     """Return the columns in a unit, in their order; columns without unit if there are none; no environment."""
-    free = [n for n in draft.numbers if n not in draft.used and not any(p.search(draft.table.columns[n].name) for p in _NAMES.values())]
+    free = [
+        n
+        for n in draft.numbers
+        if n not in draft.used and not any(p.search(draft.table.columns[n].name) for p in _NAMES.values())
+    ]
     units = {n: draft.table.columns[n].unit for n in free}
     return [n for n in free if (unit := units[n]) and unit.si == si] or [n for n in free if units[n] is None]
 
@@ -273,14 +301,11 @@ def _propose_column(draft: _Draft, begin: str, channel: Channel, n: int | None, 
     doubts, unit = [doubt] if doubt else [], column.unit.name if column.unit else ""
     if not unit:
         middle = float(np.nanmedian(draft.numbers[n])) * (2.0 if si == "A" else 1.0)
-        fitting = [
-            name
-            for name in units_of(si)
-            if channel.lowest <= middle * float(UNITS[name].factor) + float(UNITS[name].shift) <= channel.highest
-        ]
-        unit = si if si in fitting else fitting[0] if fitting else si
+        unit = likely_unit(middle, si, channel) or si
         doubts.append("unit by the size of the values")
-    draft.add(f"{begin}{{column: {_quoted(column.name)}, unit: {_yaml_unit(unit)}}}  # {channel.name}", ", ".join(doubts))
+    draft.add(
+        f"{begin}{{column: {_quoted(column.name)}, unit: {_yaml_unit(unit)}}}  # {channel.name}", ", ".join(doubts)
+    )
 
 
 def _yaml_unit(unit: str) -> str:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from posor.errors import DataFileError, similar_name
+from posor.errors import DataFileError
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
@@ -49,7 +49,7 @@ class Cells:
     numbers: dict[int, FloatArray] = field(default_factory=dict)  # by column, (r,); NaN: missing or invalid
     values: dict[int, NDArray[Any]] = field(default_factory=dict)  # by column, as in the file, (r,)
     invalid: list[InvalidCell] = field(default_factory=list)
-    incomplete: list[tuple[int, str]] = field(default_factory=list)  # place and reason of rows that are not whole
+    incomplete: list[tuple[int, str, str]] = field(default_factory=list)  # rows not whole: place, what, expected
 
 
 class RawTable(ABC):
@@ -83,10 +83,12 @@ class RawTable(ABC):
         if isinstance(column, int):
             if column <= len(names):
                 return column - 1
-            raise DataFileError(f"column {column} of {where} is missing", where=str(self.path), expected=f"1 to {len(names)}")
+            raise DataFileError(
+                f"column {column} of {where} is missing", where=str(self.path), expected=f"1 to {len(names)}"
+            )
         found = [n for n, name in enumerate(names) if name == column.strip()]
         if not found:
-            expected = similar_name(column, names, f"one of {', '.join(repr(name) for name in names)}", least=0.8)
+            expected = f"one of {', '.join(repr(name) for name in names)}"
             raise DataFileError(f"column '{column}' of {where} is missing", where=str(self.path), expected=expected)
         if len(found) > 1:
             numbers = " and ".join(str(n + 1) for n in found)
@@ -110,19 +112,19 @@ class ArrayTable(RawTable):
 
     def read(self, numbers: Collection[int], values: Collection[int]) -> Cells:
         """Return the columns."""
-        wanted = sorted({*numbers, *values})
-        for n in wanted:
-            first, other = self._arrays[wanted[0]], self._arrays[n]
-            if len(first) != len(other):
-                what = f"column '{self.columns[n].name}' has {len(other)} rows"
-                expected = f"{len(first)}, as column '{self.columns[wanted[0]].name}'"
+        wanted = {n: self._arrays[n] for n in sorted({*numbers, *values})}
+        count = min(map(len, wanted.values()), default=0)
+        for n, array in wanted.items():
+            if len(array) != count and not self._note:
+                shortest = next(each for each in wanted if len(wanted[each]) == count)
+                what = f"column '{self.columns[n].name}' has {len(array)} rows"
+                expected = f"{count}, as column '{self.columns[shortest].name}'"
                 raise DataFileError(what, where=str(self.path), expected=expected)
-        count = len(self._arrays[wanted[0]]) if wanted else 0
         cells = Cells(places=np.arange(1, count + 1))
         if self._note:
-            cells.incomplete.append((count, self._note))
+            cells.incomplete.append((count, self._note, "a whole file"))
         for n in numbers:
-            array = self._arrays[n]
+            array = wanted[n][:count]
             if array.dtype.kind in "biuf":
                 column = array.astype(np.float64)
                 cells.invalid += [InvalidCell(int(row), n, "inf") for row in np.flatnonzero(np.isinf(column))]
@@ -130,7 +132,7 @@ class ArrayTable(RawTable):
             else:
                 column = parse_numbers(["" if cell is None else str(cell) for cell in array.tolist()], ".", n, 0, cells)
             cells.numbers[n] = column
-        cells.values |= {n: self._arrays[n] for n in values}
+        cells.values |= {n: wanted[n][:count] for n in values}
         return cells
 
 

@@ -11,7 +11,6 @@ import numpy as np
 from posor.errors import DataFileError, ParameterError
 from posor.input_text import check_input_file, read_input_bytes
 from posor.tables.raw_table import ArrayTable, Column
-from posor.tables.table_map import FileLayout
 from posor.tables.table_units import find_unit, unit_in_name
 from posor.tables.text_table import TextTable, decode
 
@@ -22,6 +21,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from posor.tables.raw_table import RawTable
+    from posor.tables.table_map import FileLayout
 
 MAX_BYTES = 1 << 31  # largest text file
 LARGEST_FILE = 1 << 36
@@ -135,7 +135,9 @@ def _tdms(path: Path) -> RawTable:
 
 def _iso(times: NDArray[Any], zone: str) -> NDArray[Any]:
     """Return times as texts."""
-    return np.array([f"{text}{zone}" if text != "NaT" else "" for text in np.datetime_as_string(times, unit="ns")], dtype=object)
+    return np.array(
+        [f"{text}{zone}" if text != "NaT" else "" for text in np.datetime_as_string(times, unit="ns")], dtype=object
+    )
 
 
 def _matlab(path: Path) -> RawTable:
@@ -152,7 +154,7 @@ def _matlab_73(path: Path) -> RawTable:
             return {name: content(part) for name, part in node.items() if not name.startswith("#")}
         kind = node.attrs.get("MATLAB_class", b"double")
         array = node[()]
-        if node.attrs.get("MATLAB_empty") or kind not in (b"double", b"single", b"logical") and b"int" not in kind:
+        if node.attrs.get("MATLAB_empty") or (kind not in (b"double", b"single", b"logical") and b"int" not in kind):
             return None
         return np.squeeze(np.transpose(array))
 

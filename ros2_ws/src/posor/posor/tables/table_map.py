@@ -99,7 +99,9 @@ class ColumnEntry(FrozenModel):
         unit = self.column_unit
         if self.scale is None:
             if unit.si != si:
-                expected = f"one of {', '.join(units_of(si))}, or a scale such as {{value: 1.0, unit: {si}/{self.unit}}}"
+                expected = (
+                    f"one of {', '.join(units_of(si))}, or a scale such as {{value: 1.0, unit: {si}/{self.unit}}}"
+                )
                 raise EntryError(f"column '{self.column}' is in {self.unit}", key=("unit",), expected=expected)
             factor, shift = float(unit.factor), float(unit.shift)
         else:
@@ -112,7 +114,9 @@ class ColumnEntry(FrozenModel):
         if self.offset is not None:
             of_offset = find_unit(self.offset.unit)
             if of_offset is None or of_offset.si != si or of_offset.shift:
-                raise EntryError(f"offset in {self.offset.unit}", key=("offset", "unit"), expected=f"one number in {si}")
+                raise EntryError(
+                    f"offset in {self.offset.unit}", key=("offset", "unit"), expected=f"one number in {si}"
+                )
             shift += self.offset.number * float(of_offset.factor)
         return factor, shift
 
@@ -178,7 +182,9 @@ class JointMap(FrozenModel):
             if isinstance(part, ColumnEntry):
                 yield (name,), si, part
             else:
-                yield from (((name, n), si, entry) for n, entry in enumerate(part or ()) if isinstance(entry, ColumnEntry))
+                yield from (
+                    ((name, n), si, entry) for n, entry in enumerate(part or ()) if isinstance(entry, ColumnEntry)
+                )
         for n, diode in enumerate(self.diode_ratios):
             yield ("diode_ratios", n, "x"), "1", diode.x
             yield ("diode_ratios", n, "y"), "1", diode.y
@@ -199,7 +205,11 @@ class JointMap(FrozenModel):
         if not (self.gap_voltages or self.ring_voltages or self.diodes):
             raise EntryError("no reading", expected=f"at least one of {', '.join(READINGS)}, diode_ratios")
         if len(self.diode_currents) % 4 or len(self.lit_sources) != self.diodes:
-            diodes = f"{len(self.diode_ratios)} diode ratios" if self.diode_ratios else f"{len(self.diode_currents)} diode currents"
+            diodes = (
+                f"{len(self.diode_ratios)} diode ratios"
+                if self.diode_ratios
+                else f"{len(self.diode_currents)} diode currents"
+            )
             what = f"{diodes} and {len(self.lit_sources)} lit sources"
             raise EntryError(what, key=("lit_sources",), expected="one source for the four currents of each diode")
         for name in ("light", "demodulated"):
@@ -284,8 +294,6 @@ class FileLayout(FrozenModel):
 
     @model_validator(mode="after")
     def _check(self) -> Self:
-        if self.separator == self.decimal:
-            raise EntryError(f"separator '{self.separator}' and decimal '{self.decimal}'", expected="two characters")
         if self.data_line is not None and self.data_line <= (self.header_line or 0):
             raise EntryError(f"data_line {self.data_line}", key=("data_line",), expected="a line after header_line")
         try:
@@ -356,9 +364,7 @@ class TableMap(FrozenModel):
     """Column of the scan numbers; default: the number of the row, from 1."""
     leave_out: tuple[LeftOut, ...] = ()
     """Kinds of rows that are left out and counted; the file is refused for all others."""
-    joints: Annotated[
-        dict[Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")], JointMap], Field(min_length=1)
-    ]
+    joints: Annotated[dict[Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")], JointMap], Field(min_length=1)]
     references: dict[Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$")], ReferenceMap] = Field(default_factory=dict)
 
     @model_validator(mode="after")

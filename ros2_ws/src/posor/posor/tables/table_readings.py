@@ -2,43 +2,32 @@
 
 from __future__ import annotations
 
-import re
-from collections import Counter
 from dataclasses import dataclass, field
-from pathlib import Path
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from posor.calibration.calibration_file import load_calibration
-from posor.calibration.quantity import Quantity
 from posor.errors import CalibrationError, DataFileError, ParameterError, checked_path
-from posor.model.scan import DARK_SUBTRACTED, HOME_BUMP, NO_SOURCE, Scans
-from posor.tables.channel_ranges import channels_of, compared_values, light_sources
+from posor.model.scan import NO_SOURCE
+from posor.tables.channel_ranges import channels_of, compared_values, light_sources, likely_unit
+from posor.tables.joint_scans import JointColumns
+from posor.tables.row_selection import RowSelection
 from posor.tables.table_file import open_table
-from posor.tables.table_map import FLAGS, ColumnEntry, load_table_map
-from posor.tables.table_time import (
-    EXAMPLE,
-    INVALID_NS,
-    MISSING_NS,
-    parse_zone,
-    start_ns,
-    times_at_rate,
-    times_of_numbers,
-    times_of_texts,
-)
-from posor.tables.table_units import UNITS, units_of
+from posor.tables.table_map import ColumnEntry, load_table_map
+from posor.tables.table_time import parse_zone, start_ns, times_at_rate, times_of_numbers, times_of_texts
+from posor.tables.table_units import UNITS
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
-
-    from numpy.typing import NDArray
+    from pathlib import Path
 
     from posor.calibration.calibration_file import Calibration
+    from posor.model.scan import Scans
     from posor.numerics.array_types import BoolArray, FloatArray, IntArray
     from posor.tables.channel_ranges import Channel
     from posor.tables.raw_table import Cells, RawTable
-    from posor.tables.table_map import Flag, JointMap, LoadedMap, ReferenceMap, TableMap
+    from posor.tables.table_map import JointMap, LoadedMap, ReferenceMap, TableMap
 
 _MOST_RATE_ERROR = 1e-3
 """Largest relative difference between the rate of a map and that of the file."""
@@ -144,13 +133,21 @@ class _Reader:
             for _, _, entry in reference.entries()
         }
         required = {*entries.values(), *number} - optional
-        keep, left_out = self._select_rows(cells, stamps, required, {*entries.values(), *number})
+        selection = RowSelection(table, table_map, cells, stamps, times)
+        keep = selection.select(required, {*entries.values(), *number})
         numbers = {id_: cells.numbers[column][keep] for id_, column in entries.items()}
         scan_numbers = self._scan_numbers(cells, keep, number)
         joints = {}
         for name, joint in table_map.joints.items():
-            matches = {flag: cells.values[flags[name, flag]][keep] for flag in joint.flags}
-            joints[name] = self._joint(name, numbers, stamps[keep], scan_numbers, matches, calibrations[name])
+            calibration = calibrations[name]
+            columns = JointColumns(
+                joint,
+                numbers,
+                {flag: cells.values[flags[name, flag]][keep] for flag in joint.flags},
+                light_sources(calibration) if calibration else NO_SOURCE,
+                partial(self._place, "joints", name),
+            )
+            joints[name] = self._joint(name, columns, stamps[keep], scan_numbers, calibration)
         first = next(iter(joints))
         references = {
             name: ReferenceReadings(
@@ -163,7 +160,7 @@ class _Reader:
         }
         used = {*entries.values(), *times, *number, *flags.values()}
         unused = tuple(column.name for n, column in enumerate(table.columns) if n not in used)
-        return TableReadings(joints, references, unused, left_out, tuple(self.notes))
+        return TableReadings(joints, references, unused, dict(selection.left_out), tuple(self.notes))
 
     def _place(self, *key: str | int) -> str:
         return self.loaded.locations.describe(*key)
@@ -174,7 +171,9 @@ class _Reader:
     def _check_header_units(self, entries: dict[int, int]) -> None:
         """Refuse a unit that contradicts the file's, and a rate that contradicts that of a channel."""
         time = self.map.time
-        stated = [(key, entry.unit, entries[id(entry)]) for key, _, entry in self.map.entries() if not entry.header_unit]
+        stated = [
+            (key, entry.unit, entries[id(entry)]) for key, _, entry in self.map.entries() if not entry.header_unit
+        ]
         if time.unit is not None:
             stated.append((("time",), time.unit, self._index(time.columns[0], ("time", "column"))))
         for key, name, index in stated:
@@ -197,14 +196,18 @@ class _Reader:
         calibration = load_calibration(self.loaded.path.parent / joint.calibration)
         where = self._place("joints", name, "calibration")
         if joint.frame_id not in (None, calibration.frames.parent):
-            raise CalibrationError(f"frame_id '{joint.frame_id}'", where=where, expected=f"'{calibration.frames.parent}'")
+            raise CalibrationError(
+                f"frame_id '{joint.frame_id}'", where=where, expected=f"'{calibration.frames.parent}'"
+            )
         channels = channels_of(calibration)
         for reading in ("gap_voltages", "ring_voltages", "diode_currents"):
             names = [channel.name for channel in channels if channel.reading == reading]
             mapped = 4 * joint.diodes if reading == "diode_currents" else len(getattr(joint, reading))
             if mapped < len(names):
                 what = f"{reading} of {', '.join(names[mapped:])} are missing"
-                raise CalibrationError(what, where=where, expected=f"{len(names)} columns, in the order of the calibration")
+                raise CalibrationError(
+                    what, where=where, expected=f"{len(names)} columns, in the order of the calibration"
+                )
             if mapped > len(names):
                 expected = f"{len(names)}, those of the calibration"
                 raise CalibrationError(f"there are {mapped} {reading}", where=where, expected=expected)
@@ -236,75 +239,6 @@ class _Reader:
             what = f"'{joined[int(error.args[0])]}' has no time zone"
             raise DataFileError(what, where=where, expected="time_zone of the map, such as UTC") from None
 
-    def _select_rows(
-        self, cells: Cells, stamps: IntArray, required: set[int], numeric: set[int]
-    ) -> tuple[BoolArray, dict[str, int]]:
-        """Return which rows are read, and the number of the others by kind.
-
-        Raises DataFileError: a row is not whole, and the map does not say that such rows are left out.
-        """
-        places, table, allowed = cells.places, self.table, self.map.leave_out
-        left_out: Counter[str] = Counter()
-
-        def refuse(kind: str, where: str, what: str, expected: str, count: int) -> None:
-            if kind in allowed:
-                left_out[kind] += count
-                return
-            more = f" (and {count - 1} more)" if count > 1 else ""
-            raise DataFileError(f"{what}{more}", where=where, expected=f"{expected}, or leave_out: [{kind}] in the map")
-
-        if cells.incomplete:
-            row, reason = cells.incomplete[0]
-            what, _, expected = reason.partition("; expected ")
-            what = f"there are {what}" if what.endswith("cells") else what
-            refuse("incomplete_rows", table.place(row), what, expected or "a whole file", len(cells.incomplete))
-        keep = np.ones(len(places), dtype=np.bool_)
-        invalid = sorted(cell for cell in cells.invalid if cell.column in numeric)
-        bad_rows = sorted({cell.row for cell in invalid})
-        if invalid:
-            cell = invalid[0]
-            expected = "a number"
-            if self.map.file.decimal == "." and "," in cell.text:
-                expected = "a number with a decimal point; file: {decimal: ','} in the map if it has a decimal comma"
-            where = table.place(int(places[cell.row]), cell.column)
-            refuse("invalid_cells", where, f"'{cell.text}' is invalid", expected, len(bad_rows))
-            keep[bad_rows] = False
-        time_columns = [self._index(column, ("time", "column")) for column in self.map.time.columns]
-        wrong = keep & (stamps == INVALID_NS)
-        if wrong.any():
-            row = int(np.flatnonzero(wrong)[0])
-            text = " ".join(str(cells.values[n][row]) for n in time_columns)
-            where, what = table.place(int(places[row]), time_columns[-1]), f"'{text}' is no time from 1970 to 2038"
-            expected = EXAMPLE if self.map.time.format == "iso" else f"a time in the form '{self.map.time.format}'"
-            expected = "a number from the start on" if self.map.time.unit else expected
-            refuse("invalid_cells", where, what, expected, int(wrong.sum()))
-        keep &= ~wrong
-        missing = keep & (stamps == MISSING_NS)
-        columns = {n: np.isnan(cells.numbers[n]) for n in required}
-        for each in columns.values():
-            missing |= keep & each
-        if missing.any():
-            row = int(np.flatnonzero(missing)[0])
-            column = next((n for n in sorted(columns) if columns[n][row]), (time_columns or [0])[0])
-            where = table.place(int(places[row]), column)
-            refuse("missing_cells", where, "the cell has no value", "a number", int(missing.sum()))
-        keep &= ~missing
-        rows = np.flatnonzero(keep)
-        highest = np.maximum.accumulate(stamps[rows]) if len(rows) else stamps[rows]
-        back = np.zeros(len(rows), dtype=np.bool_)
-        back[1:] = stamps[rows][1:] <= highest[:-1]
-        if back.any():
-            n = int(np.flatnonzero(back)[0])
-            where = table.place(int(places[rows[n]]), time_columns[0] if time_columns else None)
-            step_ns = int(stamps[rows[n]] - highest[n - 1])
-            what = "the time is that of the row before" if step_ns == 0 else f"the time goes back by {-step_ns / 1e9:g} s"
-            expected = "times that increase" + ("; a column with too few digits needs rate in its place" if step_ns == 0 else "")
-            refuse("time_back", where, what, expected, int(back.sum()))
-        keep[rows[back]] = False
-        if not keep.any():
-            raise DataFileError("no row is whole", where=str(table.path), expected="rows with a number in every mapped column")
-        return keep, dict(left_out)
-
     def _scan_numbers(self, cells: Cells, keep: BoolArray, columns: list[int]) -> IntArray:
         """Return the number of each scan: that of its row, or of a column; both ascend."""
         if not columns:
@@ -320,80 +254,14 @@ class _Reader:
         return values.astype(np.int64)
 
     def _joint(
-        self,
-        name: str,
-        numbers: dict[int, FloatArray],
-        stamps: IntArray,
-        scan_numbers: IntArray,
-        matches: dict[Flag, NDArray[Any]],
-        calibration: Calibration | None,
+        self, name: str, columns: JointColumns, stamps: IntArray, numbers: IntArray, calibration: Calibration | None
     ) -> JointReadings:
-        joint, count = self.map.joints[name], len(stamps)
-
-        def values(entry: ColumnEntry, si: str) -> FloatArray:
-            return entry.reading(numbers[id(entry)], si)
-
-        def stacked(entries: Iterable[ColumnEntry], si: str) -> FloatArray:
-            return np.column_stack([values(entry, si) for entry in entries])
-
-        arrays: dict[str, Any] = {"stamps_ns": stamps, "numbers": scan_numbers}
-        for reading, si in (("gap_voltages", "V"), ("ring_voltages", "V"), ("diode_currents", "A")):
-            if part := getattr(joint, reading):
-                arrays[reading] = stacked(part, si)
-        if joint.diode_ratios:
-            arrays["diode_currents"] = np.hstack([self._currents(name, n, numbers) for n in range(joint.diodes)])
-        for reading, si, attribute in (
-            ("supply_voltage", "V", "supply_voltages"),
-            ("temperature", "K", "temperatures"),
-            ("reference_voltage", "V", "reference_voltages"),
-        ):
-            if (entry := getattr(joint, reading)) is not None:
-                arrays[attribute] = values(entry, si)
-        statuses = np.full(count, DARK_SUBTRACTED if joint.demodulated else 0, dtype=np.int64)
-        if joint.lit_sources:
-            lit = np.column_stack(
-                [np.full(count, float(each)) if isinstance(each, int) else values(each, "1") for each in joint.lit_sources]
-            )
-            self._check_lit_sources(name, lit, calibration)
-            if joint.light is not None:
-                lit[values(joint.light, "1") == 0.0] = NO_SOURCE
-            arrays["lit_sources"] = lit.astype(np.int64)
-        if joint.home_mark is not None:
-            at_home = values(joint.home_mark, "1") != 0.0
-            arrays["at_home"] = at_home.astype(np.int64)
-            statuses |= np.where(at_home, HOME_BUMP, 0)
-        for flag, texts in matches.items():
-            pattern = joint.flags[flag].pattern
-            statuses |= np.array([FLAGS[flag] if re.search(pattern, str(text)) else 0 for text in texts], dtype=np.int64)
-        arrays["statuses"] = statuses
-        scans = Scans.from_fields(**arrays)
-        if calibration is not None:
-            for channel in channels_of(calibration):
-                if channel.required or getattr(joint, channel.reading) is not None:
-                    self._check_range(name, channel, scans)
+        joint, scans = columns.joint, columns.scans(stamps, numbers)
+        for channel in channels_of(calibration) if calibration else ():
+            if channel.required or getattr(joint, channel.reading) is not None:
+                self._check_range(name, channel, scans)
         frame = joint.frame_id or (calibration.frames.parent if calibration else "")
         return JointReadings(scans, frame, joint.topic or f"/{self.map.name}/{name}/raw")
-
-    def _currents(self, joint: str, diode: int, numbers: dict[int, FloatArray]) -> FloatArray:
-        """Return the contact currents A, B, C, D (n, 4) [A] by ratios; half of the total falls on either axis."""
-        entry = self.map.joints[joint].diode_ratios[diode]
-        for key, each in (("x", entry.x), ("y", entry.y)):
-            ratios = each.reading(numbers[id(each)], "1")
-            if (np.abs(ratios) > 1.0).any():
-                what = f"column '{each.column}' holds {ratios[np.abs(ratios) > 1.0][0]:g}, which is no ratio of currents"
-                where = self._place("joints", joint, "diode_ratios", diode, key)
-                raise DataFileError(what, where=where, expected="-1 to 1")
-        dx, dy = (each.reading(numbers[id(each)], "1") for each in (entry.x, entry.y))
-        total: Any = entry.total.number if isinstance(entry.total, Quantity) else entry.total.reading(numbers[id(entry.total)], "A")
-        return np.asarray((total / 4.0 * np.stack([1.0 + dx, 1.0 + dy, 1.0 - dx, 1.0 - dy])).T)
-
-    def _check_lit_sources(self, name: str, lit: FloatArray, calibration: Calibration | None) -> None:
-        most = light_sources(calibration) - 1 if calibration else NO_SOURCE - 1
-        bad = ~(((lit >= 0) & (lit <= most)) | (lit == NO_SOURCE)) | (lit != np.floor(lit))
-        if bad.any():
-            what = f"light source {lit[bad][0]:g}"
-            where = self._place("joints", name, "lit_sources")
-            raise DataFileError(what, where=where, expected=f"whole numbers from 0 to {most}, or {NO_SOURCE} for none")
 
     def _check_range(self, name: str, channel: Channel, scans: Scans) -> None:
         """Refuse a channel whose values are all beyond the calibration, and name the likely unit."""
@@ -406,7 +274,7 @@ class _Reader:
         text = f"{channel.lowest:g} to {channel.highest:g} {si}"
         if beyond.all():
             joint = self.map.joints[name]
-            likely = _likely_units(joint, channel, float(np.median(values)), si)
+            likely = _likely_unit(joint, channel, float(np.median(values)), si)
             what = f"every {kind} of {channel.name} is beyond its calibration, the first {values[0]:g} {si}"
             key = channel.reading if not joint.diode_ratios or si != "A" else "diode_ratios"
             where = self._place("joints", name, key, channel.index)
@@ -422,16 +290,11 @@ def _same_unit(one: str, other: str) -> bool:
     return one == other or (first is not None and second is not None and first[1:] == second[1:])
 
 
-def _likely_units(joint: JointMap, channel: Channel, value: float, si: str) -> str:
-    """Return the units in which a value would be within the range of a channel, as a question."""
+def _likely_unit(joint: JointMap, channel: Channel, value: float, si: str) -> str:
+    """Return the unit in which a value would be within the range of a channel, as a question."""
     part: Any = getattr(joint, channel.reading)
     entry = part[channel.index] if isinstance(part, tuple) and part else part
     if not isinstance(entry, ColumnEntry) or entry.scale is not None:
         return ""
-    raw = (value - float(entry.column_unit.shift)) / float(entry.column_unit.factor)
-    names = [
-        name
-        for name in units_of(si)
-        if channel.lowest <= raw * float(UNITS[name].factor) + float(UNITS[name].shift) <= channel.highest
-    ]
-    return f"; unit: {' or '.join(names)}?" if names else ""
+    unit = likely_unit((value - float(entry.column_unit.shift)) / float(entry.column_unit.factor), si, channel)
+    return f"; unit: {unit}?" if unit else ""

@@ -36,7 +36,9 @@ def parse_zone(name: str, where: str) -> dt.tzinfo:
     try:
         return dt.UTC if name == "UTC" else ZoneInfo(name)
     except (ZoneInfoNotFoundError, ValueError, OSError):
-        raise DataFileError(f"time zone '{name}' is unknown", where=where, expected="UTC, +01:00 or Europe/Berlin") from None
+        raise DataFileError(
+            f"time zone '{name}' is unknown", where=where, expected="UTC, +01:00 or Europe/Berlin"
+        ) from None
 
 
 def parse_moment(text: str, form: str, zone: dt.tzinfo | None) -> int:

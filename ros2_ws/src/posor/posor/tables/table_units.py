@@ -26,7 +26,16 @@ _OTHERS = {  # SI unit, its amount in one of the unit, and the SI value at zero
     "1": ("1", "1", "0"),
     "%": ("1", "0.01", "0"),
 }
-_ALIASES = {"volt": "V", "volts": "V", "amp": "A", "amps": "A", "ampere": "A", "sec": "s", "second": "s", "seconds": "s"}
+_ALIASES = {
+    "volt": "V",
+    "volts": "V",
+    "amp": "A",
+    "amps": "A",
+    "ampere": "A",
+    "sec": "s",
+    "second": "s",
+    "seconds": "s",
+}
 _ALIASES |= {"msec": "ms", "usec": "us", "kelvin": "K", "celsius": "degC", "c": "degC", "f": "degF", "inch": "in"}
 _ALIASES |= {"°c": "degC", "°f": "degF", "°": "deg", "degrees": "deg", "v": "V", "a": "A", "-": "1", "inches": "in"}
 _IN_NAME = re.compile(r"[\[({]\s*([^\[\](){}]+?)\s*[\])}]\s*$|\s/\s*(\S+)\s*$")

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from posor.tables.table_map import FileLayout
+    from posor.tables.table_units import Unit
 
 SEPARATORS = {"tab": "\t", "space": " "}
 _MARKS = (
@@ -65,17 +66,20 @@ class TextTable(RawTable):
         number, header = next(((n, cells) for n, cells in rows if header_line in (None, 0, n)), (0, list[str]()))
         if not header:
             expected = "a row of names and one row for each scan" + (f", line {header_line}" if header_line else "")
-            raise DataFileError("is empty" if not header_line else "ends before its header", where=str(path), expected=expected)
+            raise DataFileError(
+                "is empty" if not header_line else "ends before its header", where=str(path), expected=expected
+            )
         self._data_line = layout.data_line or (number if header_line == 0 else number + 1)
-        units = [cells for n, cells in self._rows(number + 1) if n < self._data_line] if self._data_line > number + 1 else []
+        units = (
+            [cells for n, cells in self._rows(number + 1) if n < self._data_line]
+            if self._data_line > number + 1
+            else []
+        )
         if header_line == 0:
             header = [str(n + 1) for n in range(len(header))]
         while len(header) > 1 and not header[-1]:
             header.pop()  # a separator at the end of the line
-        columns = [
-            Column(name, unit_in_name(name) or next((unit for row in units for unit in [find_unit((row[n : n + 1] or [""])[0].strip("[]() "))] if unit), None))
-            for n, name in enumerate(header)
-        ]
+        columns = [Column(name, unit_in_name(name) or _unit_below(units, n)) for n, name in enumerate(header)]
         super().__init__(path, columns)
 
     def _rows(self, first_line: int) -> Iterator[tuple[int, list[str]]]:
@@ -133,11 +137,17 @@ class TextTable(RawTable):
                 yield held
             held = None
             if len(row) < count:
-                cells.incomplete.append((number, f"{len(row)} cells; expected {count}, as in the header"))
+                cells.incomplete.append((number, f"there are {len(row)} cells", f"{count}, as in the header"))
             else:
                 held = number, row[:count]
         if held and not ended and rows >= _ENOUGH_ROWS and len(held[1][-1]) < shortest:
-            cells.incomplete.append((held[0], f"'{held[1][-1]}' at the end of the file is shorter than all cells above it; "
-                                     "expected a whole line"))
+            what = f"'{held[1][-1]}' at the end of the file is shorter than all cells above it"
+            cells.incomplete.append((held[0], what, "a whole line"))
         elif held:
             yield held
+
+
+def _unit_below(rows: list[list[str]], column: int) -> Unit | None:
+    """Return the unit that the lines between header and data state for a column."""
+    cells = (row[column].strip("[]() ") for row in rows if column < len(row))
+    return next((unit for cell in cells if (unit := find_unit(cell))), None)

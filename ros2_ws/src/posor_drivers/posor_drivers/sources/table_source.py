@@ -14,7 +14,14 @@ from posor.ros_names import POINT_STAMPED, RAW_SCAN, RAW_TOPIC, REFERENCE_READIN
 from posor.tables.table_readings import load_readings, only_joint
 from pydantic import Field
 
-from posor_drivers.message_builder import TRANSFORM_STAMPED, header, point_stamped, raw_scan, scan_fields, transform_stamped
+from posor_drivers.message_builder import (
+    TRANSFORM_STAMPED,
+    header,
+    point_stamped,
+    raw_scan,
+    scan_fields,
+    transform_stamped,
+)
 from posor_drivers.sources.source import RecordedSource, SourceMessage, Topic
 
 if TYPE_CHECKING:
@@ -71,10 +78,7 @@ class TableMessages:
         """Write the scans; the references of the joint are written when they are read."""
         self._types = types
         self._references = [each for each in readings.references.values() if each.joint == joint]
-        self.topics = [
-            Topic(RAW_TOPIC, RAW_SCAN),
-            *(Topic(each.topic, _type_of(each)) for each in self._references),
-        ]
+        self.topics = [Topic(RAW_TOPIC, RAW_SCAN), *(Topic(each.topic, _type_of(each)) for each in self._references)]
         scans = readings.joints[joint].scans
         example = raw_scan(types, 0, readings.joints[joint].frame_id, status=0, **scan_fields(scans[0]))
         layout = TableLayout.of(types.serialize(example, RAW_SCAN), installed_schema(RAW_SCAN))

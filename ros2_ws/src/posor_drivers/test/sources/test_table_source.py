@@ -1,4 +1,4 @@
-"""Source ``table``: the CSV layout of the 1985 records, as scans and truth."""
+"""Source ``table`` and the program ``import``: the messages of a table by its map."""
 
 from __future__ import annotations
 
@@ -8,164 +8,167 @@ from typing import Any
 
 import numpy as np
 import pytest
-from geometry_msgs.msg import PointStamped
-from posor.errors import DataFileError
+import yaml
+from geometry_msgs.msg import PointStamped, TransformStamped
+from posor import read_scans, read_table
+from posor.bags.provenance import custom_data
+from posor.errors import DataFileError, ParameterError
 from posor.messages.message_definitions import MessageTypes
 from posor.numerics.stamps import NS
+from posor_drivers.import_command import main
 from posor_drivers.sources.source import Topic
-from posor_drivers.sources.table_source import TableParameters, TableSource, contact_currents, read_table
-from posor_msgs.msg import RawScan
+from posor_drivers.sources.table_source import TableParameters, TableSource
+from posor_msgs.msg import RawScan, ReferenceReading
 from rclpy.serialization import deserialize_message
+from rosbags.rosbag2 import Reader
 
-from ..sample_tables import HEADER, ROWS, write_table
+from ..sample_tables import HEADER, MAP, ROWS, write_map, write_table
+
+START_S = 486_432_000
+CLASSES = {"raw": RawScan, "/truth/machining_centre": PointStamped}
 
 
-def open_source(folder: Path, **parameters: Any) -> TableSource:
-    source = TableSource(TableParameters(path=str(write_table(folder / "t.csv")), **parameters), MessageTypes())
+def messages(table: Path, table_map: Path = MAP) -> dict[str, list[Any]]:
+    source = TableSource(TableParameters(path=str(table), map=str(table_map)), MessageTypes())
     raw, truth = source.open()
     assert raw == Topic("raw", "posor_msgs/msg/RawScan")
-    assert truth == Topic(parameters.get("truth_topic", "/truth/machining_centre"), "geometry_msgs/msg/PointStamped")
-    return source
+    assert truth == Topic("/truth/machining_centre", "geometry_msgs/msg/PointStamped")
+    found: dict[str, list[Any]] = {topic: [] for topic in CLASSES}
+    assert list(source.read_messages()) == list(source.read_messages())
+    for message in source.read_messages():
+        content = deserialize_message(message.data, CLASSES[message.topic])
+        assert message.time_ns == content.header.stamp.sec * NS + content.header.stamp.nanosec
+        found[message.topic].append(content)
+    return found
 
 
-def messages(folder: Path, **parameters: Any) -> tuple[list[RawScan], list[PointStamped]]:
-    scans: list[RawScan] = []
-    truths: list[PointStamped] = []
-    for message in open_source(folder, **parameters).read_messages():
-        is_scan = message.topic == "raw"
-        content = deserialize_message(message.data, RawScan if is_scan else PointStamped)
-        stamp = content.header.stamp
-        assert message.time_ns == stamp.sec * NS + stamp.nanosec
-        (scans if is_scan else truths).append(content)
-    return scans, truths
-
-
-def test_scan_holds_the_cells_of_its_row(tmp_path: Path) -> None:
-    scans, _ = messages(tmp_path)
+def test_scan_and_truth_hold_the_cells_of_their_row(tmp_path: Path) -> None:
+    found = messages(write_table(tmp_path / "t.csv"))
+    scans, truths = found["raw"], found["/truth/machining_centre"]
     assert [scan.scan for scan in scans] == [1, 2, 3, 5]
-    estimated = [0, RawScan.STATUS_PROBES_ESTIMATED, RawScan.STATUS_DIODES_ESTIMATED, 0]
-    assert [scan.status for scan in scans] == estimated
+    assert [scan.status for scan in scans] == [0, RawScan.STATUS_PROBES_ESTIMATED, RawScan.STATUS_DIODES_ESTIMATED, 0]
+    stamps = [(scan.header.stamp.sec - START_S, scan.header.stamp.nanosec) for scan in scans]
+    assert stamps == [(0, 0), (0, 200_000_000), (0, 400_000_000), (0, 600_000_000)]
+    assert [truth.header.stamp for truth in truths] == [scan.header.stamp for scan in scans]
     scan = scans[0]
-    assert list(scan.gap_voltages) == [0.25, 0.5, 0.75]
-    assert list(scan.lit_sources) == [0, 1]
-    assert scan.samples == 1
-    assert scan.header.frame_id == "posor_receiving"
+    assert (list(scan.gap_voltages), list(scan.lit_sources)) == ([0.25, 0.5, 0.75], [0, 1])
+    assert (scan.samples, scan.header.frame_id) == (1, "posor_receiving")
     assert math.isnan(scan.supply_voltage)
     assert math.isnan(scan.temperature)
     assert [len(scan.ring_voltages), len(scan.gap_voltage_spreads), len(scan.diode_current_spreads)] == [0, 0, 0]
-
-
-def test_currents_have_the_recorded_ratios_and_the_nominal_total(tmp_path: Path) -> None:
-    scans, _ = messages(tmp_path, nominal_total=1e-4)
-    currents = np.array(scans[0].diode_currents).reshape(2, 4)
-    np.testing.assert_allclose(currents.sum(axis=1), 1e-4, rtol=1e-15)
-    a, b, c, d = currents.T
-    np.testing.assert_allclose(a + c, 0.5e-4, rtol=1e-15)
-    np.testing.assert_allclose((a - c) / (a + c), [0.5, -0.5], rtol=1e-15)
-    np.testing.assert_allclose((b - d) / (b + d), [0.125, 0.0625], rtol=1e-15)
-
-
-def test_ratios_are_recovered_to_the_last_digits() -> None:
-    ratios = np.random.default_rng(1985).uniform(-1.0, 1.0, 2000)
-    a, b, c, d = contact_currents(list(ratios), 200e-6).reshape(-1, 4).T
-    recovered = np.stack([(a - c) / (a + c), (b - d) / (b + d)], axis=1).ravel()
-    np.testing.assert_allclose(recovered, ratios, atol=5e-16, rtol=0.0)
-
-
-def test_stamps_follow_the_parameters_and_scan_and_truth_share_them(tmp_path: Path) -> None:
-    scans, truths = messages(tmp_path, start=1000.25, period=0.5)
-    stamps = [(scan.header.stamp.sec, scan.header.stamp.nanosec) for scan in scans]
-    assert stamps == [(1000, 250_000_000), (1000, 750_000_000), (1001, 250_000_000), (1001, 750_000_000)]
-    assert [truth.header.stamp for truth in truths] == [scan.header.stamp for scan in scans]
-
-
-def test_truth_is_in_metres_with_nan_where_nothing_was_recorded(tmp_path: Path) -> None:
-    _, truths = messages(tmp_path, truth_topic="/elsewhere")
+    a, b, c, d = np.array(scan.diode_currents).reshape(2, 4).T
+    np.testing.assert_allclose([a + c, b + d], 1e-4, rtol=1e-15)
+    np.testing.assert_allclose([(a - c) / (a + c), (b - d) / (b + d)], [[0.5, -0.5], [0.125, 0.0625]], rtol=1e-15)
     point = truths[2].point
     assert [point.x, point.y, point.z] == pytest.approx([0.0508, -0.0508, 0.0254], rel=1e-15)
     assert math.isnan(truths[1].point.x)
     assert {truth.header.frame_id for truth in truths} == {"machining_centre"}
 
 
-def test_each_pass_gives_the_same_bytes(tmp_path: Path) -> None:
-    source = open_source(tmp_path)
-    assert list(source.read_messages()) == list(source.read_messages())
-
-
-def test_order_of_columns_is_free(tmp_path: Path) -> None:
-    header, *rows = [",".join(reversed(line.split(","))) for line in (HEADER, *ROWS)]
-    path = write_table(tmp_path / "t.csv", *rows, header=header)
-    assert str(read_table(path)) == str(read_table(write_table(tmp_path / "u.csv")))
-
-
-def refusal(path: Path) -> str:
+@pytest.mark.parametrize(
+    ("row", "sentence"),
+    [
+        (ROWS[0].replace("-0.5", "-1.5"), "column 'dx2' holds -1.5, which is no ratio of currents; expected -1 to 1."),
+        ("1.5" + ROWS[0][1:], "column 'step': scan number 1.5; expected ascending whole numbers."),
+        (ROWS[0].replace("0.25", "x"), "line 4, column 'l1_v': 'x' is invalid; expected a number, or leave_out"),
+        (ROWS[1].replace("nan", "n.a."), "column 'x_in': 'n.a.' is invalid"),
+        (ROWS[0] + "\n" + ROWS[0], "line 5, column 'step': scan number 1 after 1; expected ascending"),
+    ],
+)
+def test_invalid_row_is_refused(row: str, sentence: str, tmp_path: Path) -> None:
     with pytest.raises(DataFileError) as caught:
-        read_table(path)
-    sentence = str(caught.value)
-    assert sentence.startswith(str(path))
-    return sentence.removeprefix(str(path))
+        messages(write_table(tmp_path / "t.csv", row))
+    assert sentence in str(caught.value)
 
 
-@pytest.mark.parametrize("column", HEADER.split(","))
-def test_missing_column_is_named(tmp_path: Path, column: str) -> None:
-    path = write_table(tmp_path / "t.csv", header=HEADER.replace(column, "other", 1))
-    assert refusal(path).startswith(f", line 3: column '{column}' is missing; expected columns step, x_in, ")
+def test_joint_of_the_map_is_checked(tmp_path: Path) -> None:
+    table = str(write_table(tmp_path / "t.csv"))
+    with pytest.raises(ParameterError, match="joint 'elbow' is not in the map; expected one of joint1"):
+        TableSource(TableParameters(path=table, map=str(MAP), joint="elbow"), MessageTypes()).open()
 
 
-@pytest.mark.parametrize("cell", ["", "abc", "0.2O", "nan", "inf", "1e999", "1_0", "0,5"])
-def test_invalid_number_is_reported_with_file_line_column_and_value(tmp_path: Path, cell: str) -> None:
-    path = write_table(tmp_path / "t.csv", ROWS[0], ROWS[1].replace("0.51", f'"{cell}"', 1))
-    assert refusal(path) == f", line 5, column 'l2_v': '{cell}' is invalid; expected a finite number."
+def write_two_joints(folder: Path) -> tuple[Path, Path]:
+    """Write a table of two joints with a laser and a tracker, and its map."""
+    table, table_map = folder / "two.csv", folder / "two.yaml"
+    rows = [f"{n / 10},{n / 100},{-n / 100},{n},1,2,3,0,0,0,1,over" for n in range(4)]
+    table.write_text("\n".join(["t,a,b,laser,x,y,z,qx,qy,qz,qw,note", *rows, "0.4,1"]) + "\n", encoding="utf-8")
+    gap = {
+        joint: {"frame_id": f"{joint}_receiving", "gap_voltages": [{"column": joint, "unit": "V"}]} for joint in "ab"
+    }
+    laser = {"reading": {"column": "laser", "unit": "um"}, "standard_uncertainty": {"value": 2e-8, "unit": "m"}}
+    tracker = {
+        "position": [{"column": axis, "unit": "mm"} for axis in "xyz"],
+        "quaternion": [{"column": f"q{axis}", "unit": "1"} for axis in "xyzw"],
+        "child_frame_id": "target",
+    }
+    content = {
+        "format": "posor_table_map",
+        "version": 1,
+        "name": "rig",
+        "time": {"column": "t", "unit": "s", "start": "2026-11-25T10:00:00Z"},
+        "leave_out": ["incomplete_rows"],
+        "joints": gap,
+        "references": {
+            "laser": {"frame_id": "table", **laser},
+            "tracker": {"joint": "b", "frame_id": "table", **tracker},
+        },
+    }
+    table_map.write_text(yaml.safe_dump(content), encoding="utf-8")
+    return table, table_map
 
 
-@pytest.mark.parametrize("step", ["-1", "1.5", "", "one", "²"])
-def test_step_is_a_whole_number(tmp_path: Path, step: str) -> None:
-    path = write_table(tmp_path / "t.csv", step + ROWS[0][1:])
-    assert refusal(path) == f", line 4, column 'step': '{step}' is not a step number; expected 0, 1, 2...."
-
-
-@pytest.mark.parametrize("item", ["l1_v", "l9_v:smooth", ":smooth"])
-def test_repair_note_without_a_cell_is_refused(tmp_path: Path, item: str) -> None:
-    path = write_table(tmp_path / "t.csv", ROWS[3] + item)
-    sentence = f", line 4, column 'repaired': '{item}' is invalid; expected cell:method with the name of a column."
-    assert refusal(path) == sentence
+def test_import_writes_all_joints_and_references(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    table, table_map = write_two_joints(tmp_path)
+    bag = tmp_path / "bag"
+    assert main([str(table), "--map", str(table_map), "--output", str(bag)]) == 0
+    printed = capsys.readouterr().out
+    assert "/rig/a/raw: <4 scans: 1 gap voltages over 0.300 s> of joint a" in printed
+    assert "columns left out: note" in printed
+    assert "rows left out: 1 (incomplete_rows)" in printed
+    for joint in "ab":
+        recorded = read_scans(bag, f"/rig/{joint}/raw")
+        expected = read_table(table, table_map, joint)
+        np.testing.assert_array_equal(recorded.gap_voltages, expected.gap_voltages)
+        np.testing.assert_array_equal(recorded.stamps_ns, expected.stamps_ns)
+    with Reader(bag) as reader:
+        found: dict[str, list[Any]] = {}
+        kinds = {"/reference/laser": ReferenceReading, "/reference/tracker": TransformStamped}
+        for connection, _, data in reader.messages():
+            if connection.topic in kinds:
+                found.setdefault(connection.topic, []).append(deserialize_message(bytes(data), kinds[connection.topic]))
+    laser, tracker = found["/reference/laser"], found["/reference/tracker"]
+    assert [each.value for each in laser] == pytest.approx([0.0, 1e-6, 2e-6, 3e-6])
+    assert {(each.unit, each.standard_uncertainty, each.header.frame_id) for each in laser} == {("m", 2e-8, "table")}
+    assert (tracker[0].child_frame_id, tracker[0].transform.translation.y) == ("target", pytest.approx(2e-3))
+    data = custom_data(bag)
+    assert data["posor.table"].startswith("two.csv sha256 ")
+    assert "incomplete_rows" in data["posor.table_left_out"]
 
 
 @pytest.mark.parametrize(
-    ("rows", "sentence"),
+    ("options", "code", "sentence"),
     [
-        ([ROWS[0], ROWS[1].rsplit(",", 1)[0]], ", line 5: there are 11 cells; expected 12, as in the header."),
-        ([ROWS[0] + ",7"], ", line 4: there are 13 cells; expected 12, as in the header."),
-        ([ROWS[1], ROWS[1]], ", line 5, column 'step': step 2 follows step 2; expected ascending steps."),
-        ([ROWS[1].replace("nan", "n/a")], ", line 4, column 'x_in': 'n/a' is invalid; expected a finite number."),
-        (
-            [ROWS[0].replace("-0.5", "-1.5")],
-            ", line 4, column 'dx2': -1.5 is not a ratio of currents; expected -1 to 1.",
-        ),
+        (["--map", "{map}", "--output", "{folder}"], 1, "exists already; expected a new folder, or --force."),
+        ([], 2, "import: --map is missing; expected --map MAP.yaml, or --propose to make one."),
+        (["--propose"], 2, "import --propose: no calibration is named; expected --arm or --calibration."),
+        (["--propose", "--calibration", "x"], 2, "import --calibration: 'x'; expected JOINT=FILE."),
+        (["--propose", "--map", "{map}"], 2, "import: --propose with --map or --output; expected "),
+        (["--map", "{map}", "--calibration", "a=b"], 2, "expected calibration: in the map."),
     ],
 )
-def test_invalid_row_is_refused(tmp_path: Path, rows: list[str], sentence: str) -> None:
-    assert refusal(write_table(tmp_path / "t.csv", *rows)) == sentence
+def test_import_refuses_wrong_options(
+    options: list[str], code: int, sentence: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    table, table_map = write_two_joints(tmp_path)
+    assert main([str(table), *(option.format(map=table_map, folder=tmp_path) for option in options)]) == code
+    errors = capsys.readouterr().err
+    assert sentence in errors
+    assert errors.count("\n") == 1
 
 
-@pytest.mark.parametrize(
-    ("content", "sentence"),
-    [
-        (b"", ": is empty; expected a header row and one row per step."),
-        (b"\n\n", ": is empty; expected a header row and one row per step."),
-        (b"# only\n# comments\n", ": is empty; expected a header row and one row per step."),
-        (f"# c\n{HEADER}\n".encode(), ": has no steps; expected one row per step after the header."),
-        (b"# \xff\xfe\n", ": is not text, byte 2 is not UTF-8."),
-    ],
-)
-def test_file_without_steps_is_refused(tmp_path: Path, content: bytes, sentence: str) -> None:
-    path = tmp_path / "t.csv"
-    path.write_bytes(content)
-    assert refusal(path) == sentence
-
-
-def test_unreadable_file_and_doubled_column_are_refused(tmp_path: Path) -> None:
-    assert refusal(tmp_path / "none.csv") == ": cannot be read, no such file or directory."
-    assert refusal(tmp_path) == ": cannot be read, is a directory."
-    doubled = write_table(tmp_path / "t.csv", header=HEADER.replace("dy1", "dx1"))
-    assert refusal(doubled).startswith(", line 3: column 'dx1' occurs twice; expected columns ")
+def test_a_table_that_is_refused_leaves_no_bag(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    table = write_table(tmp_path / "t.csv", header=HEADER.replace("l1_v", "L1"))
+    table_map, bag = write_map(tmp_path / "m.yaml"), tmp_path / "bag"
+    assert main([str(table), "--map", str(table_map), "--output", str(bag)]) == 1
+    assert "column 'l1_v' of" in capsys.readouterr().err
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["m.yaml", "t.csv"]

@@ -1,0 +1,384 @@
+"""Text tables: every way to write the same numbers gives the same scans, and every doubt is one sentence."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from posor import CalibrationError, DataFileError, ParameterError, PosorError, Scans, read_table
+from posor.tables.table_readings import load_readings
+
+from .sample_files import CELSIUS, COUNT, NAMES, READINGS, START, START_NS, TIMES, VOLTS, rows, write_csv, write_map
+
+
+def check_scans(scans: Scans) -> None:
+    np.testing.assert_array_equal(scans.stamps_ns, START_NS + np.round(1e9 * TIMES).astype(np.int64))
+    np.testing.assert_allclose(scans.gap_voltages, VOLTS, rtol=1e-12)
+    np.testing.assert_allclose(scans.temperatures, CELSIUS + 273.15, rtol=1e-12)
+    np.testing.assert_array_equal(scans.numbers, np.arange(1, COUNT + 1))
+    assert np.isnan(scans.supply_voltages).all()
+
+
+def csv_of(*, separator: str = ",", decimal: str = ".", head: str = "", names: tuple[str, ...] = NAMES) -> str:
+    lines = [separator.join(names), *(separator.join(row) for row in rows(decimal))]
+    return head + "\n".join(lines) + "\n"
+
+
+TEXT = csv_of()
+WAYS: dict[str, tuple[bytes, dict[str, Any]]] = {
+    "plain": (TEXT.encode(), {}),
+    "semicolons and decimal commas": (
+        csv_of(separator=";", decimal=",").encode(),
+        {"file": {"separator": ";", "decimal": ","}},
+    ),
+    "quoted decimal commas": (
+        "\n".join([TEXT.splitlines()[0], *(",".join(f'"{cell}"' for cell in row) for row in rows(","))]).encode()
+        + b"\n",
+        {"file": {"decimal": ","}},
+    ),
+    "tabs": (csv_of(separator="\t").encode(), {"file": {"separator": "tab"}}),
+    "blanks": (
+        csv_of(separator="   ", names=("t", "u0", "u1", "T", "r")).encode(),
+        {
+            "file": {"separator": "space"},
+            "time": {"column": "t", "unit": "s", "start": START},
+            "joints": {
+                "elbow": {
+                    "frame_id": "plate",
+                    "gap_voltages": [{"column": "u0", "unit": "mV"}, {"column": 3, "unit": "mV"}],
+                    "temperature": {"column": "T", "unit": "degC"},
+                }
+            },
+        },
+    ),
+    "byte order mark": (b"\xef\xbb\xbf" + TEXT.encode(), {}),
+    "UTF-16": (TEXT.encode("utf-16"), {}),
+    "UTF-16 without mark": (TEXT.encode("utf-16-le"), {"file": {"encoding": "utf-16-le"}}),
+    "Windows": (TEXT.replace("\n", "\r\n").encode("cp1252"), {"file": {"encoding": "cp1252"}}),
+    "old Macintosh lines": (TEXT.replace("\n", "\r").encode(), {}),
+    "comments": (TEXT.replace("\n0.0040", "\n\n# a remark, with commas\n0.0040").encode(), {}),
+    "other comments": (TEXT.replace("\n0.0040", "\n% a remark\n0.0040").encode(), {"file": {"comment": "%"}}),
+    "header lines": (("DAQ 3\nRate;500\n\n" + TEXT).encode(), {"file": {"header_line": 4}}),
+    "line of units": (
+        TEXT.replace("(mV)", "")
+        .replace("\n", "\ns,mV,mV,,\n", 1)
+        .replace("AI0 ", "AI0")
+        .replace("AI1 ", "AI1")
+        .encode(),
+        {
+            "file": {"data_line": 3},
+            "joints": {
+                "elbow": {
+                    "frame_id": "plate",
+                    "gap_voltages": [{"column": "AI0", "unit": "mV"}, {"column": "AI1", "unit": "mV"}],
+                    "temperature": READINGS["temperature"],
+                }
+            },
+        },
+    ),
+    "no header": (
+        TEXT.partition("\n")[2].encode(),
+        {
+            "file": {"header_line": 0},
+            "time": {"column": 1, "unit": "s", "start": START},
+            "joints": {
+                "elbow": {
+                    "frame_id": "plate",
+                    "gap_voltages": [{"column": 2, "unit": "mV"}, {"column": 3, "unit": "mV"}],
+                    "temperature": {"column": 4, "unit": "degC"},
+                }
+            },
+        },
+    ),
+    "columns in another order": (
+        "\n".join(",".join(reversed(line.split(","))) for line in TEXT.splitlines()).encode() + b"\n",
+        {},
+    ),
+    "separator at the end": (TEXT.replace("\n", ",\n").encode(), {}),
+    "no line end": (TEXT.removesuffix("\n").encode(), {}),
+    "rate only": (TEXT.encode(), {"time": {"rate": {"value": 500.0, "unit": "Hz"}, "start": START}}),
+    "ISO texts": (
+        TEXT.replace("\n0.0", "\n2026-11-25T11:00:00.0").encode(),
+        {"time": {"column": "Time (s)", "format": "iso", "time_zone": "Europe/Berlin"}},
+    ),
+    "date and time apart": (
+        TEXT.replace("Time (s)", "Date,Clock").replace("\n0.0", "\n25.11.2026,10:00:00.0").encode(),
+        {"time": {"column": ["Date", "Clock"], "format": "%d.%m.%Y %H:%M:%S.%f", "time_zone": "UTC"}},
+    ),
+    "milliseconds since 1970": (
+        "\n".join(
+            [
+                "t" + TEXT.splitlines()[0][8:],
+                *(f"{START_NS // 10**6 + 2 * n}{line[6:]}" for n, line in enumerate(TEXT.splitlines()[1:])),
+            ]
+        ).encode(),
+        {"time": {"column": "t", "unit": "ms", "start": "1970-01-01T00:00:00Z"}},
+    ),
+    "scale and offset": (
+        TEXT.replace("AI0 (mV)", "AI0").replace("AI1 (mV)", "AI1").encode(),
+        {
+            "joints": {
+                "elbow": {
+                    "frame_id": "plate",
+                    "gap_voltages": [
+                        {
+                            "column": f"AI{n}",
+                            "unit": "A",
+                            "scale": {"value": 0.5, "unit": "mV/A"},
+                            "offset": {"value": volt, "unit": "V"},
+                        }
+                        for n, volt in enumerate((0.0, 0.0))
+                    ],
+                    "temperature": READINGS["temperature"],
+                }
+            }
+        },
+    ),
+}
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_every_way_to_write_the_table_gives_the_same_scans(way: str, tmp_path: Path) -> None:
+    data, changes = WAYS[way]
+    path = tmp_path / "daq.csv"
+    path.write_bytes(data)
+    scans = read_table(path, write_map(tmp_path, **changes))
+    if way == "scale and offset":
+        np.testing.assert_allclose(scans.gap_voltages, 0.5 * VOLTS, rtol=1e-12)
+        return
+    check_scans(scans)
+
+
+def change(text: str, old: str, new: str) -> str:
+    assert old in text
+    return text.replace(old, new, 1)
+
+
+ROW = "0.0040,712.000,-254.000,20.20,ok"
+BAD: dict[str, tuple[str, dict[str, Any], str]] = {
+    "empty": ("", {}, "{csv}: is empty; expected a row of names and one row for each scan."),
+    "no rows": (
+        TEXT.partition("\n")[0] + "\n",
+        {},
+        "{csv}: has no rows; expected one row for each scan after the header.",
+    ),
+    "text": (
+        change(TEXT, ROW, "0.0040,712.O00,-254.000,20.20,ok"),
+        {},
+        "{csv}, line 4, column 'AI0 (mV)': '712.O00' is invalid; expected a number, {or_leave_out} [invalid_cells] ",
+    ),
+    "infinite": (change(TEXT, "712.000", "1e999"), {}, "'1e999' is invalid"),
+    "underscore": (change(TEXT, "712.000", "71_2.0"), {}, "'71_2.0' is invalid"),
+    "decimal comma": (change(TEXT, "712.000", '"712,000"'), {}, "decimal: ','"),
+    "grouped thousands": (change(TEXT, "712.000", '"1,712.0"'), {}, "'1,712.0' is invalid"),
+    "missing": (
+        change(TEXT, "712.000", ""),
+        {},
+        "{csv}, line 4, column 'AI0 (mV)': the cell has no value; expected a number, {or_leave_out} [missing_cells] ",
+    ),
+    "NaN": (change(TEXT, "712.000", "NaN"), {}, "line 4, column 'AI0 (mV)': the cell has no value"),
+    "time goes back": (
+        change(TEXT, ROW, "0.0010,712.000,-254.000,20.20,ok"),
+        {},
+        "{csv}, line 4, column 'Time (s)': the time goes back by 0.001 s; expected times that increase, ",
+    ),
+    "time repeats": (
+        change(TEXT, ROW, "0.0020,712.000,-254.000,20.20,ok"),
+        {},
+        "a column with too few digits needs rate",
+    ),
+    "time invalid": (change(TEXT, ROW, "x,712.000,-254.000,20.20,ok"), {}, "'x' is no time from 1970 to 2038"),
+    "short row": (
+        change(TEXT, ROW, "0.0040,712.000,-254.000"),
+        {},
+        "{csv}, line 4: there are 3 cells; expected 5, as in the header, or leave_out: [incomplete_rows] in the map.",
+    ),
+    "long row": (change(TEXT, ROW, ROW + ",7"), {}, "{csv}, line 4: there are 6 cells; expected 5, as in the header; "),
+    "last line cut": (TEXT[:-30], {}, "line 11: there are"),
+    "last cell cut": (
+        change(TEXT, "Remark", "AI0")[:-2],
+        {},
+        "at the end of the file is shorter than all cells above it",
+    ),
+    "quote open": (change(TEXT, "712.000", '"712.000'), {}, "expected quotes in pairs"),
+    "column missing": (
+        change(TEXT, "AI0 (mV)", "AI0_mV"),
+        {},
+        "column 'AI0 (mV)' of {map}, line 6, key joints.elbow.gap_voltages[0] is missing; expected one of 'Time (s)', ",
+    ),
+    "column twice": (change(TEXT, "Remark", "AI0 (mV)"), {}, "occurs 2 times; expected its number, 2 or 5."),
+    "unit of the header": (
+        change(TEXT, "AI0 (mV)", "AI0 (V)"),
+        {"joints": {"elbow": {"frame_id": "plate", "gap_voltages": [{"column": "AI0 (V)", "unit": "mV"}]}}},
+        "column 'AI0 (V)' is in V by the file, in mV by the map; expected unit: V, or header_unit: ignored",
+    ),
+    "unit of the time": (TEXT, {"time": {"column": "Time (s)", "unit": "ms", "start": START}}, "is in s by the file"),
+    "no time zone": (
+        TEXT,
+        {"time": {"column": "Time (s)", "unit": "s", "start": "2026-11-25T10:00:00"}},
+        "start '2026-11-25T10:00:00'; expected a time with its zone",
+    ),
+    "not UTF-8": (
+        "caf\udce9\n" + TEXT,
+        {},
+        "{csv}, line 1: byte 3 (0xE9) is not utf-8; expected the encoding in the map",
+    ),
+    "zero bytes": ("\0T\0i\0m\0e", {}, "expected file: {{encoding: utf-16-be}}"),
+    "Excel": ("PK\x03\x04...", {}, "{csv}: is a ZIP archive, such as a workbook of Excel; expected a CSV, "),
+    "nothing left": (
+        change(TEXT, "712.000", "").partition("0.0060")[0].replace("710.000", "").replace("711.000", ""),
+        {"leave_out": ["missing_cells"]},
+        "no row is whole",
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", BAD)
+def test_a_doubtful_table_is_refused_in_one_sentence(kind: str, tmp_path: Path) -> None:
+    text, changes, sentence = BAD[kind]
+    path, table_map = tmp_path / "daq.csv", write_map(tmp_path, **changes)
+    path.write_bytes(text.encode("utf-8", "surrogateescape"))
+    with pytest.raises(DataFileError) as caught:
+        read_table(path, table_map)
+    assert sentence.format(csv=path, map=table_map, or_leave_out="or leave_out:") in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("kind", "text"),
+    [
+        ("missing_cells", change(TEXT, "712.000", "")),
+        ("invalid_cells", change(TEXT, "712.000", "OVER")),
+        ("incomplete_rows", change(TEXT, ROW, "0.0040,712.000")),
+        ("time_back", change(TEXT, ROW, "0.0010,712.000,-254.000,20.20,ok")),
+    ],
+)
+def test_rows_are_left_out_and_counted_if_the_map_says_so(kind: str, text: str, tmp_path: Path) -> None:
+    path = tmp_path / "daq.csv"
+    path.write_text(text, encoding="utf-8")
+    readings = load_readings(path, write_map(tmp_path, leave_out=[kind]))
+    assert readings.left_out == {kind: 1}
+    assert readings.unused == ("Remark",)
+    assert len(readings.joints["elbow"].scans) == COUNT - 1
+
+
+JOINT = {"frame_id": "plate", **READINGS}
+WRONG_MAPS: dict[str, tuple[dict[str, Any], str]] = {
+    "unknown key": ({"colums": 1}, "unknown key 'colums'"),
+    "unknown unit": (
+        {"joints": {"elbow": JOINT | {"temperature": {"column": 4, "unit": "degc"}}}},
+        "unit 'degc' is unknown",
+    ),
+    "unit of another quantity": (
+        {"joints": {"elbow": JOINT | {"temperature": {"column": 4, "unit": "mV"}}}},
+        "key joints.elbow.temperature.unit: column '4' is in mV; expected one of degC, degF, K, mK, or a scale ",
+    ),
+    "scale of another quantity": (
+        {
+            "joints": {
+                "elbow": JOINT | {"temperature": {"column": 4, "unit": "mV", "scale": {"value": 1, "unit": "K/V"}}}
+            }
+        },
+        "scale in K/V; expected one number in K/mV.",
+    ),
+    "a column twice": (
+        {"joints": {"elbow": JOINT | {"gap_voltages": [{"column": "AI0 (mV)", "unit": "mV"}] * 2}}},
+        "column 'AI0 (mV)' is used twice, also as gap_voltages[0]",
+    ),
+    "no lit source": (
+        {"joints": {"elbow": JOINT | {"diode_currents": [{"column": n, "unit": "A"} for n in range(1, 5)]}}},
+        "4 diode currents and 0 lit sources",
+    ),
+    "no frame": ({"joints": {"elbow": READINGS}}, "neither calibration nor frame_id"),
+    "no start": ({"time": {"column": "Time (s)", "unit": "s"}}, "start is missing"),
+    "two times": (
+        {"time": {"column": 1, "unit": "s", "format": "iso", "start": START}},
+        "the time of a row does not follow",
+    ),
+    "separator": ({"file": {"separator": ".."}}, "key file.separator"),
+    "pattern": (
+        {"joints": {"elbow": JOINT | {"flags": {"saturated": {"column": 5, "pattern": "("}}}}},
+        "expected a regular expression",
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", WRONG_MAPS)
+def test_a_wrong_map_is_refused(kind: str, tmp_path: Path) -> None:
+    changes, sentence = WRONG_MAPS[kind]
+    with pytest.raises(CalibrationError) as caught:
+        read_table(write_csv(tmp_path / "daq.csv"), write_map(tmp_path, **changes))
+    assert sentence in str(caught.value)
+    assert str(tmp_path / "map.yaml") in str(caught.value)
+
+
+def test_flags_references_and_lit_sources(tmp_path: Path) -> None:
+    path = tmp_path / "daq.csv"
+    head = "t,u,a,b,c,d,lit,light,home,state,x,y,z,qx,qy,qz,qw,laser"
+    lines = [
+        f"{n},0.5,{n + 1}e-5,2e-5,3e-5,4e-5,{n % 2},{int(n != 2)},{int(n == 1)},{'OVER' if n == 3 else 'ok'},"
+        f"1,2,3,0,0,0,1,{n if n != 1 else ''}"
+        for n in range(4)
+    ]
+    path.write_text("\n".join([head, *lines]) + "\n", encoding="utf-8")
+    joint = {
+        "frame_id": "plate",
+        "gap_voltages": [{"column": "u", "unit": "V"}],
+        "diode_currents": [{"column": name, "unit": "A"} for name in "abcd"],
+        "lit_sources": [{"column": "lit", "unit": "1"}],
+        "light": {"column": "light", "unit": "1"},
+        "home_mark": {"column": "home", "unit": "1"},
+        "flags": {"saturated": {"column": "state", "pattern": "OVER"}},
+    }
+    references = {
+        "laser": {
+            "frame_id": "table",
+            "reading": {"column": "laser", "unit": "um"},
+            "standard_uncertainty": {"value": 2e-8, "unit": "m"},
+            "missing": "allowed",
+        },
+        "cmm": {
+            "frame_id": "table",
+            "child_frame_id": "target",
+            "position": [{"column": name, "unit": "mm"} for name in "xyz"],
+            "quaternion": [{"column": f"q{name}", "unit": "1"} for name in "xyzw"],
+        },
+    }
+    changes = {
+        "time": {"column": "t", "unit": "s", "start": START},
+        "joints": {"elbow": joint},
+        "references": references,
+    }
+    readings = load_readings(path, write_map(tmp_path, **changes))
+    scans = readings.joints["elbow"].scans
+    assert scans.lit_sources[:, 0].tolist() == [0, 1, 255, 1]
+    assert scans.at_home.tolist() == [0, 1, 0, 0]
+    assert scans.statuses.tolist() == [0, 128, 0, 16]
+    np.testing.assert_allclose(scans.diode_currents[1, 0], [2e-5, 2e-5, 3e-5, 4e-5])
+    np.testing.assert_allclose(readings.references["laser"].values[:, 0], [0.0, np.nan, 2e-6, 3e-6])
+    np.testing.assert_allclose(readings.references["cmm"].values, [[1e-3, 2e-3, 3e-3, 0, 0, 0, 1]] * 4)
+    assert readings.references["laser"].topic == "/reference/laser"
+    del references["laser"]["missing"]
+    with pytest.raises(DataFileError, match=r"line 3, column 'laser': the cell has no value"):
+        read_table(path, write_map(tmp_path, **changes))
+
+
+def test_several_joints_need_a_name(tmp_path: Path) -> None:
+    path = write_csv(tmp_path / "daq.csv")
+    joints = {
+        name: {"frame_id": name, "gap_voltages": [gap]}
+        for name, gap in zip("ab", READINGS["gap_voltages"], strict=True)
+    }
+    table_map = write_map(tmp_path, joints=joints)
+    np.testing.assert_allclose(read_table(path, table_map, "b").gap_voltages[:, 0], VOLTS[:, 1], rtol=1e-12)
+    for joint, sentence in (("", "the map has several joints"), ("c", "joint 'c' is not in the map")):
+        with pytest.raises(ParameterError, match=sentence):
+            read_table(path, table_map, joint)
+
+
+@pytest.mark.parametrize("path", ["none.csv", "."])
+def test_a_file_that_cannot_be_read(path: str, tmp_path: Path) -> None:
+    with pytest.raises(PosorError, match="cannot be read"):
+        read_table(tmp_path / path, write_map(tmp_path))
