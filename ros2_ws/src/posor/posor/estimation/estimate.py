@@ -218,6 +218,8 @@ class Estimates:
     def __repr__(self) -> str:
         counts = sorted(Counter(self.states.tolist()).items())
         states = ", ".join(f"{count} {State(state).name}" for state, count in counts)
+        if len(self) and [state for state, _ in counts] == [int(State.LOST)]:
+            states += f" ({next(iter(self.lost_reasons()))})"
         return f"<{len(self)} Estimates: {states or 'none'}{span_text(self.stamps_ns)}>"
 
     def __getattr__(self, name: str) -> NDArray[Any]:

@@ -171,6 +171,14 @@ def test_single_values_beyond_the_calibration_are_counted(scans: Scans, tmp_path
     assert "supply_voltage of joint joint1 is not mapped: its effect is not corrected" in notes
 
 
+def test_estimates_that_are_all_lost_say_why(scans: Scans) -> None:
+    estimates = Posor(load_calibration(CALIBRATION)).estimate_all(
+        scans.with_fields({"gap_voltages": 1e3 * scans.gap_voltages})
+    )
+    assert repr(estimates).startswith(f"<{COUNT} Estimates: {COUNT} LOST (scan 0, gap probe gap_1: 7")
+    assert "is outside the calibrated range" in repr(estimates)
+
+
 def test_a_file_without_rows_has_no_proposal(tmp_path: Path) -> None:
     path = tmp_path / "daq.csv"
     path.write_text("a,b\n", encoding="utf-8")

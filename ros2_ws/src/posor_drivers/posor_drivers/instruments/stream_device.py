@@ -1,4 +1,4 @@
-"""Device ``stream``: any TCP server or UDP sender of binary frames of fixed length.
+"""Device ``stream``: any TCP server or UDP sender of binary frames of fixed length, or of lines of text.
 
 For frames of a magic number, a counter and two voltages in steps of 0.1 mV::
 
@@ -13,10 +13,17 @@ For frames of a magic number, a counter and two voltages in steps of 0.1 mV::
     channels:
       gap1: {unit: V, scale: 1.0e-4}
       gap2: {unit: V, scale: 1.0e-4}
+
+For lines such as ``0.7161,-0.2566`` over TCP, which need no counter because TCP loses nothing::
+
+    format: text
+    fields: [gap1, gap2]
+    without_counter: true
 """
 
 from __future__ import annotations
 
+import math
 import select
 import socket
 import struct
@@ -31,9 +38,11 @@ from posor_drivers.instruments.device import Device, DeviceSettings, FrameCounte
 from posor_drivers.instruments.tcp_device import TcpConnection
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
 COUNTER = "counter"
+TEXT = "text"
+LONGEST_LINE = 65_536  # bytes
 MAX_DATAGRAM = 65_536
 
 
@@ -53,26 +62,54 @@ class StreamSettings(DeviceSettings):
     port: Port
     format: str
     fields: tuple[str, ...]
-    constants: dict[str, int] = Field(default_factory=dict)
+    separator: Annotated[str, Field(min_length=1)] | None = None
+    """Of lines of text; default: a comma; a blank stands for any number of blanks."""
+    overload: Annotated[str, Field(min_length=1)] | None = None
+    """Text in place of a number that is out of range."""
+    without_counter: bool = Field(default=False, strict=True)
+    """Frames are counted as they come; for TCP, which loses nothing."""
+    constants: dict[str, int | str] = Field(default_factory=dict)
     channels: Annotated[dict[str, StreamChannel], Field(min_length=1)]
 
     @model_validator(mode="after")
     def _check_fields(self) -> Self:
+        if not self.is_text:
+            self._check_format()
+        if self.without_counter and (COUNTER in self.fields or self.transport == "udp"):
+            expected = "a counter in the frames of UDP" if self.transport == "udp" else "fields without a counter"
+            raise EntryError("without_counter", key=("without_counter",), expected=expected)
+        for name in (*(() if self.without_counter else (COUNTER,)), *self.constants, *self.channels):
+            if self.fields.count(name) != 1:
+                what = f"'{name}' occurs {self.fields.count(name)} times"
+                expected = "each counter, constant and channel once"
+                expected += ", or without_counter: true for TCP" if name == COUNTER else ""
+                raise EntryError(what, key=("fields",), expected=expected)
+        return self
+
+    @property
+    def is_text(self) -> bool:
+        """Whether frames are lines of text."""
+        return self.format == TEXT
+
+    def _check_format(self) -> None:
+        """Check the keys of binary frames."""
+        for name in ("separator", "overload"):
+            if getattr(self, name) is not None:
+                raise EntryError(f"{name} of binary frames", key=(name,), expected="format: text")
         try:
             frame = struct.Struct(self.format)
             numbers = frame.unpack(bytes(frame.size))
         except struct.error as error:
-            raise EntryError(f"'{self.format}': {error}", key=("format",), expected="as of Python's struct") from None
+            expected = "as of Python's struct, or text"
+            raise EntryError(f"'{self.format}': {error}", key=("format",), expected=expected) from None
         if len(self.fields) != len(numbers):
             expected = f"{len(numbers)} names, as many as '{self.format}' has values"
             raise EntryError(f"{len(self.fields)} fields", key=("fields",), expected=expected)
-        for name in (COUNTER, *self.constants, *self.channels):
-            if self.fields.count(name) != 1:
-                what = f"'{name}' occurs {self.fields.count(name)} times"
-                raise EntryError(what, key=("fields",), expected="each counter, constant and channel once")
-        if not isinstance(numbers[self.fields.index(COUNTER)], int):
+        if COUNTER in self.fields and not isinstance(numbers[self.fields.index(COUNTER)], int):
             raise EntryError("the counter is no integer", key=("format",), expected="a code such as H, I or Q for it")
-        return self
+        for name, value in self.constants.items():
+            if isinstance(value, str):
+                raise EntryError(f"'{value}'", key=("constants", name), expected="a whole number")
 
 
 class StreamDevice(Device[StreamSettings]):
@@ -85,14 +122,21 @@ class StreamDevice(Device[StreamSettings]):
         """Prepare the layout of a frame."""
         super().__init__(name, settings)
         fields = settings.fields
-        self._frame = struct.Struct(settings.format)
+        self._frame = struct.Struct("" if settings.is_text else settings.format)
         self._columns = [fields.index(channel) for channel in settings.channels]
         self._scales = np.array([channel.scale for channel in settings.channels.values()])
         self._constants = [(fields.index(each), each, value) for each, value in settings.constants.items()]
-        self._counter = fields.index(COUNTER)
+        self._counter = fields.index(COUNTER) if COUNTER in fields else None
+        self._wrap = 1 << 64
         codes = [code for code in settings.format.strip("@=<>!") if code != "x"]
-        self._wrap = 1 << (8 * struct.calcsize("<" + codes[self._counter])) if len(codes) == len(fields) else 1 << 64
-        self._rest, self._numbers = b"", FrameCounter(self._wrap)
+        if self._counter is not None and len(codes) == len(fields) and not settings.is_text:
+            self._wrap = 1 << (8 * struct.calcsize("<" + codes[self._counter]))
+        self._start()
+
+    def _start(self) -> None:
+        """Forget what an earlier connection has sent."""
+        self._rest, self._numbers, self._counted = b"", FrameCounter(self._wrap), 0
+        self._is_first = self.settings.is_text  # a connection may begin within a line
 
     @classmethod
     def starting_settings(cls, units: Mapping[str, str]) -> dict[str, Any]:
@@ -115,7 +159,7 @@ class StreamDevice(Device[StreamSettings]):
     def connect(self, timeout_s: float) -> str:
         """Connect, or open the port; the first frame is checked like every other."""
         settings = self.settings
-        self._rest, self._numbers = b"", FrameCounter(self._wrap)
+        self._start()
         if settings.transport == "tcp":
             self.connection = TcpConnection(self.name, settings.host, settings.port, timeout_s)
         else:
@@ -143,28 +187,74 @@ class StreamDevice(Device[StreamSettings]):
             arrived_ns = time.time_ns()
         else:
             return None
-        whole = len(data) - len(data) % self._frame.size
+        whole = data.rfind(b"\n") + 1 if self.settings.is_text else len(data) - len(data) % self._frame.size
         self._rest = data[whole:]
-        return self._frames(data[:whole], arrived_ns) if whole else None
+        if len(self._rest) > LONGEST_LINE:
+            raise self.error(f"no end of a line in {len(self._rest)} bytes", "lines of text")
+        rows = self._lines(data[:whole]) if self.settings.is_text else list(self._frame.iter_unpack(data[:whole]))
+        return self._frames(rows, arrived_ns) if rows else None
 
     def _receive_datagrams(self, port: socket.socket) -> bytes:
         """Return the content of all datagrams received so far; waits for the first."""
         data = b""
         while select.select([port], [], [], 0.0)[0]:
             datagram = port.recv(MAX_DATAGRAM)
-            if len(datagram) % self._frame.size:
+            if self.settings.is_text:
+                datagram = datagram.rstrip(b"\r\n") + b"\n"
+                self._is_first = False
+            elif len(datagram) % self._frame.size:
                 what = f"a datagram of {len(datagram)} bytes"
                 raise self.error(what, f"whole frames of {self._frame.size} bytes")
             data += datagram
         return data
 
-    def _frames(self, data: bytes, arrived_ns: int) -> Frames:
-        rows = list(self._frame.iter_unpack(data))
+    def _lines(self, data: bytes) -> list[list[float | str]]:
+        """Return the cells of whole lines: numbers, and texts of fields that are no numbers."""
+        separator = self.settings.separator or ","
+        lines = [line for line in data.decode("ascii", "replace").splitlines() if line.strip()]
+        if self._is_first and lines:
+            self._is_first = False
+            del lines[0]
+        rows: list[list[float | str]] = []
+        for line in lines:
+            cells = line.split() if separator == " " else [cell.strip() for cell in line.split(separator)]
+            if len(cells) != len(self.settings.fields):
+                expected = f"{len(self.settings.fields)}, separated by '{separator}'"
+                raise self.error(f"the line '{line[:60]}' has {len(cells)} values", expected)
+            rows.append([self._cell(cell) for cell in cells])
+        return rows
+
+    def _cell(self, cell: str) -> float | str:
+        if cell == self.settings.overload:
+            return math.nan
+        try:
+            number = float(cell)
+        except ValueError:
+            return cell
+        return number if math.isfinite(number) else math.nan
+
+    def _frames(self, rows: Sequence[Sequence[Any]], arrived_ns: int) -> Frames:
         for row in rows:
             for column, name, value in self._constants:
                 if row[column] != value:
                     what = f"'{name}' is {row[column]} in a frame"
                     raise self.error(what, f"{value}; the frames may be of another layout")
-        values = np.array([[row[column] for column in self._columns] for row in rows], dtype=np.float64) * self._scales
-        counters = np.array([self._numbers.number(row[self._counter]) for row in rows], dtype=np.int64)
+        numbers = [[row[column] for column in self._columns] for row in rows]
+        text = next((each for row in numbers for each in row if isinstance(each, str)), None)
+        if text is not None:
+            raise self.error(f"'{text}' in place of a number", "a number, or the text of the key overload")
+        values = np.array(numbers, dtype=np.float64) * self._scales
+        counters = np.array([self._number_of(row) for row in rows], dtype=np.int64)
         return Frames(counters, values, arrived_ns=arrived_ns)
+
+    def _number_of(self, row: Sequence[Any]) -> int:
+        """Return the number of a frame: by its counter, or counted here."""
+        self._counted += 1
+        if self._counter is None:
+            return self._counted
+        counter = row[self._counter]
+        if isinstance(counter, float) and counter.is_integer() and counter >= 0.0:
+            counter = int(counter)
+        if not isinstance(counter, int):
+            raise self.error(f"'{counter}' in place of the counter", "a whole number")
+        return self._numbers.number(counter)

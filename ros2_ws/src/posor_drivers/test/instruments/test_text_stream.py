@@ -1,0 +1,137 @@
+"""Device ``stream`` with lines of text, and with frames without a counter, over real sockets."""
+
+from __future__ import annotations
+
+import socketserver
+import struct
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from typing import Any
+
+import numpy as np
+import pytest
+from posor_drivers.instruments.stream_device import StreamDevice, StreamSettings
+from pydantic import ValidationError
+
+from .device_states import running, wait_for, wait_for_fault, wait_for_frames
+
+RATE = 200.0
+
+
+@contextmanager
+def serving(frame: Callable[[int], bytes]) -> Iterator[int]:
+    """Send a frame by its number 200 times per second over TCP; yield the port."""
+    stop = threading.Event()
+
+    class Sender(socketserver.BaseRequestHandler):
+        def handle(self) -> None:
+            begin = time.monotonic()
+            with suppress(OSError):
+                for n in range(100_000):
+                    self.request.sendall(frame(n))
+                    if stop.wait(max(0.0, begin + n / RATE - time.monotonic())):
+                        return
+
+    class Server(socketserver.ThreadingTCPServer):
+        allow_reuse_address = daemon_threads = True
+
+    with Server(("127.0.0.1", 0), Sender) as server:
+        thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.02})
+        thread.start()
+        try:
+            yield server.server_address[1]
+        finally:
+            stop.set()
+            server.shutdown()
+            thread.join()
+
+
+def settings(port: int, **changes: Any) -> StreamSettings:
+    content: dict[str, Any] = {
+        "kind": "stream",
+        "transport": "tcp",
+        "host": "127.0.0.1",
+        "port": port,
+        "rate": {"value": RATE, "unit": "Hz"},
+        "format": "text",
+        "fields": ["gap1", "gap2"],
+        "without_counter": "counter" not in changes.get("fields", ()),
+        "channels": {"gap1": {"unit": "V", "scale": 2.0}, "gap2": {"unit": "V"}},
+    }
+    return StreamSettings.model_validate(content | changes)
+
+
+WAYS: dict[str, tuple[Callable[[int], bytes], dict[str, Any]]] = {
+    "commas": (lambda _: b"0.5, -1.25\n", {}),
+    "a first line that is cut, and a banner": (lambda n: b"0.5,-1.25\r\n" if n else b"5,-1.25\r\n", {}),
+    "blanks and exponents": (lambda _: b"  5e-1   -1.25  \r\n", {"separator": " "}),
+    "counter, name and unused fields": (
+        lambda n: f"$GAP;{n};0.5;-1.25;ok\n".encode(),
+        {"separator": ";", "constants": {"name": "$GAP"}, "fields": ["name", "counter", "gap1", "gap2", "remark"]},
+    ),
+    "binary without counter": (lambda _: struct.pack("<2d", 0.5, -1.25), {"format": "<2d"}),
+}
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_values_of_frames(way: str) -> None:
+    frame, changes = WAYS[way]
+    with serving(frame) as port, running(StreamDevice("box", settings(port, **changes))) as reader:
+        wait_for_frames(reader)
+        values: list[Any] = []
+        wait_for(
+            lambda: values.append(reader.values_at(time.time_ns() - 50_000_000)) or values[-1] is not None, "values"
+        )
+        np.testing.assert_allclose(values[-1], [1.0, -1.25], rtol=1e-12)
+        assert reader.state.values["frames_lost"] == 0
+
+
+def test_a_number_out_of_range_is_invalid() -> None:
+    changes = {"overload": "OVER"}
+    with serving(lambda _: b"OVER,nan\n") as port, running(StreamDevice("box", settings(port, **changes))) as reader:
+        wait_for_frames(reader)
+        values: list[Any] = []
+        wait_for(
+            lambda: values.append(reader.values_at(time.time_ns() - 50_000_000)) or values[-1] is not None, "values"
+        )
+        assert np.isnan(values[-1]).all()
+
+
+@pytest.mark.parametrize(
+    ("frame", "changes", "sentence"),
+    [
+        (b"0.5\n", {}, "the line '0.5' has 1 values; expected 2, separated by ','"),
+        (b"0.5;1\n", {}, "has 1 values"),
+        (b"0.5,x\n", {}, "'x' in place of a number; expected a number, or the text of the key overload"),
+        (b"x,0.5,1\n", {"fields": ["counter", "gap1", "gap2"]}, "'x' in place of the counter; expected a whole number"),
+        (
+            b"0,0.5,1\n",
+            {"fields": ["id", "gap1", "gap2"], "constants": {"id": 7}},
+            "'id' is 0.0 in a frame; expected 7",
+        ),
+        (b"0.5 " * 4096, {}, "no end of a line in"),
+    ],
+)
+def test_lines_of_another_layout_are_named(frame: bytes, changes: dict[str, Any], sentence: str) -> None:
+    with serving(lambda _: frame) as port, running(StreamDevice("box", settings(port, **changes))) as reader:
+        wait_for_fault(reader, sentence)
+
+
+@pytest.mark.parametrize(
+    ("changes", "sentence"),
+    [
+        (
+            {"transport": "udp"},
+            "'counter' occurs 0 times; expected each constant and channel once, and the counter once",
+        ),
+        ({"format": "<2d", "separator": ","}, "separator of binary frames; expected format: text"),
+        ({"format": "<2d", "constants": {"gap1": "x"}}, "'x'; expected a whole number"),
+        ({"format": "txt"}, "expected as of Python's struct, or text"),
+    ],
+)
+def test_keys_that_do_not_fit_are_refused(changes: dict[str, Any], sentence: str) -> None:
+    with pytest.raises(ValidationError) as caught:
+        settings(5000, **changes)
+    assert sentence in str(caught.value.errors()[0]["ctx"]["error"])
