@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 from posor.bags.bag_writer import replace_bag
 from posor.bags.provenance import provenance_of
+from posor.bags.result_folder import writing
 from posor.chain.arm_file import load_arm_file
 from posor.errors import BagError, ParameterError
 from posor.messages.message_definitions import MessageTypes
@@ -68,8 +69,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         raise ParameterError("--map is missing", where="import", expected="--map MAP.yaml, or --propose to make one")
     if options.arm is not None or options.calibration:
         raise ParameterError("--arm or --calibration with --map", where="import", expected="calibration: in the map")
-    if options.output is not None and options.output.exists() and not options.force:
-        raise BagError("exists already", where=str(options.output), expected="a new folder, or --force")
+    if options.output is not None:
+        _check_output(options.output, force=options.force)
     readings = load_readings(options.file, options.map)
     _print_summary(readings)
     if options.output is not None:
@@ -83,6 +84,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0
 
 
+def _check_output(bag: Path, *, force: bool) -> None:
+    """Raise BagError if the output exists, unless it is a bag of this program that is to be replaced."""
+    if not bag.exists():
+        return
+    if not force:
+        raise BagError("exists already", where=str(bag), expected="a new folder, or --force")
+    own = {"metadata.yaml", f"{bag.name}.mcap"}
+    if not bag.is_dir() or {path.name for path in bag.iterdir()} != own:
+        raise BagError("is not a bag of this program alone", where=str(bag), expected="a new folder")
+
+
 def write_bag(readings: TableReadings, bag: Path, custom_data: dict[str, str] | None = None) -> int:
     """Write the readings of all joints of a table to a bag, replacing an existing one; return the number of messages.
 
@@ -91,7 +103,7 @@ def write_bag(readings: TableReadings, bag: Path, custom_data: dict[str, str] | 
 
     """
     types, streams = MessageTypes(), []
-    with replace_bag(bag, custom_data) as writer:
+    with writing(bag), replace_bag(bag, custom_data) as writer:
         for joint, of_joint in readings.joints.items():
             messages = TableMessages(readings, joint, types)
             names = {topic.name: of_joint.topic if topic.name == RAW_TOPIC else topic.name for topic in messages.topics}

@@ -59,7 +59,8 @@ class RawTable(ABC):
 
     def __init__(self, path: Path, columns: Sequence[Column]) -> None:
         """Store the columns that the file has."""
-        self.path, self.columns = path, tuple(columns)
+        self.path = path
+        self.columns = tuple(column._replace(name=" ".join(column.name.split())) for column in columns)
         if not self.columns:
             raise DataFileError("holds no columns", where=str(path), expected="columns of numbers with equal lengths")
 
@@ -86,7 +87,7 @@ class RawTable(ABC):
             raise DataFileError(
                 f"column {column} of {where} is missing", where=str(self.path), expected=f"1 to {len(names)}"
             )
-        found = [n for n, name in enumerate(names) if name == column.strip()]
+        found = [n for n, name in enumerate(names) if name == " ".join(column.split())]
         if not found:
             expected = f"one of {', '.join(repr(name) for name in names)}"
             raise DataFileError(f"column '{column}' of {where} is missing", where=str(self.path), expected=expected)

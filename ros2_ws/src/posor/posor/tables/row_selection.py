@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from posor.tables.raw_table import Cells, RawTable
     from posor.tables.table_map import TableMap
 
+_LONGEST_TEXT = 60  # of a cell in an error
+
 
 @dataclass
 class RowSelection:
@@ -68,7 +70,11 @@ class RowSelection:
         if self.map.file.decimal == "." and "," in cell.text:
             expected += " with a decimal point; file: {decimal: ','} in the map if it has a decimal comma"
         self._refuse(
-            "invalid_cells", self._place(cell.row, cell.column), f"'{cell.text}' is invalid", expected, len(rows)
+            "invalid_cells",
+            self._place(cell.row, cell.column),
+            f"'{_short(cell.text)}' is invalid",
+            expected,
+            len(rows),
         )
         self.keep[rows] = False
 
@@ -77,7 +83,7 @@ class RowSelection:
         if not wrong.any():
             return
         row = int(np.flatnonzero(wrong)[0])
-        text = " ".join(str(self.cells.values[n][row]) for n in self.time_columns)
+        text = _short(" ".join(str(self.cells.values[n][row]) for n in self.time_columns))
         expected = EXAMPLE if time.format == "iso" else f"a time in the form '{time.format}'"
         if time.unit:
             expected = "a number from the start on"
@@ -111,3 +117,8 @@ class RowSelection:
         where = self._place(int(rows[n]), self.time_columns[0] if self.time_columns else None)
         self._refuse("time_back", where, what, expected, int(back.sum()))
         self.keep[rows[back]] = False
+
+
+def _short(text: str) -> str:
+    """Return the text of a cell in one line."""
+    return " ".join(text.split())[:_LONGEST_TEXT]

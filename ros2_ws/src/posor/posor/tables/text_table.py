@@ -91,7 +91,9 @@ class TextTable(RawTable):
             nonlocal number
             for line in io.StringIO(self._text, newline=None):
                 number += 1
-                if number >= first_line and line.strip() and not (layout.comment and line.startswith(layout.comment)):
+                is_comment = bool(layout.comment) and line.startswith(layout.comment)
+                is_comment |= number == 1 and line.startswith("sep=")  # of Excel
+                if number >= first_line and line.strip() and not is_comment:
                     yield " ".join(line.split()) if layout.separator == "space" else line
 
         reader = csv.reader(lines(), delimiter=separator, skipinitialspace=True, strict=True)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from posor import CalibrationError, DataFileError, ParameterError, PosorError, Scans, read_table
+from posor.tables.table_map import load_table_map
 from posor.tables.table_readings import load_readings
 
 from .sample_files import CELSIUS, COUNT, NAMES, READINGS, START, START_NS, TIMES, VOLTS, rows, write_csv, write_map
@@ -92,6 +94,8 @@ WAYS: dict[str, tuple[bytes, dict[str, Any]]] = {
             },
         },
     ),
+    "line for Excel": (b"sep=,\n" + TEXT.encode(), {}),
+    "names of two lines": (TEXT.replace("AI0 (mV)", '"AI0\n(mV)"').encode(), {}),
     "columns in another order": (
         "\n".join(",".join(reversed(line.split(","))) for line in TEXT.splitlines()).encode() + b"\n",
         {},
@@ -170,6 +174,7 @@ BAD: dict[str, tuple[str, dict[str, Any], str]] = {
         "{csv}, line 4, column 'AI0 (mV)': '712.O00' is invalid; expected a number, {or_leave_out} [invalid_cells] ",
     ),
     "infinite": (change(TEXT, "712.000", "1e999"), {}, "'1e999' is invalid"),
+    "lines in a cell": (change(TEXT, "712.000", '"7\n12"'), {}, "line 5, column 'AI0 (mV)': '7 12' is invalid"),
     "underscore": (change(TEXT, "712.000", "71_2.0"), {}, "'71_2.0' is invalid"),
     "decimal comma": (change(TEXT, "712.000", '"712,000"'), {}, "decimal: ','"),
     "grouped thousands": (change(TEXT, "712.000", '"1,712.0"'), {}, "'1,712.0' is invalid"),
@@ -363,6 +368,18 @@ def test_flags_references_and_lit_sources(tmp_path: Path) -> None:
     del references["laser"]["missing"]
     with pytest.raises(DataFileError, match=r"line 3, column 'laser': the cell has no value"):
         read_table(path, write_map(tmp_path, **changes))
+
+
+def test_the_maps_of_the_reference_page_are_valid(tmp_path: Path) -> None:
+    page = (Path(__file__).parents[5] / "docs/reference/tables.md").read_text(encoding="utf-8")
+    blocks = re.findall(r"^```yaml\n(format.*?|references.*?)^```$", page, re.DOTALL | re.MULTILINE)
+    assert len(blocks) == 2
+    times = re.findall(r"`(\{(?:column|rate): .*?\})`[;,| ]", page.partition("### Time")[2].partition("### Rows")[0])
+    assert len(times) == 4
+    for time in times:
+        path = tmp_path / "map.yaml"
+        path.write_text(re.sub(r"^time: .*$", f"time: {time}", "".join(blocks), flags=re.MULTILINE), encoding="utf-8")
+        assert set(load_table_map(path).map.references) == {"laser", "tracker"}
 
 
 def test_several_joints_need_a_name(tmp_path: Path) -> None:

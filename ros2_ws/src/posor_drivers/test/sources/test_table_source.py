@@ -140,6 +140,7 @@ def test_import_writes_all_joints_and_references(tmp_path: Path, capsys: pytest.
     assert [each.value for each in laser] == pytest.approx([0.0, 1e-6, 2e-6, 3e-6])
     assert {(each.unit, each.standard_uncertainty, each.header.frame_id) for each in laser} == {("m", 2e-8, "table")}
     assert (tracker[0].child_frame_id, tracker[0].transform.translation.y) == ("target", pytest.approx(2e-3))
+    assert main([str(table), "--map", str(table_map), "--output", str(bag), "--force"]) == 0
     data = custom_data(bag)
     assert data["posor.table"].startswith("two.csv sha256 ")
     assert "incomplete_rows" in data["posor.table_left_out"]
@@ -149,6 +150,12 @@ def test_import_writes_all_joints_and_references(tmp_path: Path, capsys: pytest.
     ("options", "code", "sentence"),
     [
         (["--map", "{map}", "--output", "{folder}"], 1, "exists already; expected a new folder, or --force."),
+        (
+            ["--map", "{map}", "--output", "{folder}", "--force"],
+            1,
+            "is not a bag of this program alone; expected a new",
+        ),
+        (["--map", "{map}", "--output", "/proc/bag"], 1, "/proc/bag: cannot be written, "),
         ([], 2, "import: --map is missing; expected --map MAP.yaml, or --propose to make one."),
         (["--propose"], 2, "import --propose: no calibration is named; expected --arm or --calibration."),
         (["--propose", "--calibration", "x"], 2, "import --calibration: 'x'; expected JOINT=FILE."),
