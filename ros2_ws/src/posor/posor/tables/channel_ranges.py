@@ -20,10 +20,10 @@ CONTACTS = "ABCD"
 
 
 class Channel(NamedTuple):
-    """A channel of a calibration: the reading of a map, its index there, its name, and the accepted values."""
+    """A channel of a calibration: the reading of a map, its number there, its name, and the accepted values."""
 
     reading: str
-    index: int
+    number: int
     name: str
     lowest: float
     highest: float
@@ -52,8 +52,8 @@ def channels_of(calibration: Calibration) -> list[Channel]:
         elif isinstance(sensor, DiodesCalibration):
             for diode in sensor.diodes:
                 for contact in CONTACTS:
-                    name, index = f"{diode.name} {contact}", _count(channels, "diode_currents")
-                    channels.append(Channel("diode_currents", index, name, *diode.sums))
+                    name, number = f"{diode.name} {contact}", _count(channels, "diode_currents")
+                    channels.append(Channel("diode_currents", number, name, *diode.sums))
     environment = calibration.environment
     for reading, part in (("supply_voltage", "supply"), ("temperature", "temperature")):
         stated = environment and getattr(environment, part)
@@ -81,7 +81,7 @@ def compared_values(channel: Channel, scans: Scans) -> FloatArray:
         return scans.temperatures
     if channel.reading != "diode_currents":
         voltages: FloatArray = getattr(scans, channel.reading)
-        return voltages[:, channel.index]
-    diode, contact = divmod(channel.index, len(CONTACTS))
+        return voltages[:, channel.number]
+    diode, contact = divmod(channel.number, len(CONTACTS))
     currents = scans.diode_currents[~scans.dark][:, diode]
     return np.asarray(currents[:, contact] + currents[:, (contact + 2) % len(CONTACTS)])

@@ -257,12 +257,11 @@ def _propose_joint(draft: _Draft, joint: str, path: Path) -> None:
             draft.add(f"    lit_sources: {lit}", doubt)
     for reading, pattern in _NAMES.items():
         found = [n for n in draft.numbers if n not in draft.used and pattern.search(draft.table.columns[n].name)]
-        channel = next((each for each in channels if each.reading == reading), None)
-        if found and channel:
-            _propose_column(
-                draft, f"    {reading}: ", channel, found[0], "V" if reading == "supply_voltage" else "K", "by its name"
-            )
-        elif channel:
+        known = next((each for each in channels if each.reading == reading), None)
+        if found and known:
+            si = "V" if reading == "supply_voltage" else "K"
+            _propose_column(draft, f"    {reading}: ", known, found[0], si, "by its name")
+        elif known:
             draft.add(f"    # {reading}: no column found; without it, its effect is not corrected")
 
 

@@ -277,7 +277,7 @@ class _Reader:
             likely = _likely_unit(joint, channel, float(np.median(values)), si)
             what = f"every {kind} of {channel.name} is beyond its calibration, the first {values[0]:g} {si}"
             key = channel.reading if not joint.diode_ratios or si != "A" else "diode_ratios"
-            where = self._place("joints", name, key, channel.index)
+            where = self._place("joints", name, key, channel.number)
             raise DataFileError(what, where=where, expected=f"{text}{likely}")
         if beyond.any():
             self.notes.append(
@@ -293,7 +293,7 @@ def _same_unit(one: str, other: str) -> bool:
 def _likely_unit(joint: JointMap, channel: Channel, value: float, si: str) -> str:
     """Return the unit in which a value would be within the range of a channel, as a question."""
     part: Any = getattr(joint, channel.reading)
-    entry = part[channel.index] if isinstance(part, tuple) and part else part
+    entry = part[channel.number] if isinstance(part, tuple) and part else part
     if not isinstance(entry, ColumnEntry) or entry.scale is not None:
         return ""
     unit = likely_unit((value - float(entry.column_unit.shift)) / float(entry.column_unit.factor), si, channel)

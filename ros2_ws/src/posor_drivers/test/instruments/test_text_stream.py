@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from posor_drivers.instruments.device_reader import DeviceReader
 from posor_drivers.instruments.stream_device import StreamDevice, StreamSettings
 from pydantic import ValidationError
 
@@ -63,6 +64,18 @@ def settings(port: int, **changes: Any) -> StreamSettings:
     return StreamSettings.model_validate(content | changes)
 
 
+def newest_values(reader: DeviceReader) -> Any:
+    """Wait for values of 50 ms ago, and return them."""
+    found: list[Any] = []
+
+    def take() -> bool:
+        found[:] = [reader.values_at(time.time_ns() - 50_000_000)]
+        return found[0] is not None
+
+    wait_for(take, "values")
+    return found[0]
+
+
 WAYS: dict[str, tuple[Callable[[int], bytes], dict[str, Any]]] = {
     "commas": (lambda _: b"0.5, -1.25\n", {}),
     "a first line that is cut, and a banner": (lambda n: b"0.5,-1.25\r\n" if n else b"5,-1.25\r\n", {}),
@@ -80,11 +93,7 @@ def test_values_of_frames(way: str) -> None:
     frame, changes = WAYS[way]
     with serving(frame) as port, running(StreamDevice("box", settings(port, **changes))) as reader:
         wait_for_frames(reader)
-        values: list[Any] = []
-        wait_for(
-            lambda: values.append(reader.values_at(time.time_ns() - 50_000_000)) or values[-1] is not None, "values"
-        )
-        np.testing.assert_allclose(values[-1], [1.0, -1.25], rtol=1e-12)
+        np.testing.assert_allclose(newest_values(reader), [1.0, -1.25], rtol=1e-12)
         assert reader.state.values["frames_lost"] == 0
 
 
@@ -92,11 +101,7 @@ def test_a_number_out_of_range_is_invalid() -> None:
     changes = {"overload": "OVER"}
     with serving(lambda _: b"OVER,nan\n") as port, running(StreamDevice("box", settings(port, **changes))) as reader:
         wait_for_frames(reader)
-        values: list[Any] = []
-        wait_for(
-            lambda: values.append(reader.values_at(time.time_ns() - 50_000_000)) or values[-1] is not None, "values"
-        )
-        assert np.isnan(values[-1]).all()
+        assert np.isnan(newest_values(reader)).all()
 
 
 @pytest.mark.parametrize(
@@ -122,12 +127,10 @@ def test_lines_of_another_layout_are_named(frame: bytes, changes: dict[str, Any]
 @pytest.mark.parametrize(
     ("changes", "sentence"),
     [
-        (
-            {"transport": "udp"},
-            "'counter' occurs 0 times; expected each constant and channel once, and the counter once",
-        ),
+        ({"transport": "udp"}, "without_counter; expected a counter in the frames of UDP"),
         ({"format": "<2d", "separator": ","}, "separator of binary frames; expected format: text"),
         ({"format": "<2d", "constants": {"gap1": "x"}}, "'x'; expected a whole number"),
+        ({"without_counter": False}, "'counter' occurs 0 times; expected each counter, constant and channel once, or"),
         ({"format": "txt"}, "expected as of Python's struct, or text"),
     ],
 )
