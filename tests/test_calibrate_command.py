@@ -15,13 +15,13 @@ import yaml
 from posor.bags.calibration_recording import bag_sha256
 from posor.calibration.calibration_file import Calibration, load_calibration
 from posor.calibration.fit_record import FitRecord
-from posor.ros_names import POSE_STAMPED
+from posor.ros_names import POSE_STAMPED, TRANSFORM_STAMPED
 from posor_calibration.calibrate_command import main
 from posor_calibration.calibration_comparison import compare_calibrations
 from posor_calibration.outcome_report import MAX_LINES
 from posor_calibration.outcome_tables import WIDTH
 from posor_calibration.procedure_registry import PROCEDURES
-from posor_drivers.calibration_bag import TRANSFORM_STAMPED, TYPES, entries, write_bag
+from posor_drivers.calibration_bag import TYPES, entries, write_bag
 from posor_lab.harness.case_tables import cases
 from posor_lab.harness.drawn_posor import ABOUT, ALONG, DrawnPosor
 from posor_lab.harness.program import installed

@@ -24,6 +24,7 @@ COMMISSIONING_STEP = "posor_msgs/msg/CommissioningStep"
 POINT_STAMPED = "geometry_msgs/msg/PointStamped"
 POSE_STAMPED = "geometry_msgs/msg/PoseStamped"
 POSE_WITH_COVARIANCE_STAMPED = "geometry_msgs/msg/PoseWithCovarianceStamped"
+TRANSFORM_STAMPED = "geometry_msgs/msg/TransformStamped"
 VECTOR_STAMPED = "geometry_msgs/msg/Vector3Stamped"
 JOINT_STATE = "sensor_msgs/msg/JointState"
 

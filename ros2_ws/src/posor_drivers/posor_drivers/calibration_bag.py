@@ -9,9 +9,9 @@ from posor.bags.bag_writer import BagWriter
 from posor.bags.recording import POINT, POSE, SCALAR
 from posor.messages.message_definitions import MessageTypes
 from posor.model.scan import HOME_BUMP
-from posor.ros_names import POINT_STAMPED, RAW_SCAN
+from posor.ros_names import POINT_STAMPED, RAW_SCAN, TRANSFORM_STAMPED
 
-from posor_drivers.message_builder import TRANSFORM_STAMPED, point_stamped, raw_scan, scan_fields, transform_stamped
+from posor_drivers.message_builder import point_stamped, raw_scan, scan_fields, transform_stamped
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

@@ -8,7 +8,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pinocchio as pin
 from posor.numerics.stamps import NS
-from posor.ros_names import JOINT_STATE, POINT_STAMPED, POSE_STAMPED, RAW_SCAN, RAW_TOPIC, VECTOR_STAMPED
+from posor.ros_names import (
+    JOINT_STATE,
+    POINT_STAMPED,
+    POSE_STAMPED,
+    RAW_SCAN,
+    RAW_TOPIC,
+    TRANSFORM_STAMPED,
+    VECTOR_STAMPED,
+)
 
 from posor_drivers.sources.source import SourceMessage, Topic
 
@@ -22,9 +30,6 @@ if TYPE_CHECKING:
     from posor_drivers.simulator.arm_simulation import ArmSimulation
     from posor_drivers.simulator.pose_array import ArmTruth
     from posor_drivers.simulator.simulated_scans import SimulatedScans
-
-
-TRANSFORM_STAMPED = "geometry_msgs/msg/TransformStamped"
 
 
 def header(types: MessageTypes, stamp_ns: int, frame_id: str) -> Any:

@@ -18,7 +18,7 @@ from posor.messages.message_definitions import schema_of_connection
 from posor.messages.raw_scan import RecordedScans
 from posor.model.scan import CONTACTS
 from posor.numerics.stamps import time_ns
-from posor.ros_names import POINT_STAMPED, POSE_STAMPED, REFERENCE_READING
+from posor.ros_names import POINT_STAMPED, POSE_STAMPED, REFERENCE_READING, TRANSFORM_STAMPED
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping, Sequence
@@ -30,7 +30,6 @@ if TYPE_CHECKING:
     from posor.numerics.array_types import FloatArray
 
 FLOAT64 = "std_msgs/msg/Float64"
-TRANSFORM_STAMPED = "geometry_msgs/msg/TransformStamped"
 
 
 def _pose_fields(position: str, rotation: str) -> tuple[str, ...]:

@@ -337,7 +337,7 @@ def test_flags_references_and_lit_sources(tmp_path: Path) -> None:
         "home_mark": {"column": "home", "unit": "1"},
         "flags": {"saturated": {"column": "state", "pattern": "OVER"}},
     }
-    references = {
+    references: dict[str, dict[str, Any]] = {
         "laser": {
             "frame_id": "table",
             "reading": {"column": "laser", "unit": "um"},

@@ -10,18 +10,11 @@ from posor.messages.message_definitions import installed_schema
 from posor.messages.message_table import TableLayout
 from posor.numerics.stamps import NS
 from posor.parameter_model import ParameterGroup
-from posor.ros_names import POINT_STAMPED, RAW_SCAN, RAW_TOPIC, REFERENCE_READING
+from posor.ros_names import POINT_STAMPED, RAW_SCAN, RAW_TOPIC, REFERENCE_READING, TRANSFORM_STAMPED
 from posor.tables.table_readings import load_readings, only_joint
 from pydantic import Field
 
-from posor_drivers.message_builder import (
-    TRANSFORM_STAMPED,
-    header,
-    point_stamped,
-    raw_scan,
-    scan_fields,
-    transform_stamped,
-)
+from posor_drivers.message_builder import header, point_stamped, raw_scan, scan_fields, transform_stamped
 from posor_drivers.sources.source import RecordedSource, SourceMessage, Topic
 
 if TYPE_CHECKING:

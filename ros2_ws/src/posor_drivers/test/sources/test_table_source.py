@@ -141,9 +141,9 @@ def test_import_writes_all_joints_and_references(tmp_path: Path, capsys: pytest.
     assert {(each.unit, each.standard_uncertainty, each.header.frame_id) for each in laser} == {("m", 2e-8, "table")}
     assert (tracker[0].child_frame_id, tracker[0].transform.translation.y) == ("target", pytest.approx(2e-3))
     assert main([str(table), "--map", str(table_map), "--output", str(bag), "--force"]) == 0
-    data = custom_data(bag)
-    assert data["posor.table"].startswith("two.csv sha256 ")
-    assert "incomplete_rows" in data["posor.table_left_out"]
+    stated = custom_data(bag)
+    assert stated["posor.table"].startswith("two.csv sha256 ")
+    assert "incomplete_rows" in stated["posor.table_left_out"]
 
 
 @pytest.mark.parametrize(
