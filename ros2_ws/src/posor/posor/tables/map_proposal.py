@@ -58,6 +58,11 @@ class _Draft:
     unsure: list[str] = field(default_factory=list)
     used: set[int] = field(default_factory=set)
 
+    def column(self, n: int) -> str:
+        """Return a column as the map names it: its number where another one has its name."""
+        names = [column.name for column in self.table.columns]
+        return str(n + 1) if names.count(names[n]) > 1 or not names[n] else _quoted(names[n])
+
     def add(self, line: str, doubt: str = "") -> None:
         """Add a line; ``doubt``: why it is a guess."""
         self.lines.append(f"{line}    # unsure: {doubt}" if doubt else line)
@@ -196,7 +201,7 @@ def _propose_time(draft: _Draft, path: Path) -> None:
             if n in draft.numbers and form == "iso":
                 continue  # a number such as 20261125
             draft.used.add(n)
-            draft.add(f"  column: {_quoted(draft.table.columns[n].name)}")
+            draft.add(f"  column: {draft.column(n)}")
             ambiguous = form.startswith(("%d/", "%m/"))
             draft.add(f"  format: {_quoted(form)}", "day and month may be exchanged" if ambiguous else "")
             if not re.search(r"(Z|[+-]\d\d:\d\d)$", text):
@@ -211,7 +216,7 @@ def _propose_time(draft: _Draft, path: Path) -> None:
     if found:
         column = names[found[0]]
         draft.used.add(found[0])
-        draft.add(f"  column: {_quoted(column.name)}")
+        draft.add(f"  column: {draft.column(found[0])}")
         draft.add(
             f"  unit: {column.unit.name if column.unit else 's'}", "" if column.unit else "the header states no unit"
         )
@@ -302,9 +307,7 @@ def _propose_column(draft: _Draft, begin: str, channel: Channel, n: int | None, 
         middle = float(np.nanmedian(draft.numbers[n])) * (2.0 if si == "A" else 1.0)
         unit = likely_unit(middle, si, channel) or si
         doubts.append("unit by the size of the values")
-    draft.add(
-        f"{begin}{{column: {_quoted(column.name)}, unit: {_yaml_unit(unit)}}}  # {channel.name}", ", ".join(doubts)
-    )
+    draft.add(f"{begin}{{column: {draft.column(n)}, unit: {_yaml_unit(unit)}}}  # {channel.name}", ", ".join(doubts))
 
 
 def _yaml_unit(unit: str) -> str:

@@ -64,6 +64,7 @@ WAYS: dict[str, dict[str, Any]] = {
     "semicolons and decimal commas": {"separator": ";", "decimal": ","},
     "tabs": {"separator": "\t"},
     "comments and header lines": {"head": "# export 2026-11-25\nDAQ of the lab\nrate;500\n"},
+    "names that occur several times": {"names": ["Time (s)", *["AI (mV)"] * 3, *["I (uA)"] * 8]},
     "no units": {"names": ["Time", *(f"AI{n}" for n in range(3)), *(f"I{n}" for n in range(8))]},
     "names of the calibration": {
         "names": [
