@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 RAW_TOPIC = "raw"
 TRANSFORM_TOPIC = "transform"
 ENDPOINT_TOPIC = "endpoint/pose"
@@ -30,3 +32,11 @@ JOINT_STATE = "sensor_msgs/msg/JointState"
 
 ROS_OWN_PARAMETERS = ("use_sim_time", "start_type_description_service", "qos_overrides.")
 """Parameters (or groups of parameters) that rclpy declares on every node."""
+
+ROS_NAME_RULE = "a letter, then letters, digits and underscores, at most 80 characters"
+"""What a part of a namespace may be: longer topics than 247 characters are refused by rmw."""
+
+
+def is_ros_name(name: str) -> bool:
+    """Return whether a name can be one part of a namespace or topic."""
+    return re.fullmatch(r"[A-Za-z][A-Za-z0-9_]{0,79}", name) is not None

@@ -54,7 +54,7 @@ class ArmGeometry:
         joints: Names of the joints, in the order of the chain.
         ends: Parent and child link of each joint, then of each beam.
         fixed: Parent link, child link and pose of each fixed joint.
-        bodies: Of all links.
+        bodies: Of all links that the chain does not leave out.
 
     """
 
@@ -69,7 +69,8 @@ class ArmGeometry:
         self.joints = tuple(joint.name for joint in self._chain.joints)
         self.ends = [(each.parent, each.child) for each in (*self._chain.joints, *self._chain.beam_joints)]
         self.fixed = self._chain.fixed_transforms
-        self.bodies = list(_bodies(self._chain.urdf))
+        links = {self.base, *(child for _, child in self.ends), *(each.child for each in self.fixed)}
+        self.bodies = [body for body in _bodies(self._chain.urdf) if body.link in links]  # without those left out
         self.at_zero = self._nominal(np.zeros(len(self.joints)))
 
     def draw(self, scan: ArmScan, endpoint: EndpointView) -> DrawnArm:

@@ -182,7 +182,7 @@ def test_sag_is_the_correction_that_the_chain_applies() -> None:
             },
         }
     )
-    chain_beam = MeasuringBeam(entry, pin.SE3(np.eye(3), np.array([BEAM["length"], 0.0, 0.0])), "test")
+    chain_beam = MeasuringBeam(entry, pin.SE3(np.eye(3), np.array([BEAM["length"], 0.0, 0.0])))
     applied = chain_beam.sag_gain @ np.array([0.0, 0.0, -9.0])
     found = beam_sag(**BEAM, plate_masses=UNEQUAL["plate_masses"], specific_force=-9.0)
     np.testing.assert_allclose(applied, [0.0, 0.0, found.relative_deflection, 0.0, -found.relative_slope, 0.0])

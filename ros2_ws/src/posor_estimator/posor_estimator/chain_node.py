@@ -105,6 +105,9 @@ class ChainNode(PosorNode[ChainParameters]):
         path, beams = Path(self.parameters.urdf), self.parameters.beams
         chain = load_chain(path, self.parameters.endpoint_frame, Path(beams) if beams else None)
         names = tuple(joint.name for joint in chain.joints)
+        if chain.left_out:
+            where = f"not on the way to {self.parameters.endpoint_frame}"
+            self.get_logger().info(f"joints of the URDF that are {where}: {', '.join(chain.left_out)}")
         # With keep-all topics one joint may be ahead of another by a whole replay.
         max_open = math.inf if self.parameters.lossless else MAX_OPEN_SCANS
         self._synchroniser = TimeSynchroniser(names, max_open, self.parameters.max_wait)

@@ -61,6 +61,9 @@ class Frames(FrozenModel):
         for name, frame in (("parent", self.parent), ("child", self.child)):
             if not frame.strip():
                 raise EntryError(f"{name} is empty", key=(name,), expected="the name of a frame")
+            if frame.startswith("/"):
+                expected = f"'{frame.lstrip('/')}': tf2 refuses frames that begin with '/'"
+                raise EntryError(f"{name} '{frame}'", key=(name,), expected=expected)
         if self.child == self.parent:
             raise EntryError(f"child '{self.child}' is also the parent", key=("child",), expected="two frames")
         return self

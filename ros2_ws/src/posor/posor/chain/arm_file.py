@@ -8,7 +8,6 @@ Versions of the format:
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Literal, Self
 
@@ -21,7 +20,7 @@ from posor.chain.kinematic_chain import Chain, load_chain
 from posor.errors import CalibrationError, ChainError, NodeError, ParameterError, similar_name
 from posor.node_parameters import ChainParameters, PosorParameters
 from posor.parameter_model import validate_parameters
-from posor.ros_names import ROS_OWN_PARAMETERS
+from posor.ros_names import ROS_NAME_RULE, ROS_OWN_PARAMETERS, is_ros_name
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -34,8 +33,8 @@ CHAIN_NODE, POSOR_NODE = "chain_node", "posor_node"
 
 
 def _check_ros_name(name: str) -> str:
-    if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):
-        raise EntryError(f"name {format_value(name)}", expected="a letter, then letters, digits and underscores")
+    if not is_ros_name(name):
+        raise EntryError(f"name {format_value(name)}", expected=ROS_NAME_RULE)
     return name
 
 
@@ -87,7 +86,7 @@ class ArmFileContent(FrozenModel):
     endpoint_frame: str = "endpoint"
     beams: str = ""
     commissioning: str = ""
-    joints: dict[str, JointFile]
+    joints: dict[Name, JointFile]
     chain: ChainFile = ChainFile()
     driver: DriverFile
     scenario: str = ""

@@ -9,8 +9,10 @@ Versions of the format:
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Literal, Self
 
+import numpy as np
 from pydantic import Field, model_validator
 
 from posor.calibration.calibration_file import Provenance
@@ -20,12 +22,44 @@ from posor.calibration.shared_terms import SharedQuantity, SharedTerm, check_sha
 from posor.calibration.yaml_document import parse_document, read_text
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
     from pathlib import Path
 
 FILE_KIND = "beams file"
 VERSION = 2
 FORMER_VERSIONS = (1,)
 STANDARD_GRAVITY = 9.80665  # [m/s^2] (ISO 80000-3)
+
+
+@dataclass(frozen=True)
+class _Range:
+    """Plausible amounts of a quantity in its SI unit: a value beyond is usually one of another unit."""
+
+    least: float
+    most: float
+    causes: Mapping[str, float]  # likely causes of a value beyond, and by what each multiplies the value to correct it
+    or_zero: bool = False
+
+    def check(self, name: str, quantity: Quantity) -> None:
+        """Raise EntryError if a number of a quantity, whose key is its name, is out of range."""
+        for value in np.ravel(quantity.array):
+            if not (self.least <= value <= self.most or (self.or_zero and value == 0.0)):
+                fitting = [cause for cause, factor in self.causes.items() if self.least < value * factor <= self.most]
+                question = f" ({' or '.join(fitting)}?)" if fitting else ""
+                expected = f"{'0 or ' if self.or_zero else ''}{self.least:g} to {self.most:g} {quantity.unit}{question}"
+                raise EntryError(f"{name} {value:g} {quantity.unit}", key=(name,), expected=expected)
+
+
+_DIAMETER = _Range(1e-3, 1.0, {"in mm": 1e-3, "in inches": 0.0254})
+_MODULUS = _Range(1e8, 1.5e12, {"in GPa": 1e9, "in MPa": 1e6, "in psi": 6894.76})  # of plastics to that of diamond
+_DENSITY = _Range(10.0, 23e3, {"in g/cm^3": 1e3})  # of foams to that of osmium
+_MASS = _Range(0.0, 200.0, {"in g": 1e-3})
+_EXPANSION = _Range(1e-10, 1e-3, {"in um/m/K": 1e-6}, or_zero=True)
+_DEVIATION = _Range(0.0, 150.0, {"the temperature itself": 0.1})
+_POSITION = _Range(0.0, 0.1, {"in um": 1e-6, "in mm": 1e-3})
+_ORIENTATION = _Range(0.0, 0.2, {"in urad": 1e-6, "in arcseconds": 4.848e-6, "in degrees": 0.01745})
+_SHARE = _Range(0.0, 1.0, {"in percent": 0.01})
+_GRAVITY = _Range(1.5, 25.0, {"in mm/s^2": 1e-3, "in standard gravities": STANDARD_GRAVITY}, or_zero=True)
 
 
 class TubeFile(FrozenModel):
@@ -42,9 +76,9 @@ class TubeFile(FrozenModel):
         if not 0.0 <= inner < outer:
             expected = f"0 to less than {outer:g} m, the outer"
             raise EntryError(f"inner_diameter {inner:g} m", key=("inner_diameter",), expected=expected)
-        for name, quantity in (("modulus", self.modulus), ("density", self.density)):
-            if not quantity.number > 0.0:
-                raise EntryError(f"{name} {quantity.number:g}", key=(name,), expected="more than 0")
+        _DIAMETER.check("outer_diameter", self.outer_diameter)
+        _MODULUS.check("modulus", self.modulus)
+        _DENSITY.check("density", self.density)
         return self
 
 
@@ -57,8 +91,7 @@ class PlateFile(FrozenModel):
 
     @model_validator(mode="after")
     def _check_values(self) -> Self:
-        if self.mass.number < 0.0:
-            raise EntryError(f"mass {self.mass.number:g} kg", key=("mass",), expected="0 kg or more")
+        _MASS.check("mass", self.mass)
         return self
 
 
@@ -80,8 +113,7 @@ class SagFile(FrozenModel):
             raise EntryError(
                 f"gimbals {self.gimbals.value} m", key=("gimbals",), expected="two distances, the nearer one first"
             )
-        if self.uncertainty.number < 0.0:
-            raise EntryError(f"uncertainty {self.uncertainty.number:g}", key=("uncertainty",), expected="0 or more")
+        _SHARE.check("uncertainty", self.uncertainty)
         return self
 
 
@@ -93,9 +125,8 @@ class PlacementFile(FrozenModel):
 
     @model_validator(mode="after")
     def _check_values(self) -> Self:
-        for name, quantity in (("position", self.position), ("orientation", self.orientation)):
-            if (quantity.array < 0.0).any():
-                raise EntryError(f"{name} {quantity.value}", key=(name,), expected="standard uncertainties, 0 or more")
+        _POSITION.check("position", self.position)
+        _ORIENTATION.check("orientation", self.orientation)
         return self
 
 
@@ -107,10 +138,8 @@ class TemperatureFile(FrozenModel):
 
     @model_validator(mode="after")
     def _check_values(self) -> Self:
-        for name, quantity in (("coefficient", self.coefficient), ("deviation", self.deviation)):
-            if quantity.number < 0.0:
-                what = f"{name} {quantity.number:g} {quantity.unit}"
-                raise EntryError(what, key=(name,), expected="an amount, 0 or more")
+        _EXPANSION.check("coefficient", self.coefficient)
+        _DEVIATION.check("deviation", self.deviation)
         return self
 
 
@@ -136,6 +165,12 @@ class BeamsFile(FrozenModel):
     gravity: Annotated[Quantity, measured("m/s^2", 3)] = Quantity(value=[0.0, 0.0, -STANDARD_GRAVITY], unit="m/s^2")
     beams: Annotated[list[BeamFile], Field(min_length=1)]
     shared: dict[str, SharedTerm] = Field(default_factory=dict)
+
+    @model_validator(mode="after")
+    def _check_gravity(self) -> Self:
+        amount = Quantity(value=float(np.linalg.norm(self.gravity.array)), unit=self.gravity.unit)
+        _GRAVITY.check("gravity", amount)
+        return self
 
     @model_validator(mode="after")
     def _check_version(self) -> Self:

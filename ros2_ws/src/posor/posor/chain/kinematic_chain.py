@@ -16,8 +16,9 @@ import pinocchio as pin
 from posor.chain.arm_geometry import ArmGeometry
 from posor.chain.beams_file import STANDARD_GRAVITY, load_beams
 from posor.chain.endpoint_estimator import EndpointEstimator
-from posor.chain.measuring_beam import MeasuringBeam
+from posor.chain.measuring_beam import MeasuringBeam, beam_faults
 from posor.chain.robot_model import FreeJoint, RobotModel
+from posor.chain.urdf_file import read_urdf
 from posor.errors import ChainError
 from posor.input_text import read_input_text
 
@@ -70,7 +71,10 @@ class Chain:
         joints: The POSORs.
         beams: The measuring beams of the beams file, in its order.
         beam_joints: The joints of the URDF that they are, in the same order.
-        fixed_transforms: The fixed joints of the URDF that are no beams of the beams file.
+        fixed_transforms: The fixed joints of the URDF that are no beams of the beams file, and the places of inserted
+            plates (``chain.urdf_file``).
+        left_out: Names of the URDF's moving joints that are not on the way to the endpoint, such as those of a gripper,
+            and of all joints beyond them.
         urdf: The robot description (XML text).
         gravity: [m/s^2], (3,), in the base frame.
         shared: Shared terms of the beams file, by name.
@@ -90,19 +94,31 @@ class Chain:
 
         ``endpoint_frame``: link of the endpoint; ``beams``: content of the beams file; None: all beams are straight and
         exact; ``source``: name of the URDF in errors, such as its path; ``beams_source``: name of the beams file in
-        errors. Raises ChainError: the URDF is invalid, has no floating joint, a moving joint of another type, or not
-        this link; a beam is not a fixed joint of the URDF, or its gimbals or plates are beyond its ends.
+        errors. Raises ChainError: the URDF is invalid, has no floating joint, a moving joint of another type on the way
+        to the endpoint, or not this link; a beam is not a fixed joint of the URDF, or has one of ``beam_faults``.
         """
         entries = [] if beams is None else beams.beams
-        self._robot = RobotModel(urdf, endpoint_frame, (beam.joint for beam in entries), source)
+        content, faults = read_urdf(urdf, endpoint_frame, source)
+        fixed = [joint.name for joint in content.joints if joint.kind == "fixed"]
+        if not faults:
+            expected = f"one of {', '.join(fixed) or 'none, there is no fixed joint'}"
+            what = "has no fixed joint '{}', which the beams file names"
+            missing = [beam.joint for beam in entries if beam.joint not in fixed]
+            faults = [ChainError(what.format(name), where=source, expected=expected) for name in missing]
+        _raise_faults(faults)
+        self._robot = RobotModel(content, endpoint_frame, [beam.joint for beam in entries], source)
+        self.left_out = content.left_out
         self.base_frame = self._robot.base_frame
         self.joints = self._robot.joints
         self.urdf = urdf
         self.beam_joints = self._robot.freed
         self.shared = {} if beams is None else beams.shared
         self.fixed_transforms = self._robot.fixed_transforms()
+        for entry, joint in zip(entries, self.beam_joints, strict=True):
+            faults += beam_faults(entry, joint.T_parent_joint, beams_source)
+        _raise_faults(faults)
         self.beams = tuple(
-            MeasuringBeam(beam, joint.T_parent_joint, beams_source, self.shared)
+            MeasuringBeam(beam, joint.T_parent_joint, self.shared)
             for beam, joint in zip(entries, self.beam_joints, strict=True)
         )
         self.gravity: FloatArray = np.array([0.0, 0.0, -STANDARD_GRAVITY]) if beams is None else beams.gravity.array
@@ -133,7 +149,7 @@ class Chain:
         return tuple(links)
 
     def nominal_joint(self, name: str, angle: float) -> pin.SE3:
-        """Return T_parent_child of a POSOR without error motions at an angle [rad] about the Z axis of its origin.
+        """Return T_parent_child of a POSOR's plates without error motions at an angle [rad] about Z of its origin.
 
         ``EndpointEstimator.angles`` are the measured angles.
         """
@@ -196,6 +212,14 @@ class Chain:
         """
         names = tuple(joint.name for joint in self.joints)
         return EndpointEstimator(self._geometry, names, acceleration_window, row_layouts, self.beams)
+
+
+def _raise_faults(faults: Sequence[ChainError]) -> None:
+    """Raise the first of several faults, with the number of further ones."""
+    if faults:
+        first, *others = faults
+        more = f" (and {len(others)} more)" if others else ""
+        raise ChainError(first.what + more, where=first.where, expected=first.expected)
 
 
 def load_chain(urdf: Path, endpoint_frame: str, beams: Path | None = None) -> Chain:

@@ -15,14 +15,19 @@ import pinocchio as pin
 
 from posor.calibration.shared_terms import effect_on
 from posor.chain.beam_bending import PointForce, Tube, on_gimbals
+from posor.chain.beams_file import STANDARD_GRAVITY
 from posor.errors import ChainError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from posor.calibration.shared_terms import SharedTerm
+    from posor.chain.beam_bending import BentBeam
     from posor.chain.beams_file import BeamFile, SagFile
     from posor.numerics.array_types import FloatArray
+
+LARGEST_SAG, LARGEST_SLOPE = 0.01, 0.01  # of a beam's length, [rad]: beyond, the linear theory of bending does not hold
+_PLACES = 65  # along a beam, where sag and slope are compared with them
 
 
 class MeasuringBeam:
@@ -45,14 +50,11 @@ class MeasuringBeam:
 
     """
 
-    def __init__(
-        self, entry: BeamFile, T_start_end: pin.SE3, source: str, shared: Mapping[str, SharedTerm] | None = None
-    ) -> None:
-        """Create the beam from its entries in the beams file and in the URDF.
+    def __init__(self, entry: BeamFile, T_start_end: pin.SE3, shared: Mapping[str, SharedTerm] | None = None) -> None:
+        """Create the beam from its entries in the beams file and in the URDF, which have none of ``beam_faults``.
 
-        ``entry``: its entry in the beams file; ``T_start_end``: origin of its fixed joint; ``source``: name of the
-        beams file in errors; ``shared``: the file's shared terms. Raises ChainError: a gimbal or plate is beyond the
-        ends of the beam.
+        ``entry``: its entry in the beams file; ``T_start_end``: origin of its fixed joint; ``shared``: the file's
+        shared terms.
         """
         self.name = entry.joint
         self.T_start_end = T_start_end
@@ -67,7 +69,7 @@ class MeasuringBeam:
         self.sag_sigma = 0.0
         if entry.sag is not None:
             self.sag_sigma = entry.sag.uncertainty.number
-            self._compute_gains(entry.sag, f"{source}, beam '{entry.joint}'")
+            self._compute_gains(entry.sag)
         self.shared_effects: dict[str, FloatArray] = {}
         self.shared_sags: dict[str, float] = {}
         for name, term in (shared or {}).items():
@@ -76,23 +78,9 @@ class MeasuringBeam:
             self.shared_effects[name] = np.concatenate([shift, turn])
             self.shared_sags[name] = float(effect_on(term, f"{entry.joint}.sag", np.ones(())))
 
-    def _compute_gains(self, sag: SagFile, where: str) -> None:
+    def _compute_gains(self, sag: SagFile) -> None:
         length = float(np.linalg.norm(self.T_start_end.translation))
-        near, far = (float(at) for at in sag.gimbals.array)
-        positions = [("gimbal", near), ("gimbal", far)]
-        positions += [(f"plate '{plate.name}'", plate.at.number) for plate in sag.plates]
-        for name, at in positions:
-            if not 0.0 <= at <= length:
-                raise ChainError(f"{name} at {at:g} m", where=where, expected=f"0 to {length:g} m, the beam's length")
-        tube = Tube(
-            sag.tube.outer_diameter.number,
-            sag.tube.inner_diameter.number,
-            sag.tube.modulus.number,
-            sag.tube.density.number,
-        )
-        masses = [PointForce(plate.at.number, plate.mass.number) for plate in sag.plates]
-        # Masses in place of forces give the shape under a specific force of 1 m/s^2.
-        bent = on_gimbals(length, tube.bending_stiffness, tube.mass_per_length, masses, (near, far))
+        bent = _bent(sag, length)
         along = self.T_start_end.translation / length
         across = np.eye(3) - np.outer(along, along)
         for x, gain in ((0.0, self.start_gain), (length, self.end_gain)):
@@ -128,3 +116,45 @@ class MeasuringBeam:
 def _moved(T_start_plate: pin.SE3, motion: FloatArray) -> pin.SE3:
     """Return a plate after a small motion in the axes of the beam's start, turned about its own origin."""
     return pin.SE3(pin.exp3(motion[3:]) @ T_start_plate.rotation, T_start_plate.translation + motion[:3])
+
+
+def _bent(sag: SagFile, length: float) -> BentBeam:
+    """Return the shape of a beam under a specific force of 1 m/s^2: masses are in place of forces."""
+    near, far = (float(at) for at in sag.gimbals.array)
+    numbers = (sag.tube.outer_diameter, sag.tube.inner_diameter, sag.tube.modulus, sag.tube.density)
+    tube = Tube(*(each.number for each in numbers))
+    masses = [PointForce(plate.at.number, plate.mass.number) for plate in sag.plates]
+    return on_gimbals(length, tube.bending_stiffness, tube.mass_per_length, masses, (near, far))
+
+
+def beam_faults(entry: BeamFile, T_start_end: pin.SE3, source: str) -> list[ChainError]:
+    """Return what is wrong with a beam: gimbals or plates beyond its ends, and more sag than the linear theory allows.
+
+    ``entry``: its entry in the beams file; ``T_start_end``: origin of its fixed joint; ``source``: name of the beams
+    file in errors.
+    """
+    sag, where = entry.sag, f"{source}, beam '{entry.joint}'"
+    if sag is None:
+        return []
+    length = float(np.linalg.norm(T_start_end.translation))
+    positions = [("gimbal", float(at)) for at in sag.gimbals.array]
+    positions += [(f"plate '{plate.name}'", plate.at.number) for plate in sag.plates]
+    expected = f"0 to {length:g} m, the beam's length"
+    faults = [
+        ChainError(f"{name} at {at:g} m", where=where, expected=expected)
+        for name, at in positions
+        if not 0.0 <= at <= length
+    ]
+    if faults:
+        return faults
+    bent, places = _bent(sag, length), np.linspace(0.0, length, _PLACES)
+    deflection = STANDARD_GRAVITY * max(abs(bent.deflection(x)) for x in places)
+    slope = STANDARD_GRAVITY * max(abs(bent.slope(x)) for x in places)
+    if deflection <= LARGEST_SAG * length and slope <= LARGEST_SLOPE:
+        return []
+    expected = (
+        f"at most {LARGEST_SAG * length:.3g} m and {LARGEST_SLOPE:g} rad, as far as the linear theory holds (modulus "
+        "in GPa, diameters in mm, density in g/cm^3 or masses in g?)"
+    )
+    what = f"sags by {deflection:.3g} m, with a slope of {slope:.3g} rad, under its weight"
+    return [ChainError(what, where=where, expected=expected)]

@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-import os
-import sys
-import tempfile
-from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
-from xml.etree import ElementTree as ET
 
 import pinocchio as pin
 
+from posor.chain.urdf_file import model_text
 from posor.errors import ChainError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Sequence
+
+    from posor.chain.urdf_file import Urdf
 
 
 class FixedTransform(NamedTuple):
@@ -52,26 +50,20 @@ class RobotModel:
 
     """
 
-    def __init__(self, urdf: str, endpoint_frame: str, freed: Iterable[str], source: str) -> None:
+    def __init__(self, urdf: Urdf, endpoint_frame: str, freed: Sequence[str], source: str) -> None:
         """Build the model.
 
         ``endpoint_frame``: link of the endpoint; ``freed``: names of fixed joints to convert to floating joints,
-        because they are not exact; ``source``: name of the URDF in errors. Raises ChainError: the URDF is invalid, or
-        not an arm of POSORs.
+        because they are not exact; ``source``: name of the URDF in errors. Raises ChainError: the URDF is not an arm of
+        POSORs.
         """
-        names = tuple(freed)
-        root = _parse(urdf, source)
-        self.model = _build_model(_float_joints(urdf, root, names, source), source)
+        self.model: pin.Model = pin.buildModelFromXML(model_text(urdf, freed))
         self.base_frame: str = self._links(0)[0]
-        self._check_all_joints(root, source)
-        if not self.model.existBodyName(endpoint_frame):
-            links = ", ".join(frame.name for frame in self.model.frames if frame.type == pin.FrameType.BODY)
-            raise ChainError(f"has no link '{endpoint_frame}'", where=source, expected=f"one of {links}")
         self.endpoint = self.model.getFrameId(endpoint_frame, pin.FrameType.BODY)
-        joints = [self._free_joint(index, source) for index in range(1, self.model.njoints)]
+        joints = [self._free_joint(index) for index in range(1, self.model.njoints)]
         by_name = {joint.name: joint for joint in joints}
-        self.freed = tuple(by_name[name] for name in names)
-        self.joints = tuple(joint for joint in joints if joint.name not in names)
+        self.freed = tuple(by_name[name] for name in freed)
+        self.joints = tuple(joint for joint in joints if joint.name not in freed)
         if not self.joints:
             raise ChainError("has no POSOR joint", where=source, expected="at least one joint of type 'floating'")
         frame = self.model.frames[self.endpoint]
@@ -83,16 +75,6 @@ class RobotModel:
             raise ChainError(
                 f"no POSOR joint moves link '{endpoint_frame}'", where=source, expected=f"one of {', '.join(moved)}"
             )
-
-    def _check_all_joints(self, root: ET.Element, source: str) -> None:
-        """Refuse joints that the parser left out: their links are not connected to the root link."""
-        for joint in root.findall("joint"):
-            if not self.model.existFrame(joint.get("name", "")):
-                raise ChainError(
-                    f"joint '{joint.get('name')}' is not connected to the root link '{self.base_frame}'",
-                    where=source,
-                    expected="one tree, in which each link but the root is the child of one joint",
-                )
 
     def path(self) -> list[int]:
         """Return the indices of the joints from the base to the endpoint."""
@@ -120,15 +102,8 @@ class RobotModel:
         frames = self.model.frames
         return [f.name for f in frames if f.type == pin.FrameType.BODY and f.parentJoint == joint]
 
-    def _free_joint(self, index: int, source: str) -> FreeJoint:
-        joint = self.model.joints[index]
+    def _free_joint(self, index: int) -> FreeJoint:
         name = self.model.names[index]
-        if joint.shortname() != "JointModelFreeFlyer":
-            raise ChainError(
-                f"joint '{name}' moves but is not floating",
-                where=source,
-                expected="type 'floating' (a POSOR) or 'fixed'",
-            )
         frame = self.model.frames[self.model.getFrameId(name, pin.FrameType.JOINT)]
         parent = self.model.frames[frame.parentFrame]
         while parent.type != pin.FrameType.BODY:
@@ -136,56 +111,3 @@ class RobotModel:
         T_before_parent = parent.placement.copy()
         T_parent_joint = T_before_parent.inverse() * self.model.jointPlacements[index]
         return FreeJoint(name, parent.name, self._links(index)[0], index, T_parent_joint, T_before_parent)
-
-
-def _parse(urdf: str, source: str) -> ET.Element:
-    try:
-        return ET.fromstring(urdf)  # noqa: S314  urdfdom parses the same text afterwards
-    except ET.ParseError as error:
-        raise ChainError(f"is not XML: {error}", where=source, expected="a robot description (URDF)") from error
-
-
-def _float_joints(urdf: str, root: ET.Element, names: tuple[str, ...], source: str) -> str:
-    if not names:
-        return urdf
-    fixed = {joint.get("name", ""): joint for joint in root.iter("joint") if joint.get("type") == "fixed"}
-    for name in names:
-        if name not in fixed:
-            raise ChainError(
-                f"has no fixed joint '{name}', which the beams file names",
-                where=source,
-                expected=f"one of {', '.join(fixed) or 'none, there is no fixed joint'}",
-            )
-        fixed[name].set("type", "floating")
-    return ET.tostring(root, encoding="unicode")
-
-
-def _build_model(urdf: str, source: str) -> pin.Model:
-    with _captured_output() as printed:
-        try:
-            return pin.buildModelFromXML(urdf)
-        except (ValueError, RuntimeError) as error:
-            failure = error
-    text = " ".join(line.strip() for line in printed if line.strip() and " at line " not in line)
-    reason = (text.removeprefix("Error:").strip() or str(failure)).rstrip(". ")
-    raise ChainError(f"cannot be read as a robot description: {reason}", where=source) from failure
-
-
-@contextmanager
-def _captured_output() -> Iterator[list[str]]:
-    """Capture stdout and stderr of the process, also of C++ code; the lines are complete after the ``with`` block."""
-    lines: list[str] = []
-    sys.stdout.flush()
-    sys.stderr.flush()
-    originals = [os.dup(1), os.dup(2)]
-    with tempfile.TemporaryFile() as file:
-        try:
-            for number in (1, 2):
-                os.dup2(file.fileno(), number)
-            yield lines
-        finally:
-            for number, original in zip((1, 2), originals, strict=True):
-                os.dup2(original, number)
-                os.close(original)
-            file.seek(0)
-            lines.extend(file.read().decode(errors="replace").splitlines())

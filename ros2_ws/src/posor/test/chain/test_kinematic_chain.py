@@ -176,11 +176,11 @@ def test_a_joints_angle_is_counted_from_the_urdfs_origin_about_its_axis(chain: C
 
 def refused(urdf: str, endpoint_frame: str = "tip") -> ChainError:
     error = refusal(ChainError, Chain, urdf, endpoint_frame, source=SOURCE)
-    assert error.where == SOURCE
+    assert error.where.startswith(SOURCE)
     return error
 
 
-LOOSE_CYCLE = (  # the parser starts at the root link and leaves out, without a word, what is not connected to it
+LOOSE_CYCLE = (  # a parser that starts at the root link leaves out what is not connected to it
     '<link name="left"/><link name="right"/>'
     '<joint name="there" type="floating"><parent link="left"/><child link="right"/></joint>'
     '<joint name="back" type="floating"><parent link="right"/><child link="left"/></joint>'
@@ -190,22 +190,22 @@ LOOSE_CYCLE = (  # the parser starts at the root link and leaves out, without a 
 @pytest.mark.parametrize(
     ("old", "new", "sentence"),
     [
-        ('"floating"', '"fixed"', "has no POSOR joint; expected at least one joint of type 'floating'."),
+        ('"floating"', '"fixed"', ": has no POSOR joint; expected at least one joint of type 'floating'."),
         (
             "</robot>",
             f"{LOOSE_CYCLE}</robot>",
             (
-                "joint 'there' is not connected to the root link 'base'; expected one tree, in which each link but the "
-                "root is the child of one joint."
+                ", line 6: joint 'there' is not connected to the root link 'base' (and 1 more); expected one tree, in "
+                "which each link but the root is the child of one joint."
             ),
         ),
-        ("</robot>", "</robt>", "is not XML: mismatched tag: line 6, column 2; expected a robot description (URDF)."),
-        ("</robot>", "", "is not XML: no element found: line 7, column 0; expected a robot description (URDF)."),
+        ("</robot>", "</robt>", ": is not XML: mismatched tag: line 6, column 2; expected a robot description (URDF)."),
+        ("</robot>", "", ": is not XML: no element found: line 7, column 0; expected a robot description (URDF)."),
     ],
     ids=["no POSOR", "cycle", "mismatched", "cut off"],
 )
 def test_a_urdf_that_is_no_tree_with_a_posor_is_refused(old: str, new: str, sentence: str) -> None:
-    assert str(refused(ONE_JOINT.replace(old, new))) == f"{SOURCE}: {sentence}"
+    assert str(refused(ONE_JOINT.replace(old, new))) == f"{SOURCE}{sentence}"
 
 
 @pytest.mark.parametrize("kind", ["revolute", "prismatic", "continuous", "planar"])
@@ -227,27 +227,6 @@ def test_an_endpoint_that_no_joint_moves_is_refused() -> None:
     assert error.what == "no POSOR joint moves link 'base'"
     assert error.expected.startswith("one of ")
     assert error.expected.endswith("tip")
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "culprit"),
-    [
-        ("robot", "html", "robot"),
-        ('"floating"', '"floatin"', "floatin"),
-        ('<link name="tip"/>', "", "tip"),
-        ('<link name="tip"/>', '<link name="tip"/><link name="loose"/>', "loose"),
-        ('<link name="tip"/>', '<link name="tip"/><link name="tip"/>', "tip"),
-        ('xyz="0.5 0 0"', 'xyz="far 0 0"', "far"),
-        ('xyz="0.5 0 0"', 'xyz="0.5 0"', "0.5 0"),
-    ],
-    ids=["no robot", "unknown type", "missing link", "two roots", "link twice", "not a number", "two coordinates"],
-)
-def test_errors_of_the_urdf_parser_are_reported(
-    old: str, new: str, culprit: str, capfd: pytest.CaptureFixture[str]
-) -> None:
-    assert old in ONE_JOINT
-    assert culprit in str(refused(ONE_JOINT.replace(old, new)))
-    assert capfd.readouterr() == ("", "")
 
 
 @pytest.mark.parametrize(("path", "reason"), [("pipe", "a pipe or device, not a file"), ("large", "32 MiB, more than")])
