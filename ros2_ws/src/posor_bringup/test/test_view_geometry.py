@@ -1,11 +1,15 @@
 from __future__ import annotations
 
+import shutil
+from pathlib import Path
+
 import numpy as np
 import pinocchio as pin
 import pytest
 from posor_bringup.arms import load_checked_arm
 from posor_bringup.view_geometry import ArmGeometry, ellipsoid, enlarge
 from posor_bringup.view_observation import ArmScan, EndpointView
+from posor_lab.harness.case_tables import edited
 
 ANGLES = {"base_swivel": 0.3, "shoulder": -0.2, "elbow": 0.4, "wrist_roll": 0.1, "wrist_yaw": -0.3}
 NAN_ENDPOINT = EndpointView(0, 0.0, 0.0, "base", np.full(7, np.nan), np.full((6, 6), np.nan), np.full(6, np.nan))
@@ -78,6 +82,18 @@ def test_ellipsoid_has_half_axes_of_two_sigma() -> None:
     np.testing.assert_allclose(half_axes, [2e-6, 4e-6, 6e-6], rtol=1e-6)
     assert np.linalg.det(axes) == pytest.approx(1.0)
     np.testing.assert_allclose(np.abs(turn.T @ axes), np.eye(3), atol=1e-6)
+
+
+def test_bodies_beyond_the_endpoint_are_not_drawn(tmp_path: Path) -> None:
+    """A gripper, whose joint no sensor measures, has no pose."""
+    folder = shutil.copytree(load_checked_arm("test_rig").path.parent, tmp_path / "arm")
+    urdf, bodies = folder / "test_rig.urdf", ArmGeometry(load_checked_arm("test_rig")).bodies
+    finger = (
+        '<link name="finger"><visual><geometry><sphere radius="0.01"/></geometry></visual></link>'
+        '<joint name="grip" type="prismatic"><parent link="endpoint"/><child link="finger"/><axis xyz="1 0 0"/></joint>'
+    )
+    urdf.write_text(edited(urdf.read_text(encoding="utf-8"), "</robot>", f"{finger}</robot>"), encoding="utf-8")
+    assert ArmGeometry(load_checked_arm(str(folder / "arm.yaml"))).bodies == bodies
 
 
 def test_bodies_of_the_urdf(geometry: ArmGeometry) -> None:

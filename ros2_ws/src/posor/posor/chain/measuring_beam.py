@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from posor.numerics.array_types import FloatArray
 
 LARGEST_SAG, LARGEST_SLOPE = 0.01, 0.01  # of a beam's length, [rad]: beyond, the linear theory of bending does not hold
+LARGEST_MASS = 30.0  # of a plate, in masses of the beam's tube
 _PLACES = 65  # along a beam, where sag and slope are compared with them
 
 
@@ -118,17 +119,20 @@ def _moved(T_start_plate: pin.SE3, motion: FloatArray) -> pin.SE3:
     return pin.SE3(pin.exp3(motion[3:]) @ T_start_plate.rotation, T_start_plate.translation + motion[:3])
 
 
+def _tube(sag: SagFile) -> Tube:
+    own = sag.tube
+    return Tube(own.outer_diameter.number, own.inner_diameter.number, own.modulus.number, own.density.number)
+
+
 def _bent(sag: SagFile, length: float) -> BentBeam:
     """Return the shape of a beam under a specific force of 1 m/s^2: masses are in place of forces."""
-    near, far = (float(at) for at in sag.gimbals.array)
-    numbers = (sag.tube.outer_diameter, sag.tube.inner_diameter, sag.tube.modulus, sag.tube.density)
-    tube = Tube(*(each.number for each in numbers))
+    (near, far), tube = sag.gimbals.array.tolist(), _tube(sag)
     masses = [PointForce(plate.at.number, plate.mass.number) for plate in sag.plates]
     return on_gimbals(length, tube.bending_stiffness, tube.mass_per_length, masses, (near, far))
 
 
 def beam_faults(entry: BeamFile, T_start_end: pin.SE3, source: str) -> list[ChainError]:
-    """Return what is wrong with a beam: gimbals or plates beyond its ends, and more sag than the linear theory allows.
+    """Return what is wrong with a beam: gimbals or plates beyond its ends, heavy plates, sag beyond the linear theory.
 
     ``entry``: its entry in the beams file; ``T_start_end``: origin of its fixed joint; ``source``: name of the beams
     file in errors.
@@ -144,6 +148,13 @@ def beam_faults(entry: BeamFile, T_start_end: pin.SE3, source: str) -> list[Chai
         ChainError(f"{name} at {at:g} m", where=where, expected=expected)
         for name, at in positions
         if not 0.0 <= at <= length
+    ]
+    weight = _tube(sag).mass_per_length * length
+    expected = f"at most {LARGEST_MASS:g} times the mass of its tube, {weight:.3g} kg (masses in g, or lengths in mm?)"
+    faults += [
+        ChainError(f"plate '{plate.name}' has {plate.mass.number:g} kg", where=where, expected=expected)
+        for plate in sag.plates
+        if plate.mass.number > LARGEST_MASS * weight
     ]
     if faults:
         return faults

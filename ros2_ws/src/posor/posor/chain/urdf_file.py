@@ -87,6 +87,14 @@ class UrdfJoint:
     axis: FloatArray  # unit vector in the axes of the origin, (3,)
 
 
+class _Joint(NamedTuple):
+    element: _Element
+    name: str
+    kind: str
+    parent: str
+    child: str
+
+
 class Urdf(NamedTuple):
     """Links and joints of a description, as far as they can bear on the endpoint."""
 
@@ -158,8 +166,8 @@ class _Reader:
                     self.check_child(child, owner, ("inertial", "visual", "collision"), None)
         return links
 
-    def read_joint(self, element: _Element, joints: dict[str, int], links: dict[str, int]) -> tuple[str, str, str, str]:
-        """Return name, type, parent and child of a joint; empty where they are wrong."""
+    def read_joint(self, element: _Element, joints: dict[str, int], links: dict[str, int]) -> _Joint:
+        """Return a joint with its name, type and links; empty where they are wrong."""
         name, kind = self.name_of(element, joints), element.attributes.get("type", "")
         owner = f"joint '{name}'"
         self.check_attributes(element, ("name", "type"), owner)
@@ -179,10 +187,11 @@ class _Reader:
         for child in element.children:
             if child.name.startswith("xacro:"):
                 self.check_child(child, owner, PARTS, PLAIN_PARTS)
-        return name, kind, ends[0], ends[1]
+        return _Joint(element, name, kind, *ends)
 
-    def read_geometry(self, element: _Element, name: str, kind: str, parent: str, child: str) -> UrdfJoint:
+    def read_geometry(self, joint: _Joint) -> UrdfJoint:
         """Return a joint with its geometry; what is wrong is the identity."""
+        element, name, kind, parent, child = joint
         owner = f"joint '{name}'"
         for part in element.children:
             if not part.name.startswith("xacro:"):
@@ -286,27 +295,30 @@ class _Reader:
             self.check_child(child, "the robot", ("link", "joint"), None)
         links = self.read_links(robot)
         lines: dict[str, int] = {}
-        joints = [(element, *self.read_joint(element, lines, links)) for element in robot.called("joint")]
-        tree = _Tree(self, links, [(element.line, name, parent, child) for element, name, _, parent, child in joints])
+        joints = [self.read_joint(element, lines, links) for element in robot.called("joint")]
+        tree = _Tree(self, links, joints)
         if self.faults:  # which joints are on the way to the endpoint is not sure: all are checked
             for joint in joints:
-                self.read_geometry(*joint)
+                self.read_geometry(joint)
             return Urdf(tuple(links), (), ())
         if endpoint_frame not in links:
             where, expected = self.source, f"one of {', '.join(links)}"
             self.faults.append(ChainError(f"has no link '{endpoint_frame}'", where=where, expected=expected))
         way = tree.way_to(endpoint_frame)
-        off = {child for _, _, kind, _, child in joints if kind not in ("fixed", "floating") and child not in way}
-        for element, name, kind, _, child in joints:
-            if kind not in ("fixed", "floating") and child in way:
-                self.refuse(
-                    f"joint '{name}' moves but is not floating", element.line, "type 'floating' (a POSOR) or 'fixed'"
+        unmeasured = [joint for joint in joints if joint.kind not in ("fixed", "floating")]
+        for joint in unmeasured:
+            if joint.child in way:
+                what, expected = (
+                    f"joint '{joint.name}' moves but is not floating",
+                    "type 'floating' (a POSOR) or 'fixed'",
                 )
+                self.refuse(what, joint.element.line, expected)
+        off = {joint.child for joint in unmeasured if joint.child not in way}
         beyond = {link for link in links if not off.isdisjoint(tree.way_to(link))}
-        kept = tuple(self.read_geometry(*joint) for joint in joints if joint[-1] not in beyond)
-        for joint in kept:
-            self.check_plates(joint, links, lines)
-        left_out = tuple(name for _, name, _, _, child in joints if child in beyond)
+        kept = tuple(self.read_geometry(joint) for joint in joints if joint.child not in beyond)
+        for each in kept:
+            self.check_plates(each, links, lines)
+        left_out = tuple(joint.name for joint in joints if joint.child in beyond)
         return Urdf(tuple(link for link in links if link not in beyond), kept, left_out)
 
     def check_plates(self, joint: UrdfJoint, links: Collection[str], joints: Collection[str]) -> None:
@@ -328,12 +340,12 @@ class _Reader:
 class _Tree:
     """The way from the root link to each link."""
 
-    def __init__(self, reader: _Reader, links: dict[str, int], joints: list[tuple[int, str, str, str]]) -> None:
+    def __init__(self, reader: _Reader, links: dict[str, int], joints: list[_Joint]) -> None:
         self.parents: dict[str, str] = {}
-        for line, name, parent, child in joints:
+        for element, name, _, parent, child in joints:
             if child in self.parents:
                 what = f"link '{child}' is the child of joint '{name}' and of another joint"
-                reader.refuse(what, line, "each link the child of one joint")
+                reader.refuse(what, element.line, "each link the child of one joint")
             self.parents[child] = parent
         roots = [link for link in links if link not in self.parents]
         for link in roots[1:]:
@@ -343,10 +355,12 @@ class _Tree:
             reader.refuse("there is no link", 1, "links and joints")
         elif not reader.faults:
             root = roots[0] if roots else next(iter(links))
-            for line, name, _, child in joints:
+            for element, name, _, _, child in joints:
                 if self.way_to(child)[-1] != root:
                     what = f"joint '{name}' is not connected to the root link '{root}'"
-                    reader.refuse(what, line, "one tree, in which each link but the root is the child of one joint")
+                    reader.refuse(
+                        what, element.line, "one tree, in which each link but the root is the child of one joint"
+                    )
 
     def way_to(self, link: str) -> list[str]:
         """Return the links from a link back to the root, or around a cycle."""

@@ -190,6 +190,27 @@ def test_beams_that_do_not_fit_the_urdf_are_refused(said: dict[str, Any], where:
     assert (error.where, error.what, error.expected) == (where, what, expected)
 
 
+def test_a_beam_beyond_the_linear_theory_is_refused() -> None:
+    said = beam("upper_arm", sag=True)
+    said["sag"]["tube"]["modulus"]["value"] = 1e8
+    error = refusal(ChainError, Chain, ARM, "tip", beams_file(said), beams_source="beams.yaml")
+    assert str(error) == (
+        "beams.yaml, beam 'upper_arm': sags by 0.0088 m, with a slope of 0.0641 rad, under its weight; expected at "
+        "most 0.00806 m and 0.01 rad, as far as the linear theory holds (modulus in GPa, diameters in mm, density in g/cm^3 "
+        "or masses in g?)."
+    )
+
+
+def test_a_plate_that_is_too_heavy_for_its_beam_is_refused() -> None:
+    said = beam("upper_arm", sag=True)
+    said["sag"]["plates"][1]["mass"]["value"] = 150.0
+    error = refusal(ChainError, Chain, ARM, "tip", beams_file(said), beams_source="beams.yaml")
+    assert str(error) == (
+        "beams.yaml, beam 'upper_arm': plate 'receiving' has 150 kg; expected at most 30 times the mass of its tube, "
+        "0.812 kg (masses in g, or lengths in mm?)."
+    )
+
+
 def test_two_beams_need_a_posor_between() -> None:
     split = ARM.replace('child link="tip"/><origin xyz="0.5 0 0"/></joint>', 'child link="mid"/></joint>').replace(
         '<link name="tip"/>',
