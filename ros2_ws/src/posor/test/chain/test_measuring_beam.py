@@ -196,8 +196,8 @@ def test_a_beam_beyond_the_linear_theory_is_refused() -> None:
     error = refusal(ChainError, Chain, ARM, "tip", beams_file(said), beams_source="beams.yaml")
     assert str(error) == (
         "beams.yaml, beam 'upper_arm': sags by 0.0088 m, with a slope of 0.0641 rad, under its weight; expected at "
-        "most 0.00806 m and 0.01 rad, as far as the linear theory holds (modulus in GPa, diameters in mm, density in g/cm^3 "
-        "or masses in g?)."
+        "most 0.00806 m and 0.01 rad, as far as the linear theory holds (modulus in GPa, diameters in mm, density in "
+        "g/cm^3 or masses in g?)."
     )
 
 

@@ -4,6 +4,7 @@ import math
 import random
 import re
 from pathlib import Path
+from typing import TypeAlias
 
 import numpy as np
 import pinocchio as pin
@@ -30,9 +31,10 @@ WITHOUT_GEOMETRY = """
   <drake:declare_convex xmlns:drake="d"/><mujoco><compiler meshdir="m"/></mujoco>
 </robot>"""
 ANGLES = ("shoulder", "elbow", "wrist")
+Triple: TypeAlias = tuple[float, float, float]
 PI, HALF = math.pi, math.pi / 2.0
 # Joints of robots by their makers' dimensions: origin xyz [m] and rpy [rad], and axis; then the tool.
-ROBOTS = {
+ROBOTS: dict[str, tuple[list[tuple[Triple, Triple, Triple]], tuple[Triple, Triple]]] = {
     "ur5": (
         [
             ((0, 0, 0.089159), (0, 0, 0), (0, 0, 1)),
