@@ -5,9 +5,9 @@ from __future__ import annotations
 from argparse import ArgumentParser, ArgumentTypeError
 from typing import TYPE_CHECKING, cast
 
-import yaml
 from posor.bags.result_folder import prepare_outputs, writing
-from posor.errors import ParameterError
+from posor.calibration.yaml_document import parse_yaml
+from posor.errors import CalibrationError, ParameterError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -22,8 +22,8 @@ def _parse_parameter(text: str) -> tuple[str, Parameter]:
     """Return name and value of ``name:=value``; the value is YAML, as on a ROS command line."""
     name, separator, value = text.partition(":=")
     try:
-        parsed = yaml.safe_load(value)
-    except yaml.YAMLError:
+        parsed = parse_yaml(value, "option -p")[1]
+    except CalibrationError:
         parsed = None
     is_list = isinstance(parsed, list) and all(isinstance(entry, str) for entry in parsed)
     if not (name and separator and (is_list or isinstance(parsed, bool | int | float | str))):

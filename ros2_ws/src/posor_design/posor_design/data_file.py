@@ -4,10 +4,11 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-import yaml
+from posor.calibration.yaml_document import parse_yaml
 
 
 @cache
 def read_data(name: str) -> Any:
     """Return the content of the file ``name``.yaml."""
-    return yaml.safe_load(Path(__file__).with_name(f"{name}.yaml").read_text(encoding="utf-8"))
+    path = Path(__file__).with_name(f"{name}.yaml")
+    return parse_yaml(path.read_text(encoding="utf-8"), str(path))[1]

@@ -70,7 +70,7 @@ Angle = Annotated[Quantity, measured("rad"), _POSITIVE]
 class RequiredUncertainty(FrozenModel):
     """Largest uncertainty of each freedom anywhere in the range: ``coverage_factor`` standard uncertainties."""
 
-    coverage_factor: Annotated[float, Field(gt=0.0, le=10.0)] = 1.0
+    coverage_factor: Annotated[float, Field(strict=True, gt=0.0, le=10.0)] = 1.0
     x: Length
     y: Length
     gap: Length

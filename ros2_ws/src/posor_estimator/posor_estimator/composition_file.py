@@ -83,11 +83,9 @@ def _flatten_parameters(value: object) -> object:
     return dict(_flat_items(value, ()))
 
 
-def _flat_items(values: dict[Any, Any], group: tuple[str, ...]) -> Iterator[tuple[str, object]]:
+def _flat_items(values: dict[str, Any], group: tuple[str, ...]) -> Iterator[tuple[str, object]]:
     for name, value in values.items():
         path = (*group, name)
-        if not isinstance(name, str):
-            raise EntryError(f"name {format_value(name)}", key=path, expected="text")
         if isinstance(value, dict):
             yield from _flat_items(value, path)
         elif all(isinstance(item, _SCALAR) for item in (value if isinstance(value, list) else [value])):

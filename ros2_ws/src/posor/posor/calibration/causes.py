@@ -11,9 +11,9 @@ from __future__ import annotations
 
 import math
 from enum import StrEnum
-from typing import TYPE_CHECKING, Literal, NamedTuple, Self
+from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple, Self
 
-from pydantic import model_validator
+from pydantic import Field, model_validator
 
 from posor.calibration.file_model import EntryError, FrozenModel, format_value
 from posor.errors import similar_name
@@ -96,7 +96,7 @@ class Cause(FrozenModel):
     name: str
     moves: str
     unit: str
-    bound: float | None = None
+    bound: Annotated[float, Field(strict=True)] | None = None
     unlimited: bool = False
     source: str
     kind: Literal["fault", "always"] = "fault"

@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 import yaml
 
+from posor.calibration.yaml_document import StrictDumper
+
 _WIDTH = 120
 
 
@@ -14,7 +16,7 @@ class _FlowMapping(dict[str, Any]):
     """A mapping that is written on one line."""
 
 
-class _Dumper(yaml.SafeDumper):
+class _Dumper(StrictDumper):
     """Writes each quantity on one line, and repeated parts in full."""
 
     def ignore_aliases(self, data: Any) -> bool:  # noqa: ARG002

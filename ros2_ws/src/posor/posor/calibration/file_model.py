@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import datetime as dt
 import reprlib
 from dataclasses import dataclass
 from functools import cached_property
@@ -58,7 +57,7 @@ class EntryError(CalibrationError, ValueError):
 
 def format_value(value: object) -> str:
     """Return a value as the file has it, shortened if it is long."""
-    return value.isoformat() if isinstance(value, dt.date) else _SHORT.repr(value)
+    return _SHORT.repr(value)
 
 
 class FrozenModel(BaseModel):

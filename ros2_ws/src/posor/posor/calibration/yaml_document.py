@@ -1,8 +1,11 @@
 """Read YAML files strictly, and name file, line and key of every problem.
 
 Duplicate keys, several documents, recursive aliases, aliases that expand to too much, and deep nesting are refused.
-Only plain decimals are numbers: YAML 1.1 reads ``010`` as 8, ``1:30`` as 90 and ``2e-5`` as text. Here the first two
-are text, which is then refused where a number is expected, and the last is a number.
+
+Scalars without quotes: ``1_000``, ``0x1F``, ``0o17``, ``0b101``, ``.5``, ``+1.5`` and ``2e-5`` are numbers. What YAML
+1.1 and 1.2 read differently (``010`` is 8 or 10, ``1:30`` is 90 or text) is text, which is refused, with a hint,
+where a number is expected. ``yes``, ``no``, ``on``, ``off``, ``true`` and ``false`` are truth values, as in ROS.
+Dates and keys are text.
 
 Positions come from PyYAML's nodes: ``ruamel.yaml``, which keeps positions itself, takes nine times as long to load a
 calibration file, and needs the same code for strictness and dotted keys.
@@ -17,12 +20,12 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import yaml
 from pydantic import ValidationError
 
-from posor.calibration.file_model import first_problem, format_value
+from posor.calibration.file_model import TEXT, first_problem, format_value
 from posor.errors import CalibrationError
 from posor.input_text import read_input_text
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
     from pathlib import Path
 
 Document = TypeVar("Document")
@@ -30,8 +33,17 @@ Document = TypeVar("Document")
 _MAX_DEPTH = 50
 _MAX_NODES = 200_000
 """Largest number of nodes with all aliases expanded; the largest calibration files have some 10,000."""
+_TEXT, _MERGE = "tag:yaml.org,2002:str", "tag:yaml.org,2002:merge"
 _INTEGER = "tag:yaml.org,2002:int"
 _FLOAT = "tag:yaml.org,2002:float"
+_HINTS = (
+    (r"[-+]?0[0-9_]+", "without leading zeros, octal as 0o17"),
+    (r"[-+]?[0-9_]+(:[0-9_]+)+(\.[0-9_]*)?", "without colons, which YAML 1.1 reads as base 60"),
+    (r"[-+]?[0-9_. ]*,[0-9_. ]*", "with a decimal point"),
+    (r"[-+]?[0-9]+([ _.][0-9]+)+", "with underscores, or nothing, between groups of digits"),
+    (r"[\u2010-\u2015\u2212][0-9.].*", "with the minus sign '-'"),
+)
+"""Text that its author takes for a number, and how to write the number."""
 
 
 class StrictLoader(yaml.SafeLoader):
@@ -71,16 +83,16 @@ class StrictLoader(yaml.SafeLoader):
             raise yaml.MarkedYAMLError(problem=problem, problem_mark=mark)
 
     def compose_mapping_node(self, anchor: Any) -> yaml.MappingNode:  # PyYAML's stubs call it a dict
-        """Compose a mapping; refuse duplicate keys."""
+        """Compose a mapping, whose keys are text as written; refuse duplicate keys."""
         node = super().compose_mapping_node(anchor)
-        lines: dict[tuple[str, str], int] = {}
+        lines: dict[str, int] = {}
         for key, _ in node.value:
-            if isinstance(key, yaml.ScalarNode):
-                name = (key.tag, key.value)
-                if name in lines:
-                    problem = f"duplicate key '{key.value}', also in line {lines[name]}"
+            if isinstance(key, yaml.ScalarNode) and key.tag != _MERGE:
+                key.tag = _TEXT
+                if key.value in lines:
+                    problem = f"duplicate key '{key.value}', also in line {lines[key.value]}"
                     raise yaml.MarkedYAMLError(problem=problem, problem_mark=key.start_mark)
-                lines[name] = key.start_mark.line + 1
+                lines[key.value] = key.start_mark.line + 1
         return node
 
     def construct_object(self, node: yaml.Node, deep: bool = False) -> object:  # noqa: FBT001, FBT002  PyYAML's
@@ -112,18 +124,20 @@ class FastLoader(StrictLoader):
         return self._parser.get_event()
 
 
-StrictLoader.yaml_implicit_resolvers = {
-    first: [(tag, pattern) for tag, pattern in resolvers if tag not in (_INTEGER, _FLOAT)]
-    for first, resolvers in yaml.SafeLoader.yaml_implicit_resolvers.items()
-}
 _NUMBERS = (
-    (_INTEGER, re.compile(r"[-+]?(?:0|[1-9][0-9]*)$"), list("-+0123456789")),
+    (
+        _INTEGER,
+        re.compile(
+            r"[-+]?(?:0|[1-9](?:_?[0-9])*|0x[0-9a-fA-F](?:_?[0-9a-fA-F])*|0o[0-7](?:_?[0-7])*|0b[01](?:_?[01])*)$"
+        ),
+        list("-+0123456789"),
+    ),
     (
         _FLOAT,
         re.compile(
-            r"""[-+]?(?:(?:0|[1-9][0-9]*)\.[0-9]*(?:[eE][-+]?[0-9]+)?
-            |\.[0-9]+(?:[eE][-+]?[0-9]+)?
-            |(?:0|[1-9][0-9]*)[eE][-+]?[0-9]+
+            r"""[-+]?(?:(?:0|[1-9](?:_?[0-9])*)\.(?:[0-9](?:_?[0-9])*)?(?:[eE][-+]?[0-9]+)?
+            |\.[0-9](?:_?[0-9])*(?:[eE][-+]?[0-9]+)?
+            |(?:0|[1-9](?:_?[0-9])*)[eE][-+]?[0-9]+
             |\.(?:inf|Inf|INF))$
             |\.(?:nan|NaN|NAN)$""",
             re.VERBOSE,
@@ -131,6 +145,12 @@ _NUMBERS = (
         list("-+.0123456789"),
     ),
 )
+_REPLACED = (_INTEGER, _FLOAT, "tag:yaml.org,2002:timestamp", "tag:yaml.org,2002:value")
+"""Types of YAML 1.1 that scalars without quotes do not have here, or by other patterns."""
+StrictLoader.yaml_implicit_resolvers = {
+    first: [(tag, pattern) for tag, pattern in resolvers if tag not in _REPLACED]
+    for first, resolvers in yaml.SafeLoader.yaml_implicit_resolvers.items()
+}
 for _tag, _pattern, _first in _NUMBERS:
     StrictLoader.add_implicit_resolver(_tag, _pattern, _first)
 
@@ -183,9 +203,17 @@ class FileLocations:
         ``location``: keys and indices of the entry. Parts that are not in the file (a missing key, the tag of a union)
         are left out. A part with dots may be nested mappings in the file.
         """
-        node = self.root
-        line = 1
-        key = ""
+        line, key, _ = self._find(location)
+        return f"{self.source}, line {line}" + (f", key {key.lstrip('.')}" if key else "")
+
+    def plain_scalar(self, *location: str | int) -> str | None:
+        """Return the scalar at a location as it is written; None for anything else, and for a scalar in quotes."""
+        node = self._find(location)[2]
+        return str(node.value) if isinstance(node, yaml.ScalarNode) and not node.style else None
+
+    def _find(self, location: Sequence[str | int]) -> tuple[int, str, yaml.Node | None]:
+        """Return line, key and node of an entry."""
+        node, line, key = self.root, 1, ""
         parts = [*reversed(location)]
         while parts:
             part = parts.pop()
@@ -201,7 +229,7 @@ class FileLocations:
                 node = node.value[part]
                 line = node.start_mark.line + 1
                 key += f"[{part}]"
-        return f"{self.source}, line {line}" + (f", key {key.lstrip('.')}" if key else "")
+        return line, key, node
 
 
 def _find_entry(node: yaml.MappingNode, key: str) -> tuple[yaml.Node, yaml.Node] | None:
@@ -260,5 +288,9 @@ def parse_document(
         return validate(content), locations
     except ValidationError as error:
         problem = first_problem(error)
-        where = locations.describe(*problem.location)
-        raise CalibrationError(problem.what, where=where, expected=problem.expected) from error
+        what, expected, written = problem.what, problem.expected, locations.plain_scalar(*problem.location)
+        if written and expected == TEXT:
+            what = f"{written} without quotes"
+        elif written and what == format_value(written) and "number" in expected:
+            expected += next((f", {hint}" for text, hint in _HINTS if re.fullmatch(text, written)), "")
+        raise CalibrationError(what, where=locations.describe(*problem.location), expected=expected) from error

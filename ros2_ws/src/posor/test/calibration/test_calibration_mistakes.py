@@ -7,10 +7,12 @@ from typing import Any
 
 import pytest
 import yaml
-from posor.calibration.calibration_file import load_calibration
+from posor.calibration.calibration_file import calibration_from, load_calibration
 from posor.calibration.edit import parse_key_path
+from posor.calibration.file_model import first_problem
 from posor.errors import CalibrationError
 from posor_lab.harness.case_tables import cases, refusal
+from pydantic import ValidationError
 
 from .calibration_content import PROBE, at, write
 
@@ -56,14 +58,13 @@ def test_a_mistake_is_named_with_file_line_key_and_what_is_expected(
 
 
 @pytest.mark.parametrize("where", ["", "sessions", PROBE])
-def test_a_key_that_is_not_text_is_refused(where: str, content: Any, file: Path) -> None:
-    """A session of the year 1985, say, needs quotes."""
+def test_a_key_that_is_not_text_is_refused(where: str, content: Any) -> None:
+    """The keys of a file are text, but not those of a mapping in memory."""
     (at(content, where) if where else content)[1985] = {"note": "x"}
-    lines = write(file, content).splitlines()
-    [line] = [number for number, text in enumerate(lines, 1) if text.strip() == "1985:"]
-    error = refusal(CalibrationError, load_calibration, file)
-    assert error.where == f"{file}, line {line}, key {f'{where}.1985'.lstrip('.')}"
-    assert error.what == "key 1985 is not text"
+    with pytest.raises(ValidationError) as caught:
+        calibration_from(content)
+    problem = first_problem(caught.value)
+    assert (problem.what, problem.location[-1]) == ("key 1985 is not text", 1985)
 
 
 def test_the_first_of_several_mistakes_is_named(content: Any, file: Path) -> None:

@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
+import math
 import os
+import re
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import pytest
+import yaml
 from posor.calibration.calibration_file import load_calibration
+from posor.calibration.document_text import document_text
+from posor.calibration.file_model import TEXT, FrozenModel
+from posor.calibration.yaml_document import load_document, parse_yaml
 from posor.errors import CalibrationError
 from posor_lab.harness.case_tables import cases, edited, refusal
+from pydantic import Field
 
 from .calibration_content import PROBE, write, zero_shifts
 
@@ -49,18 +56,91 @@ def test_a_duplicate_key_is_refused(key: str, rig_calibrations: dict[str, Path],
     assert error.what == f"is not YAML: duplicate key '{name}', also in line {first}"
 
 
-@pytest.mark.parametrize("number", ["010", "1:30", "0x1F", "1_000", "1e5e5"])
-def test_ambiguous_numbers_are_refused(number: str, rig_calibrations: dict[str, Path], file: Path) -> None:
-    """YAML 1.1 reads 010 as 8 and 1:30 as 90."""
+@pytest.mark.parametrize(
+    ("number", "expected"),
+    [
+        ("010", "a number, without leading zeros, octal as 0o17"),
+        ("1:30", "a number, without colons, which YAML 1.1 reads as base 60"),
+        ("1e5e5", "a number"),
+        ("'0x1F'", "a number"),
+    ],
+)
+def test_ambiguous_numbers_are_refused(
+    number: str, expected: str, rig_calibrations: dict[str, Path], file: Path
+) -> None:
     text = rig_calibrations["printed"].read_text(encoding="utf-8")
     file.write_text(edited(text, SHIFT, SHIFT.replace("0.0", number)), encoding="utf-8")
     error = refusal(CalibrationError, load_calibration, file)
     line = text.partition(SHIFT)[0].count("\n") + 1
     assert error.where == f"{file}, line {line}, key {PROBE}.zero_shift.value"
-    assert error.what == f"'{number}'"
+    assert error.what.strip("'") == number.strip("'")
+    assert error.expected == expected
 
 
-@pytest.mark.parametrize("number", ["1", "+1", "1.", "1.0", "1e0", "0.1e+1", "10E-1", ".1e1"])
+@pytest.mark.parametrize(
+    ("number", "hint"), [("1,5", "decimal point"), ("1 000", "underscores"), ("\N{MINUS SIGN}1", "minus sign")]
+)
+def test_a_number_of_other_notations_is_refused_with_the_right_one(number: str, hint: str, file: Path) -> None:
+    file.write_text(f"format: x\nversion: 1\nnumber:\n  {number}\n", encoding="utf-8")
+
+    class OneNumber(FrozenModel):
+        format: str
+        version: int
+        number: Annotated[float, Field(strict=True)]
+
+    error = refusal(CalibrationError, load_document, file, "file", "number", 1, OneNumber.model_validate)
+    assert error.where == f"{file}, line 3, key number"
+    assert hint in error.expected
+
+
+@pytest.mark.parametrize(
+    ("written", "read"),
+    [
+        ("0xaa55", 0xAA55),
+        ("-0x1f", -0x1F),
+        ("0x12_34", 0x1234),
+        ("0o17", 0o17),
+        ("0b1_01", 0b101),
+        ("1_000", 1000),
+        ("1_000.5", 1000.5),
+        ("+1.5", 1.5),
+        (".5", 0.5),
+        ("1e-6", 1e-6),
+        ("1E-6", 1e-6),
+        ("-.INF", -math.inf),
+        *((text, True) for text in ("true", "True", "yes", "on", "ON")),
+        *((text, False) for text in ("false", "no", "Off")),
+        *((text, text) for text in ("y", "n", "=", "010", "12:30:00", "1__0", "2026-11-25", "2026-11-25 12:00:00")),
+    ],
+)
+def test_scalars_mean_what_their_author_expects(written: str, read: object) -> None:
+    content = parse_yaml(f"a: {written}", "text")[1]
+    assert content == {"a": read}
+    assert isinstance(content, dict)
+    assert type(content["a"]) is type(read)
+    assert yaml.safe_load(document_text({"a": written}, "")) == {"a": written}, "text stays text for other readers"
+    assert parse_yaml(document_text({"a": written}, ""), "text")[1] == {"a": written}
+
+
+def test_keys_are_text() -> None:
+    text = "on: 1\n1985: 2\n2026-11-25: 3\n<<: {no: 4}\n"
+    assert parse_yaml(text, "text")[1] == {"no": 4, "on": 1, "1985": 2, "2026-11-25": 3}
+
+
+def test_a_truth_value_for_text_is_named_as_it_is_written(rig_calibrations: dict[str, Path], file: Path) -> None:
+    text = rig_calibrations["printed"].read_text(encoding="utf-8")
+    file.write_text(edited(text, "name: slocum1985_printed", "name: no"), encoding="utf-8")
+    error = refusal(CalibrationError, load_calibration, file)
+    assert (error.what, error.expected) == ("no without quotes", TEXT)
+
+
+def test_a_date_needs_no_quotes(rig_calibrations: dict[str, Path], file: Path) -> None:
+    text = rig_calibrations["printed"].read_text(encoding="utf-8")
+    file.write_text(re.sub(r"(?m)^  date: .*$", "  date: 2026-11-25", text), encoding="utf-8")
+    assert load_calibration(file).provenance.date == "2026-11-25"
+
+
+@pytest.mark.parametrize("number", ["1", "+1", "1.", "1.0", "1e0", "0.1e+1", "10E-1", ".1e1", "0x1", "0o1", "0b1"])
 def test_all_notations_of_decimals_are_read(number: str, rig_calibrations: dict[str, Path], file: Path) -> None:
     text = rig_calibrations["printed"].read_text(encoding="utf-8")
     file.write_text(edited(text, SHIFT, SHIFT.replace("0.0", number)), encoding="utf-8")

@@ -128,8 +128,8 @@ class InterferometerEntry(FrozenModel):
     """Set-up of an interferometer, see ``uncertainty.interferometer``."""
 
     wavelength: Annotated[Quantity, measured("m"), POSITIVE]
-    assumed_index: Annotated[float, Field(ge=1.0, le=1.001)]
-    index_uncertainty: Annotated[float, Field(ge=0.0)]
+    assumed_index: Annotated[float, Field(strict=True, ge=1.0, le=1.001)]
+    index_uncertainty: Annotated[float, Field(strict=True, ge=0.0)]
     air: AirEntry
     air_at_zero: AirEntry | None = None
     """Air when the interferometer was set to zero, without channels; its uncertainty is that of the change since."""

@@ -79,7 +79,7 @@ class Dialect(FrozenModel):
     read: str
     """Question for one value of each channel, in ascending order of the numbers."""
     separator: str = ","
-    overload: Annotated[float, Field(gt=0.0)]
+    overload: Annotated[float, Field(strict=True, gt=0.0)]
     """A value of at least this size, of either sign, is out of range."""
     error: str
     """Question for the oldest entry of the error queue, which it removes."""
