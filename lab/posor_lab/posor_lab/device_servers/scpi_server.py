@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import socket
 import time
+from functools import partial
 from threading import Event
 from typing import TYPE_CHECKING, Any
 
@@ -30,6 +31,9 @@ class ScpiServer(DeviceServer):
         self.port = free_port()  # TCP port of this host
         self.model = "DAQ970A"  # in the answer to ``*IDN?``
         self.scanned: list[int] = []  # channel numbers of the scan list, ascending
+        self.functions: dict[int, str] = {}  # what the channels have been set up for
+        self.temperature_unit = ""  # as written
+        self.function = '"VOLT"'  # answer to ``FUNC?``
         # put into the error queue with the next scan: code and message; None: no error
         self.error: tuple[int, str] | None = None
         self.answer: str | None = None  # instead of the readings of a scan; None: the readings
@@ -44,9 +48,16 @@ class ScpiServer(DeviceServer):
         """Accept connections."""
         router = Router()
         router.add_route("*IDN?", self._identify)
-        router.add_route("CONFigure:VOLTage:DC <channels>", self._choose_channels)
+        router.add_route("CONFigure:VOLTage:DC <channels>", partial(self._configure, "VOLT:DC"))
+        router.add_route("CONFigure:TEMPerature <channels>", partial(self._configure, "TEMP"))
+        router.add_route("UNIT:TEMPerature <channels>", self._set_unit)
+        router.add_route("FUNCtion?", self._name_function)
         router.add_route("ROUTe:SCAN <channels>", self._choose_channels)
-        for command in ("ROUTe:CHANnel:DELay <value>", "SENSe:VOLTage:DC:APERture <value>"):
+        for command in (
+            "ROUTe:CHANnel:DELay <value>",
+            "SENSe:VOLTage:DC:APERture <value>",
+            "SENSe:TEMPerature:APERture <value>",
+        ):
             router.add_route(command, self._add_to_interval)
         router.add_route("SOURce:DIGital:DATA <value>", self._write_output)
         router.add_route("READ?", self._read)
@@ -77,6 +88,20 @@ class ScpiServer(DeviceServer):
     def _identify(self, context: Any) -> str:
         del context
         return f"Keysight Technologies,{self.model},MY12345678,A.02.04"
+
+    def _configure(self, function: str, context: Any, *arguments: str) -> None:
+        """Store the function of channels, such as ``FRTD,85,(@101,103)``, cut at its commas, and scan them."""
+        first = next(n for n, argument in enumerate(arguments) if argument.startswith("("))
+        self._choose_channels(context, *arguments[first:])
+        self.functions |= dict.fromkeys(self.scanned, " ".join([function, ",".join(arguments[:first])]).strip())
+
+    def _name_function(self, context: Any) -> str:
+        del context
+        return self.function
+
+    def _set_unit(self, context: Any, unit: str, *channels: str) -> None:
+        del context, channels
+        self.temperature_unit = unit
 
     def _choose_channels(self, context: Any, *channels: str) -> None:
         """Store a scan list such as ``(@101,103)``, which the library cuts at its commas."""

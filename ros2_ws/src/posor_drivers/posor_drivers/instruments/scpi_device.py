@@ -9,6 +9,10 @@
     channels:
       gap1: {number: 101, unit: V}
       gap2: {number: 102, unit: V}
+      plate: {number: 103, unit: degC, function: thermocouple_k}
+
+Each channel measures with one of the ``functions`` of the dialect, which states the unit of its readings and sets up
+the instrument. ``function`` may be left out where only one function of the dialect gives the unit of the channel.
 
 ``channel_delay`` and ``aperture`` (integration time: power line cycles over line frequency) are written to the
 instrument; ``overhead`` is what it needs for each channel besides, such as for switching and auto zero. Channels are
@@ -23,6 +27,11 @@ interpolated between three; the first frames are dark::
 ``address`` is a VISA resource: TCP socket, VXI-11 (``TCPIP::host::INSTR``), HiSLIP (``TCPIP::host::hislip0::INSTR``),
 or a serial port with pyserial. ``dialect`` is the name of a file in ``scpi_dialects`` beside this module or the path of
 a dialect file of your own (its name ends in ``.yaml``); the commands of an instrument are written there, not in code.
+
+Versions of dialect files:
+
+1. First version: one ``setup`` for all channels, whose unit nothing stated.
+2. ``functions`` with unit, set-up and ``aperture``; ``scan_list``, ``function``.
 """
 
 from __future__ import annotations
@@ -36,7 +45,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 from posor.calibration.file_model import EntryError, FrozenModel
 from posor.calibration.quantity import Quantity, measured
 from posor.calibration.yaml_document import load_document
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from posor_drivers.instruments.device import Channel, refuse_repeated_numbers, starting_channels
 from posor_drivers.instruments.polled_device import PolledDevice, PolledSettings
@@ -48,11 +57,9 @@ if TYPE_CHECKING:
     from posor_drivers.instruments.device import Frames
 
 DIALECTS = Path(__file__).parent / "scpi_dialects"
-DIALECT_VERSION = 1
+DIALECT_VERSION = 2
 CHECK_ERRORS_S = 1.0
 """Time between two looks into the instrument's error queue."""
-TIMES = ("channel_delay", "aperture")
-"""Keys that are written to the instrument by commands of the same names."""
 LIGHT = "light"
 DARK_FRAMES = 3
 """Frames in a row without light."""
@@ -60,20 +67,47 @@ MOST_ERRORS = 20
 """Errors that are read from the queue; it may be as long."""
 
 
+def _check_expression(written: str) -> str:
+    try:
+        re.compile(written)
+    except re.error as error:
+        raise EntryError(f"'{written}': {error}", expected="a regular expression") from None
+    return written
+
+
+Expression = Annotated[str, AfterValidator(_check_expression)]
+
+
+class MeasuringFunction(FrozenModel):
+    """What an instrument can measure; ``{numbers}`` stands for the numbers of the channels with this function."""
+
+    unit: Annotated[str, Field(min_length=1)]
+    """Of the readings."""
+    setup: tuple[str, ...] = ()
+    aperture: str = ""
+    """Command that sets the integration time ``{value}`` [s]."""
+    answer: Expression = ""
+    """Contained in the answer to the question ``function`` of the dialect."""
+
+
 class Dialect(FrozenModel):
     """Commands of an instrument; ``{numbers}`` stands for the channel numbers in ascending order, with commas."""
 
     format: Literal["posor_scpi_dialect"]
-    version: Literal[1]
+    version: Literal[2]
     identify: str
     """Question for the model."""
-    model: str
-    """Regular expression that the answer contains."""
+    model: Expression
+    """Contained in the answer."""
     setup: tuple[str, ...] = ()
+    """Commands before those of the functions."""
+    functions: Annotated[dict[str, MeasuringFunction], Field(min_length=1)]
+    function: str = ""
+    """Question for the function of an instrument that is set up by hand."""
+    scan_list: str = ""
+    """Command after those of the functions that chooses the channels."""
     channel_delay: str = ""
     """Command that sets the time from switching to a channel to its measurement, ``{value}`` [s]."""
-    aperture: str = ""
-    """Command that sets the integration time ``{value}`` [s]."""
     digital_output: str = ""
     """Command that sets the digital output ``{number}`` to ``{value}``."""
     read: str
@@ -83,26 +117,17 @@ class Dialect(FrozenModel):
     """A value of at least this size, of either sign, is out of range."""
     error: str
     """Question for the oldest entry of the error queue, which it removes."""
-    no_error: str
-    """Regular expression of the answer of an empty queue."""
+    no_error: Expression
+    """Contained in the answer of an empty queue."""
     termination: str = "\n"
-
-    @model_validator(mode="after")
-    def _check_expressions(self) -> Self:
-        for key in ("model", "no_error"):
-            try:
-                re.compile(getattr(self, key))
-            except re.error as error:
-                what = f"'{getattr(self, key)}': {error}"
-                raise EntryError(what, key=(key,), expected="a regular expression") from None
-        return self
 
 
 class ScpiChannel(FrozenModel):
-    """A channel: its number in the instrument, and the unit of its readings."""
+    """A channel: its number in the instrument, the unit of its readings, and the function that gives it."""
 
     number: Annotated[int, Field(strict=True, ge=0)]
     unit: str
+    function: str = ""
 
 
 class LightSwitch(FrozenModel):
@@ -156,18 +181,46 @@ class ScpiDevice(PolledDevice[ScpiSettings]):
 
         """
         super().__init__(name, settings)
-        keys = "format, version, identify, model, setup, read, separator, overload, error, no_error"
+        keys = "format, version, identify, model, setup, functions, read, separator, overload, error, no_error"
         path, check = settings.dialect_path, Dialect.model_validate
         self._dialect = load_document(path, "dialect file", keys, DIALECT_VERSION, check)[0]
         self._numbers = [channel.number for channel in settings.channels.values()]
+        self._numbers_of: dict[str, list[int]] = {}  # by function, ascending
+        for channel_name, channel in sorted(settings.channels.items(), key=lambda entry: entry[1].number):
+            self._numbers_of.setdefault(self._function_of(channel_name, channel), []).append(channel.number)
         self._checked_s = 0.0
         self._dark_left, self._next_dark_s = 0, 0.0
-        for key, command in (*zip(TIMES, TIMES, strict=True), (LIGHT, "digital_output")):
-            if getattr(settings, key) is not None and not getattr(self._dialect, command):
+        apertures = [self._dialect.functions[function].aperture for function in self._numbers_of]
+        for key, command, found in (
+            ("channel_delay", "channel_delay", self._dialect.channel_delay),
+            ("aperture", "aperture", all(apertures)),
+            (LIGHT, "digital_output", self._dialect.digital_output),
+        ):
+            if getattr(settings, key) is not None and not found:
                 raise self.error(f"dialect '{settings.dialect}' has no command '{command}'", f"no key '{key}'")
         times = [settings.channel_delay, settings.aperture, settings.overhead]
         interval_s = sum(each.number for each in times if each is not None)
         self.channel_interval_s = math.nan if settings.aperture is None else interval_s
+
+    def _function_of(self, name: str, channel: ScpiChannel) -> str:
+        """Return the function of a channel; raise DeviceError where it does not give the unit of the channel."""
+        functions, dialect = self._dialect.functions, f"dialect '{self.settings.dialect}'"
+        if channel.function:
+            if channel.function not in functions:
+                what = f"function '{channel.function}' of channel '{name}'"
+                raise self.error(what, f"one of {', '.join(functions)}, which {dialect} has")
+            if (unit := functions[channel.function].unit) != channel.unit:
+                what = f"unit '{channel.unit}' of channel '{name}', whose function is {channel.function}"
+                raise self.error(what, f"unit '{unit}'")
+            return channel.function
+        found = [each for each, function in functions.items() if function.unit == channel.unit]
+        if not found:
+            known = ", ".join(dict.fromkeys(function.unit for function in functions.values()))
+            raise self.error(f"unit '{channel.unit}' of channel '{name}'", f"one of {known}, which {dialect} sets up")
+        if len(found) > 1:
+            what = f"channel '{name}' of unit '{channel.unit}' has no key 'function'"
+            raise self.error(what, f"one of {', '.join(found)}")
+        return found[0]
 
     @property
     def channels(self) -> Sequence[Channel]:
@@ -215,18 +268,30 @@ class ScpiDevice(PolledDevice[ScpiSettings]):
         identity = self._query(dialect.identify)
         if re.search(dialect.model, identity) is None:
             raise self.error(f"the instrument is '{identity}'", f"a model that matches '{dialect.model}'")
-        numbers = ",".join(map(str, sorted(self._numbers)))
-        for command in dialect.setup:
-            self._transfer("write", command.replace("{numbers}", numbers))
-        for name in TIMES:
-            if (time_s := getattr(self.settings, name)) is not None:
-                command = getattr(dialect, name).replace("{value}", f"{time_s.number:.6g}")
-                self._transfer("write", command.replace("{numbers}", numbers))
+        every = sorted(self._numbers)
+        self._set_up(dialect.setup, every)
+        for name, numbers in self._numbers_of.items():
+            function = dialect.functions[name]
+            self._set_up(function.setup, numbers)
+            if dialect.function and not re.search(function.answer, answer := self._query(dialect.function)):
+                raise self.error(f"the instrument measures {answer}", f"{name}, '{function.answer}'")
+        self._set_up((dialect.scan_list,), every)
+        self._set_up((dialect.channel_delay,), every, self.settings.channel_delay)
+        for name, numbers in self._numbers_of.items():
+            self._set_up((dialect.functions[name].aperture,), numbers, self.settings.aperture)
         self._dark_left, self._next_dark_s = 0, time.monotonic()
         if self.settings.light is not None:
             self._switch_light(self.settings.light)
         self._check_errors()
         return identity
+
+    def _set_up(self, commands: Sequence[str], numbers: Sequence[int], *times: Quantity | None) -> None:
+        """Write commands for some channels, and those that set a time only if the time is stated."""
+        if None in times:
+            return
+        for command in filter(None, commands):
+            value = "".join(f"{each.number:.6g}" for each in times if each is not None)
+            self._transfer("write", command.replace("{numbers}", ",".join(map(str, numbers))).replace("{value}", value))
 
     def read(self, timeout_s: float) -> Frames | None:
         """Look for errors once a second, between two frames, and return the next frame."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
+from contextlib import closing
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -209,7 +210,7 @@ def test_invalid_settings_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ValidationError):
         labjack_settings(502, channels={"a": {"input": -1}})
     own = tmp_path / "own.yaml"
-    own.write_text("format: posor_scpi_dialect\nversion: 1\nidentify: ID?\nmodel: '('\n", encoding="utf-8")
+    own.write_text("format: posor_scpi_dialect\nversion: 2\nidentify: ID?\nmodel: '('\n", encoding="utf-8")
     with pytest.raises(CalibrationError, match=r"own\.yaml"):
         ScpiDevice("meter", scpi_settings(5025, dialect=str(own)))
     with pytest.raises(ValidationError, match="channel 'light'"):
@@ -218,6 +219,46 @@ def test_invalid_settings_are_refused(tmp_path: Path) -> None:
         ScpiDevice("meter", scpi_settings(5025, dialect="single_meter", light=LIGHT))
     with pytest.raises(DeviceError, match="dialect 'single_meter' has no command 'aperture'"):
         ScpiDevice("meter", scpi_settings(5025, dialect="single_meter", aperture={"value": 0.1, "unit": "s"}))
+
+
+CHANNEL = {"number": 102, "unit": "degC"}
+
+
+@pytest.mark.parametrize(
+    ("dialect", "channel", "sentence"),
+    [
+        ("keysight_daq970a", {"unit": "K"}, "unit 'K' of channel 'c'; expected one of V, Ohm, degC, which dialect 'ke"),
+        ("single_meter", {}, "unit 'degC' of channel 'c'; expected one of V, A, Ohm, which dialect 'single_meter' se"),
+        ("keysight_34980a", {}, "channel 'c' of unit 'degC' has no key 'function'; expected one of thermocouple_k, pt"),
+        ("keysight_daq970a", {"function": "voltage"}, "channel 'c', whose function is voltage; expected unit 'V'"),
+        ("keysight_daq970a", {"unit": "mV", "function": "voltage"}, "unit 'mV' of channel 'c', whose function is vol"),
+        ("keysight_daq970a", {"function": "ac"}, "function 'ac' of channel 'c'; expected one of voltage, resistance"),
+    ],
+)
+def test_a_unit_that_the_set_up_does_not_give_is_refused(dialect: str, channel: dict[str, str], sentence: str) -> None:
+    with pytest.raises(DeviceError, match=sentence):
+        ScpiDevice("meter", scpi_settings(5025, dialect=dialect, channels={"c": CHANNEL | channel}))
+
+
+def test_each_channel_is_set_up_for_its_unit(scanner: ScpiServer) -> None:
+    channels = {"gap": {"number": 103, "unit": "V"}, "plate": CHANNEL | {"function": "pt100"}}
+    device = ScpiDevice("meter", scpi_settings(scanner.port, channels=channels, aperture={"value": 0.01, "unit": "s"}))
+    device.connect(1.0)
+    assert scanner.functions == {103: "VOLT:DC", 102: "TEMP FRTD,85"}
+    assert scanner.temperature_unit == "C"
+    assert scanner.scanned == [102, 103]
+    device.close()
+
+
+def test_a_meter_must_measure_the_unit_of_its_channel(scanner: ScpiServer) -> None:
+    settings = scpi_settings(scanner.port, dialect="single_meter", channels={"a": {"number": 101, "unit": "V"}})
+    for scanner.function in ('"VOLT"', '"VOLT:DC"'):
+        with closing(ScpiDevice("meter", settings)) as device:
+            device.connect(1.0)
+    for scanner.function in ('"VOLT:AC"', "RES"):
+        sentence = f"the instrument measures {scanner.function}; expected voltage"
+        with closing(ScpiDevice("meter", settings)) as device, pytest.raises(DeviceError, match=sentence):
+            device.connect(1.0)
 
 
 def test_the_end_of_one_instrument_leaves_the_others(scanner: ScpiServer) -> None:
