@@ -124,6 +124,7 @@ data: setup
 docs: setup
 	@$(IN_WORKSPACE) tools/document_parameters.py
 	@$(IN_WORKSPACE) tools/document_calculators.py
+	@$(IN_WORKSPACE) tools/document_messages.py
 	@$(IN_WORKSPACE) -m sphinx -q -W --keep-going -d build/docs/.doctrees docs build/docs
 	@echo "build/docs/index.html"
 

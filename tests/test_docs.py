@@ -8,6 +8,7 @@ from pathlib import Path
 from types import ModuleType
 
 import document_calculators
+import document_messages
 import document_parameters
 import pytest
 from environment import THIS
@@ -20,7 +21,10 @@ def tracked_pages() -> list[Path]:
     return [path for name in listing.stdout.splitlines() if (path := THIS.root / name).is_file()]
 
 
-@pytest.mark.parametrize("generator", [document_parameters, document_calculators], ids=lambda each: each.PAGE.stem)
+GENERATORS = (document_parameters, document_calculators, document_messages)
+
+
+@pytest.mark.parametrize("generator", GENERATORS, ids=lambda each: each.PAGE.stem)
 def test_generated_page_equals_the_declarations(generator: ModuleType) -> None:
     assert generator.PAGE.read_text(encoding="utf-8") == generator.render_page(), "call 'make docs'"
 

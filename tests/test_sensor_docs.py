@@ -24,6 +24,9 @@ def blocks(text: str, language: str) -> list[str]:
     return re.findall(rf"^```{language}\n(.*?)^```$", text, re.DOTALL | re.MULTILINE)
 
 
+EXAMPLES = [block for block in blocks(SENSORS, "yaml") if "- type: " in block]
+
+
 def stack_of(block: str, **changes: object) -> Stack:
     [sensor] = yaml.safe_load(block)
     calibration = calibration_from(
@@ -40,7 +43,7 @@ def stack_of(block: str, **changes: object) -> Stack:
 
 
 def test_every_built_in_type_has_an_example() -> None:
-    shown = [yaml.safe_load(block)[0]["type"] for block in blocks(SENSORS, "yaml")]
+    shown = [yaml.safe_load(block)[0]["type"] for block in EXAMPLES]
     ours = [name for name, found in sensor_types().items() if found.__module__.startswith("posor.")]
     assert sorted(shown) == sorted(ours)
     for name in shown:
@@ -51,12 +54,12 @@ def test_every_built_in_type_has_an_example() -> None:
     ("number", "changes"), [(0, {}), (1, {"map": "factory"}), (1, {"map": "local"}), (1, {"map": "of_1985"}), (2, {})]
 )
 def test_examples_are_calibrations(number: int, changes: dict[str, str]) -> None:
-    [sensor] = stack_of(blocks(SENSORS, "yaml")[number], **changes).sensors
+    [sensor] = stack_of(EXAMPLES[number], **changes).sensors
     assert number != 1 or sensor.reading_names == ("spot x diode_1", "spot y diode_1")
 
 
 def test_four_probes_of_the_example_have_equal_sensitivity_at_every_phase() -> None:
-    [ring] = stack_of(blocks(SENSORS, "yaml")[2]).sensors
+    [ring] = stack_of(EXAMPLES[2]).sensors
     assert isinstance(ring, BumpyRing)
     seen = ring.observability(np.linspace(0.0, 2.0 * np.pi, 73))
     assert seen.min() > 0.8 * seen.max()
@@ -67,7 +70,7 @@ def test_excerpts_occur_in_the_example() -> None:
     assert len(shown) == 3
     files = [path.read_text(encoding="utf-8") for path in sorted(EXAMPLE.rglob("*.py"))]
     for excerpt in shown:
-        assert any(excerpt in text for text in files), dedent(excerpt)
+        assert any(excerpt.removeprefix("# excerpt\n") in text for text in files), dedent(excerpt)
 
 
 def test_files_named_in_the_page_exist() -> None:

@@ -75,7 +75,7 @@ def _render_calculator(signature: CalculatorSignature) -> str:
 
 def _command(signature: CalculatorSignature) -> str:
     lines = textwrap.wrap("./" + signature.example, WIDTH, break_long_words=False, break_on_hyphens=False)
-    return " \\\n".join(f"    {line}" for line in lines)
+    return "```sh\n" + " \\\n".join(lines) + "\n```"
 
 
 def _value_cells(value: Value) -> tuple[str, ...]:

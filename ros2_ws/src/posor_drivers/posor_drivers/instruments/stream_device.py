@@ -68,7 +68,7 @@ class StreamSettings(DeviceSettings):
     """Text in place of a number that is out of range."""
     without_counter: bool = Field(default=False, strict=True)
     """Frames are counted as they come; for TCP, which loses nothing."""
-    constants: dict[str, Annotated[int, Field(strict=True)]] = Field(default_factory=dict)
+    constants: dict[str, Annotated[int, Field(strict=True)] | str] = Field(default_factory=dict)
     channels: Annotated[dict[str, StreamChannel], Field(min_length=1)]
 
     @model_validator(mode="after")
