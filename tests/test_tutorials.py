@@ -22,7 +22,7 @@ FILE = re.compile(r"# (build/[\w/]+\.py)\n")
 FIRST = "first_pose"  # its files are used by other tutorials
 SAID: dict[str, list[str]] = yaml.safe_load(Path(__file__).with_name("tutorials.yaml").read_text(encoding="utf-8"))
 """Patterns of the output of each tutorial."""
-LONG = ("calibrate", "your_own_arm", "your_own_sensor", "close_a_loop")
+LONG = ("calibrate", "calibrate_a_simulated_joint", "your_own_arm", "your_own_sensor", "close_a_loop")
 
 
 def read_page(page: str) -> tuple[str, dict[str, str]]:

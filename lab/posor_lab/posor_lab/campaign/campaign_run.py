@@ -47,7 +47,8 @@ def run_in_memory(truth: GroundTruth) -> Iterator[CompletedStep]:
     for step in campaign_steps(truth.name):
         procedure = PROCEDURES[step.procedure]
         recording = step.record(truth)
-        found = fit_recording(procedure, calibration, recording, [], procedure.options(**step.options), {})
+        settings = procedure.options(**step.options)
+        found = fit_recording(procedure, calibration, recording, [], settings, {}, test_drift=False)
         calibration = found.calibration
         yield CompletedStep(step, found.outcome, calibration)
 

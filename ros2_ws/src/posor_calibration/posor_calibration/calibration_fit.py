@@ -30,6 +30,7 @@ from pydantic import ValidationError
 
 from posor_calibration.calibration_update import FitContext, update_calibration, update_text
 from posor_calibration.procedure_registry import PROCEDURES
+from posor_calibration.reference_checks import find_drifts, without_repeated_values
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Sequence
@@ -182,6 +183,7 @@ def fit_recording(
     source: str = "",
     scales: Mapping[str, float] | None = None,
     thermometers: Mapping[str, float] | None = None,
+    test_drift: bool = True,
 ) -> FitResult:
     """Run a procedure on a recording.
 
@@ -196,12 +198,18 @@ def fit_recording(
         source: Name of the file for error messages.
         scales: Relative standard uncertainty of the references' length scale, by the name of its shared term.
         thermometers: Standard uncertainty of the plate's thermometer [K], by the name of its shared term.
+        test_drift: Whether to test the drift of the references, which takes further fits.
 
     Raises:
         PosorError: The data or the new values are invalid.
 
     """
+    recording, repeated = without_repeated_values(recording)
     outcome = procedure.identify(recording, calibration, settings)
+    untested = f"Drift of the reference is not tested by {procedure.name}: compare visits of one place."
+    notes = (*repeated, *outcome.warnings, *([untested] if recording.tracks and not procedure.drift_of else []))
+    drifts = find_drifts(procedure, recording, calibration, settings, outcome) if test_drift else ()
+    outcome = replace(outcome, warnings=notes, drifts=drifts)
     for covariance in outcome.covariances:
         freeze_arrays(covariance)
     new = calibration

@@ -66,8 +66,26 @@ def judge_outcome(name: str, outcome: Outcome, changes: Comparison | None) -> Pr
         f"{outliers} of {readings} readings are outliers."
     )
     of_file = _describe_changes(changes) if changes else ["The calibration file is not changed."]
-    findings = (residuals, *of_file)
-    return ProcedureVerdict(holds, f"{name}: {usable}.", findings, outcome.warnings)
+    drifting = any(test.is_found for test in outcome.drifts)
+    usable = usable if not drifting else "usable with care: a reference drifts"
+    findings = (residuals, *_describe_drifts(outcome), *of_file)
+    return ProcedureVerdict(holds and not drifting, f"{name}: {usable}.", findings, outcome.warnings)
+
+
+def _describe_drifts(outcome: Outcome) -> list[str]:
+    """Return a sentence on the drift of each reference."""
+    sentences = []
+    for topic in dict.fromkeys(test.topic for test in outcome.drifts):
+        tests = [test for test in outcome.drifts if test.topic == topic]
+        tested = sorted((t for t in tests if t.is_tested), key=lambda test: -abs(test.drift) / test.sigma)
+        missing = [test.quantity for test in tests if not test.is_tested]
+        if tested:
+            found = "; more than its uncertainty" if tested[0].is_found else ""
+            sentences.append(f"Drift of {topic} over the recording: {tested[0].text}{found}.")
+        if missing:
+            which = topic + (f": {', '.join(filter(None, missing))}" if any(missing) else "")
+            sentences.append(f"No return to the start: drift of the reference is not tested ({which}).")
+    return sentences
 
 
 def _count_outliers(fit: Fit) -> int:
@@ -170,6 +188,7 @@ def outcome_json(name: str, verdict: ProcedureVerdict, outcome: Outcome) -> str:
             for what, fit in outcome.fits.items()
         },
         "tables": [asdict(each) for each in outcome.tables],
+        "drifts": [asdict(each) for each in outcome.drifts],
         "figures": [
             {
                 "title": each.title,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Annotated, Any, Generic, Literal, TypeVar
 
+import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 if TYPE_CHECKING:
@@ -16,6 +17,10 @@ if TYPE_CHECKING:
     from posor.numerics.array_types import FloatArray
 
     from posor_calibration.least_squares import Fit
+
+
+LARGEST_DRIFT_SIGMA = 5.0  # standard uncertainty of a drift, in those of the reference, beyond which nothing is tested
+CLEAR_DRIFT = 4.0  # drift in its standard uncertainties that is no chance
 
 
 class Options(BaseModel):
@@ -87,6 +92,34 @@ class Figure:
 
 
 @dataclass(frozen=True)
+class DriftTest:
+    """Drift of one quantity of a reference against the readings, in proportion to time, over the recording."""
+
+    topic: str
+    quantity: str
+    unit: str
+    drift: float
+    sigma: float  # its standard uncertainty; infinite: the recording does not show it
+    stated: float  # standard uncertainty of the reference; 0: not stated
+
+    @property
+    def text(self) -> str:
+        """Drift and standard uncertainty, with the name of the quantity."""
+        name = f" of {self.quantity}" if self.quantity else ""
+        return f"{self.drift:.2g} +- {self.sigma:.2g} {self.unit}{name}"
+
+    @property
+    def is_tested(self) -> bool:
+        """Whether a drift of some standard uncertainties of the reference would show."""
+        return self.sigma <= LARGEST_DRIFT_SIGMA * self.stated if self.stated else bool(np.isfinite(self.sigma))
+
+    @property
+    def is_found(self) -> bool:
+        """Whether the reference drifts by more than its stated uncertainty, beyond doubt."""
+        return self.is_tested and abs(self.drift) > max(CLEAR_DRIFT * self.sigma, self.stated)
+
+
+@dataclass(frozen=True)
 class Outcome:
     """Result of a procedure."""
 
@@ -98,6 +131,12 @@ class Outcome:
     tables: tuple[Table, ...] = ()
     warnings: tuple[str, ...] = ()  # sentences to read before trusting the result
     figures: tuple[Figure, ...] = field(default=())
+    drifts: tuple[DriftTest, ...] = ()  # of the references that the result depends on
+
+
+ANGLES = ("rotation about x", "rotation about y", "rotation about z")
+DRIFTING = ("", "x", "y", "z", *ANGLES)
+"""Quantities of a reference: of a single number, of a point or a pose, of a pose."""
 
 
 @dataclass(frozen=True)
@@ -109,3 +148,4 @@ class Procedure(Generic[OptionsT]):
     options: type[OptionsT]
     identify: Callable[[Recording, Calibration, OptionsT], Outcome]
     """Fits the parameters; raises FitError or TrackError for unusable data, CalibrationError for an unknown session."""
+    drift_of: tuple[str, ...] = DRIFTING  # quantities of a reference whose drift a second fit tests

@@ -190,4 +190,5 @@ PROCEDURE = Procedure(
     "transform of a beam from one POSOR to the next, from both and a reference",
     BeamTransformOptions,
     find_beam_transform,
+    drift_of=(),
 )

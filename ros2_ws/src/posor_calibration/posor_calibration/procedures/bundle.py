@@ -215,4 +215,5 @@ PROCEDURE = Procedure(
     "fit any parameters of a POSOR together, from many poses, with or without a pose reference",
     BundleOptions,
     fit_bundle,
+    drift_of=(),
 )

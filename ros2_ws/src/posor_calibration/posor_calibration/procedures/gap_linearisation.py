@@ -13,6 +13,7 @@ from posor_calibration.fit_report import describe_enlargement, describe_rejected
 from posor_calibration.gap_polynomial import Criterion, GapPolynomial, find_outliers, fit_orders, select_polynomial
 from posor_calibration.gap_probe_data import MICRO, GapReferenceOptions, SingleProbe, read_gap_data
 from posor_calibration.procedure import Figure, JointCovariance, Outcome, Procedure, Replacement, Table
+from posor_calibration.reference_checks import check_visits
 
 if TYPE_CHECKING:
     from posor.bags.recording import Recording
@@ -118,6 +119,10 @@ def linearise_probe(probe: SingleProbe, data: GapData, options: GapLinearisation
 
     Raises FitError: there are too few dwells, or too many outliers.
     """
+    if not options.uncalibrated:
+        sigmas = np.hypot(data.reference_sigmas, probe.slopes(data.scans) * data.volt_sigmas)
+        if np.all(sigmas > 0.0):
+            check_visits(probe.gaps(data.scans), data.reference, sigmas, probe.name)
     outliers = find_outliers(probe, data)
     warnings = describe_rejected(outliers, [f"dwell {n + 1}" for n in range(len(outliers))], probe.name)
     data = data.select(~outliers)

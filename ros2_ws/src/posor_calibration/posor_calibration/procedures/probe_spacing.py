@@ -34,7 +34,7 @@ from posor_calibration.fit_report import (
 )
 from posor_calibration.gap_probe_data import AXES, SingleProbe, list_probes
 from posor_calibration.least_squares import Fit, Loss, fit_parameters
-from posor_calibration.procedure import Figure, JointCovariance, Outcome, Procedure, Replacement
+from posor_calibration.procedure import ANGLES, Figure, JointCovariance, Outcome, Procedure, Replacement
 
 if TYPE_CHECKING:
     from posor.bags.recording import Recording
@@ -282,4 +282,5 @@ PROCEDURE = Procedure(
     "positions of the gap probes (a, b, c), from angles imposed on the target",
     ProbeSpacingOptions,
     find_probe_spacing,
+    drift_of=("z", *ANGLES[:2]),
 )

@@ -21,7 +21,7 @@ from posor_calibration.attitude_fit import AttitudeOptions, AttitudeParameter, R
 from posor_calibration.calibration_parameters import parameter_indices
 from posor_calibration.data_checks import check_count
 from posor_calibration.fit_report import correlation_table, parameter_table
-from posor_calibration.procedure import Outcome, Procedure, Replacement
+from posor_calibration.procedure import ANGLES, Outcome, Procedure, Replacement
 
 if TYPE_CHECKING:
     from posor.bags.recording import Recording
@@ -88,5 +88,9 @@ def find_target_plane(recording: Recording, calibration: Calibration, options: T
 
 
 PROCEDURE = Procedure(
-    NAME, "tilt of the target plane against the axis of rotation, from a turn", TargetPlaneOptions, find_target_plane
+    NAME,
+    "tilt of the target plane against the axis of rotation, from a turn",
+    TargetPlaneOptions,
+    find_target_plane,
+    drift_of=("y", "z", *ANGLES[:2]),
 )

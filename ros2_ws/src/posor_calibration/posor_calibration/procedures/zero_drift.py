@@ -18,7 +18,7 @@ from posor_calibration.attitude_fit import AttitudeOptions, AttitudeParameter, f
 from posor_calibration.calibration_parameters import parameter_indices
 from posor_calibration.data_checks import check_channels_move, check_count
 from posor_calibration.fit_report import result_tables
-from posor_calibration.procedure import Outcome, Procedure, Replacement
+from posor_calibration.procedure import ANGLES, Outcome, Procedure, Replacement
 
 if TYPE_CHECKING:
     from posor.bags.recording import Recording
@@ -106,5 +106,9 @@ def find_zero_drift(recording: Recording, calibration: Calibration, options: Zer
 
 
 PROCEDURE = Procedure(
-    NAME, "zero shifts of the gap probes from a motion that a reference measures", ZeroDriftOptions, find_zero_drift
+    NAME,
+    "zero shifts of the gap probes from a motion that a reference measures",
+    ZeroDriftOptions,
+    find_zero_drift,
+    drift_of=("y", "z", *ANGLES[:2]),
 )

@@ -1,0 +1,130 @@
+"""A reference that drifts, or repeats its last value, is found with its size where the recording shows it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from posor.bags.recording import Recording, Track
+from posor.calibration.designs import STANDOFF
+from posor.errors import FitError, TrackError
+from posor.numerics.array_types import FloatArray
+from posor_calibration.calibration_fit import FitResult, fit
+from posor_calibration.reference_checks import find_repeated_values
+from posor_lab.harness.simulated_recordings import diode_calibration, lifted_recording, tilted_recording
+from scipy.spatial.transform import Rotation
+
+SIGMA = 50e-9
+UP = STANDOFF + np.linspace(-0.4e-3, 0.4e-3, 16)
+TRAVELS = {"one way": UP, "return to the start": np.append(UP, UP[0]), "up and down": np.concatenate([UP, UP[::-1]])}
+ORDER = {"order": 4, "highest_order": 4}
+UNTESTED = "No return to the start: drift of the reference is not tested (/reference)."
+
+
+def recorded(travel: str, seed: int = 1) -> Recording:
+    found = lifted_recording(diode_calibration(), TRAVELS[travel], np.random.default_rng(seed), scans_each=20)
+    [(topic, track)] = found.tracks.items()
+    return replace(found, tracks={topic: replace(track, sigmas=np.array([SIGMA]))})
+
+
+def with_values(recording: Recording, values: FloatArray) -> Recording:
+    [(topic, track)] = recording.tracks.items()
+    return replace(recording, tracks={topic: replace(track, values=values)})
+
+
+def track_of(recording: Recording) -> Track:
+    [track] = recording.tracks.values()
+    return track
+
+
+def drifting(travel: str, size: float, seed: int = 1) -> FitResult:
+    recording = recorded(travel, seed)
+    values = track_of(recording).values
+    share = np.linspace(0.0, 1.0, len(values))[:, None]
+    return fit(
+        "gap_linearisation",
+        diode_calibration(),
+        with_values(recording, values + size * share),
+        highest_order=3,
+        order=3,
+    )
+
+
+def test_a_single_travel_does_not_show_a_drift_and_says_so() -> None:
+    result = drifting("one way", 5e-6)
+    assert UNTESTED in result.report.splitlines()
+    assert not any(test.is_tested for test in result.outcome.drifts)
+
+
+@pytest.mark.parametrize("travel", ["return to the start", "up and down"])
+def test_a_drift_is_found_with_its_size_where_the_target_returns(travel: str) -> None:
+    [test] = drifting(travel, 0.0).outcome.drifts
+    assert test.is_tested
+    assert abs(test.drift) < 4.0 * test.sigma
+    result = drifting("up and down", 0.45e-6)
+    [test] = result.outcome.drifts
+    assert test.is_found
+    assert abs(test.drift - 0.45e-6) < 4.0 * test.sigma
+    assert "usable with care: a reference drifts" in result.report
+
+
+@pytest.mark.parametrize(
+    ("travel", "size", "sentence"),
+    [
+        ("return to the start", 5e-6, r"the reference has drifted by 4\.[789]e-06 .* dwells 1 and 17"),
+        ("up and down", 5e-6, r"the reference has drifted by \S+ .* between two visits of one place"),
+    ],
+)
+def test_a_drift_far_beyond_the_uncertainty_is_refused(travel: str, size: float, sentence: str) -> None:
+    with pytest.raises(FitError, match=sentence):
+        drifting(travel, size)
+
+
+def test_a_drift_of_angles_is_named_with_its_size() -> None:
+    leans = np.concatenate([np.outer(np.linspace(-5e-3, 5e-3, 9), axis) for axis in np.eye(2)])
+    recording = tilted_recording(diode_calibration(), leans, np.random.default_rng(1), sigma=1.5e-6)
+    track, size = track_of(recording), 9e-6
+    turns = Rotation.from_rotvec(np.outer(np.linspace(0.0, size, len(track.values)), [1.0, 0.0, 0.0]))
+    turned = (turns * Rotation.from_quat(track.values[:, 3:])).as_quat()
+    moved = with_values(recording, np.column_stack([track.values[:, :3], turned]))
+    about_x, _ = fit("probe_spacing", diode_calibration(), moved).outcome.drifts
+    assert about_x.quantity == "rotation about x"
+    assert about_x.is_found
+    assert abs(about_x.drift - size) < 4.0 * about_x.sigma
+
+
+def held(values: FloatArray, begin: int, count: int) -> FloatArray:
+    values = values.copy()
+    values[begin : begin + count] = values[begin]
+    return values
+
+
+def test_values_repeated_in_motion_are_left_out_up_to_a_tenth() -> None:
+    recording = recorded("one way")
+    values = track_of(recording).values
+    calibration = diode_calibration()
+    result = fit("gap_linearisation", calibration, with_values(recording, held(values, 100, 38)), **ORDER)
+    assert any("repeats a value at" in note for note in result.outcome.warnings)
+    with pytest.raises(TrackError, match=r"repeats a value at \d+ of 400 values while the readings move, first after"):
+        fit("gap_linearisation", calibration, with_values(recording, held(values, 100, 80)), **ORDER)
+    with pytest.raises(TrackError, match="repeats a value"):  # the instrument stops before the end
+        fit("gap_linearisation", calibration, with_values(recording, held(values, 300, 100)), **ORDER)
+
+
+def test_sample_and_hold_is_found_and_coarse_resolution_is_not() -> None:
+    lifts = STANDOFF + 0.4e-3 * np.sin(np.linspace(0.0, 6.0, 300))
+    moving = lifted_recording(diode_calibration(), lifts, np.random.default_rng(2), scans_each=1)
+    track = track_of(moving)
+    sampled = np.repeat(track.values[::20], 20, axis=0)[: len(track.values)]
+    assert np.mean(find_repeated_values(moving, replace(track, values=sampled))) > 0.5
+    for resolution in (1e-6, 20e-6):  # equal values for a fraction of a scan, and for many scans
+        coarse = replace(track, values=resolution * np.round(track.values / resolution))
+        assert not find_repeated_values(moving, coarse).any()
+
+
+def test_equal_values_at_rest_are_not_repeated() -> None:
+    recording = recorded("up and down")
+    track = track_of(recording)
+    assert np.mean(np.diff(track.values, axis=0) == 0.0) > 0.5
+    assert not find_repeated_values(recording, track).any()
