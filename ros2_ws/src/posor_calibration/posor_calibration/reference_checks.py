@@ -193,11 +193,12 @@ def find_drifts(
                     other = procedure.identify(shifted, calibration, settings)
                 except PosorError:
                     continue
-                test = _compare(outcome, other, shift * size, size)
-                if test is None:
+                compared = _compare(outcome, other, shift * size, size)
+                if compared is None:
                     continue
-                if test[2]:
-                    found.append(DriftTest(topic, name, unit, *test[:2], sigma))
+                drift, drift_sigma, matters = compared
+                if matters:
+                    found.append(DriftTest(topic, name, unit, drift, drift_sigma, sigma))
                 break
     for test in found:
         if test.stated and abs(test.drift) > max(MOST_SPREAD * test.stated, DRIFT_SIGMAS * test.sigma):
