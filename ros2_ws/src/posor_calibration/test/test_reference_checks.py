@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,7 +19,7 @@ from scipy.spatial.transform import Rotation
 SIGMA = 50e-9
 UP = STANDOFF + np.linspace(-0.4e-3, 0.4e-3, 16)
 TRAVELS = {"one way": UP, "return to the start": np.append(UP, UP[0]), "up and down": np.concatenate([UP, UP[::-1]])}
-ORDER = {"order": 4, "highest_order": 4}
+ORDER: dict[str, Any] = {"order": 4, "highest_order": 4}
 UNTESTED = "No return to the start: drift of the reference is not tested (/reference)."
 
 

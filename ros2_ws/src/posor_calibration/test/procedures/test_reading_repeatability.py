@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from posor.bags.recording import Recording, Track
-from posor.calibration.designs import STANDOFF, design
+from posor.calibration.designs import STANDOFF, DesignName, design
 from posor.errors import FitError
 from posor.estimation.forward import scans_at
 from posor.estimation.posor import Posor
@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 SCANS = 20
 
 
-def recorded(name: str, runs: int, seed: int = 1) -> Recording:
+def recorded(name: DesignName, runs: int, seed: int = 1) -> Recording:
     """Return visits of five places: shifts along X for diodes, angles about Z for a ring."""
     places = np.tile(np.linspace(-1e-3, 1e-3, 5), runs)
     path = dwell_path(places[:, None], SCANS)[:, 0]
@@ -30,11 +30,14 @@ def recorded(name: str, runs: int, seed: int = 1) -> Recording:
     return Recording(scans, {"/stage": track}, "simulated")
 
 
-CASES = [("diode_repeatability", "triad_diodes", "diodes"), ("ring_repeatability", "quad_bumpy_ring", "probes")]
+CASES: list[tuple[str, DesignName, str]] = [
+    ("diode_repeatability", "triad_diodes", "diodes"),
+    ("ring_repeatability", "quad_bumpy_ring", "probes"),
+]
 
 
 @pytest.mark.parametrize(("procedure", "name", "part"), CASES)
-def test_noise_is_found_within_its_uncertainty(procedure: str, name: str, part: str) -> None:
+def test_noise_is_found_within_its_uncertainty(procedure: str, name: DesignName, part: str) -> None:
     result = fit(procedure, design(name), recorded(name, runs=6))
     assert len(result.outcome.replacements) == len(getattr(result.former.sensors[-1], part))
     for new, old in zip(
@@ -44,7 +47,7 @@ def test_noise_is_found_within_its_uncertainty(procedure: str, name: str, part: 
 
 
 @pytest.mark.parametrize(("procedure", "name", "part"), CASES)
-def test_scatter_from_visit_to_visit_adds_to_the_noise(procedure: str, name: str, part: str) -> None:
+def test_scatter_from_visit_to_visit_adds_to_the_noise(procedure: str, name: DesignName, part: str) -> None:
     recording = recorded(name, runs=6)
     field = "diode_currents" if part == "diodes" else "ring_voltages"
     readings = getattr(recording.scans, field).copy()
@@ -56,7 +59,7 @@ def test_scatter_from_visit_to_visit_adds_to_the_noise(procedure: str, name: str
 
 
 @pytest.mark.parametrize(("procedure", "name"), [case[:2] for case in CASES])
-def test_places_visited_once_are_refused(procedure: str, name: str) -> None:
+def test_places_visited_once_are_refused(procedure: str, name: DesignName) -> None:
     recording = recorded(name, runs=2)
     [track] = recording.tracks.values()
     moved = track.values.copy()
