@@ -117,8 +117,8 @@ def _check_motion(posor: Posor, data: BundleData, track: Track) -> None:
     valid = estimates.states != int(State.LOST)
     if np.count_nonzero(valid) < MIN_COMPARED:
         return
-    systematic = np.diagonal(estimates.covariances_systematic[valid], axis1=1, axis2=2)
-    sigmas = np.sqrt(np.median(systematic, axis=0))
+    total = estimates.covariances_systematic[valid] + estimates.covariances_random[valid]
+    sigmas = np.sqrt(np.median(np.diagonal(total, axis1=1, axis2=2), axis=0))
     found = [pin.SE3(r, t) for r, t in zip(estimates.rotations[valid], estimates.translations[valid], strict=True)]
     expected = [data.poses[i] for i in np.flatnonzero(valid)]
     # Without theta, from which the search of the pose begins.
