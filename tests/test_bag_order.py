@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from posor.bags import block_reader
+from posor.bags import chunk_reader, ordered_reader
 from posor.bags.bag_reader import METADATA
 from posor.bags.calibration_recording import load_recording, read_scans
 from posor.bags.offline_pipeline import load_arm
@@ -144,8 +144,8 @@ READERS: dict[str, Callable[[Path], list[Any]]] = {
 def test_no_arrangement_of_a_recording_costs_anything(
     arrangement: str, storage: StoragePlugin, records: list[Record], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(block_reader, "BLOCK_BYTES", 300_000)
-    monkeypatch.setattr(block_reader, "BLOCK_MESSAGES", 700)
+    monkeypatch.setattr(chunk_reader, "BLOCK_BYTES", 300_000)
+    monkeypatch.setattr(ordered_reader, "BLOCK_MESSAGES", 700)
     bag = write(tmp_path / "bag", ARRANGEMENTS[arrangement](records), storage)
     for name, read in READERS.items():
         assert read(bag) == read(BAG), name

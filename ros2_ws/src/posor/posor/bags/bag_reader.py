@@ -6,14 +6,16 @@ files have none.
 
 from __future__ import annotations
 
-import struct
+import logging
 from contextlib import contextmanager
+from functools import cache
 from typing import TYPE_CHECKING
 
-from posor.bags.mcap_file import RECOVER, checked_index, damage_error, first_damage
-from posor.bags.read_order import OrderedReader
+from posor.bags.mcap_file import RECOVER
+from posor.bags.ordered_reader import OrderedReader
+from posor.bags.recorded_topics import METADATA
 from posor.errors import BagError, PosorError
-from posor.messages.message_definitions import schema_of_connection
+from posor.messages.message_definitions import schema_of_topic
 from posor.messages.raw_scan import check_raw_scan_schema
 from posor.ros_names import RAW_SCAN
 
@@ -26,18 +28,17 @@ if TYPE_CHECKING:
     from posor.messages.cdr_schema import Schema
     from posor.messages.message_definitions import MessageTypes
 
-METADATA = "metadata.yaml"
 EXPECTED = "a rosbag2 bag, MCAP or SQLite, that was closed properly"
 ADVICE = {".mcap": f"it; {RECOVER} with {METADATA}", ".db3": "it, as 'ros2 bag reindex' makes it"}
 """What helps if the metadata are missing, by the suffix of the files."""
-SQLITE_MAGIC = b"SQLite format 3\0"
 
 
 @contextmanager
-def opened_bag(path: Path) -> Iterator[OrderedReader]:
+def opened_bag(path: Path, *, log_notes: bool = True) -> Iterator[OrderedReader]:
     """Open a bag; errors of the storage layers, also later ones, become one sentence that names the bag.
 
-    Raises BagError: the bag does not exist, cannot be read, holds no messages, or the order of its files is unknown.
+    ``log_notes``: whether what is left out is logged as a warning, once in a process. Raises BagError: the bag does not
+    exist, cannot be read, holds no messages, or the order of its files is unknown.
     """
     if not path.exists():
         raise BagError("does not exist", where=str(path), expected=EXPECTED)
@@ -45,22 +46,25 @@ def opened_bag(path: Path) -> Iterator[OrderedReader]:
         raise BagError("is neither a folder nor a file", where=str(path), expected=EXPECTED)
     _check_metadata(path)
     try:
-        _check_size(path)
-        for file in storage_files(path, ".mcap"):
-            checked_index(file)
         with OrderedReader(path) as reader:
+            if log_notes:
+                for note in reader.notes():
+                    log_once(f"{path}: {note}")
             _check_not_empty(reader, path)
             reader.check_files(storage_files(path, *ADVICE))
             yield reader
     except PosorError:
         raise
     except Exception as error:
-        for file in storage_files(path, ".mcap"):
-            if (damage := first_damage(file)) is not None:
-                raise damage_error(file, damage) from error
         reason = " ".join(str(error).split()).rstrip(".") or type(error).__name__
         expected = f"{EXPECTED}; {RECOVER}" if storage_files(path, ".mcap") else EXPECTED
         raise BagError(f"the bag cannot be read, {reason}", where=str(path), expected=expected) from error
+
+
+@cache
+def log_once(note: str) -> None:
+    """Log a sentence about a bag as a warning, unless this process has done so."""
+    logging.getLogger(__name__).warning("%s.", note)
 
 
 def scan_topic(connections: Sequence[Connection], wanted: str, where: str, setting: str) -> str:
@@ -128,7 +132,7 @@ def scan_schema(connections: Sequence[Connection], topic: str, where: str) -> Sc
     Raises BagError: there is no such topic, it is of another type or holds no messages, or its definition is invalid.
     """
     checked_type(connections, topic, where, None, (RAW_SCAN,), filled=True)
-    schema = schema_of_connection(next(each for each in connections if each.topic == topic), where)
+    schema = schema_of_topic(connections, topic, where)
     check_raw_scan_schema(schema, f"{where}, topic {topic}")
     return schema
 
@@ -155,15 +159,5 @@ def _check_metadata(path: Path) -> None:
 
 def _check_not_empty(reader: OrderedReader, path: Path) -> None:
     if not reader.message_count:
-        raise BagError("holds no messages", where=str(path))
-
-
-def _check_size(bag: Path) -> None:
-    """Refuse a truncated SQLite file; SQLite itself notices only when it reads beyond the end."""
-    for path in storage_files(bag, ".db3") if bag.is_dir() else [bag]:
-        with path.open("rb") as file:
-            head = file.read(32)
-        if len(head) == len(SQLITE_MAGIC) + 16 and head.startswith(SQLITE_MAGIC):
-            page_size, pages = struct.unpack(">H10xI", head[16:])
-            if path.stat().st_size < (page_size if page_size > 1 else 65536) * pages:
-                raise BagError("the file is cut short", where=str(path), expected=EXPECTED)
+        unread = ", ".join(sorted(f"{topic} {why}" for topic, why, _ in reader.unread))
+        raise BagError(f"holds no messages{unread and f' but of {unread}'}", where=str(path), expected="CDR")

@@ -10,9 +10,9 @@ from __future__ import annotations
 import json
 import shutil
 import tempfile
-from collections import defaultdict
+from collections import Counter, defaultdict
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from struct import Struct
 from typing import TYPE_CHECKING, Any, NamedTuple, Self
@@ -96,11 +96,12 @@ class BagWriter:
         self.path = path
         self._where = where or path
         self._custom_data = dict(custom_data or {})
-        self._schemas: dict[str, Schema] = {}
+        self._schemas: list[Schema] = []
         self._topics: list[_Topic] = []
         self._channels: dict[str, int] = {}
         self._indices: list[ChunkIndex] = []
         self._records = RecordBuilder()  # that wait to become a chunk
+        self._outside = Counter[int]()  # records outside of chunks, by type
         self._entries = defaultdict[int, list[tuple[int, int]]](list)  # log time and offset of each message, by channel
         self._buffer: ByteArray = np.empty(0, dtype=np.uint8)
         with writing(self._where):
@@ -127,33 +128,54 @@ class BagWriter:
         ``type_name``: message type; ``definition``: of the type; ``qos``: profiles that the publishers offer:
         ``QoSProfile`` of rclpy or ``Qos`` of rosbags; ``encoding``: of the messages.
         """
+        form = "ros2idl" if definition.text.startswith("=" * 80 + "\nIDL: ") else "ros2msg"
+        schema = Schema(id=0, name=type_name, encoding=form, data=definition.text.encode())
+        return self.add_channel(name, schema, encoding, qos, definition.type_hash)
+
+    def add_channel(
+        self,
+        name: str,
+        schema: Schema | None,
+        encoding: str,
+        qos: Sequence[Any] = (),
+        type_hash: str = "",
+        details: Mapping[str, str] | None = None,
+    ) -> int:
+        """Add a channel, unless it is there already, and return its number; see ``add_topic``.
+
+        ``schema``: of its messages, in any language; its number does not count; ``details``: of the channel.
+        """
         profiles = [_qos_entry(profile) for profile in qos]
         metadata = {
             "name": name,
-            "type": type_name,
+            "type": schema.name if schema else "",
             "serialization_format": encoding,
             "offered_qos_profiles": profiles,
-            "type_description_hash": definition.type_hash,
+            "type_description_hash": type_hash,
         }
-        for topic in self._topics:
-            if topic.metadata == metadata:
-                return topic.channel.id
-        if type_name not in self._schemas:
-            form = "ros2idl" if definition.text.startswith("=" * 80 + "\nIDL: ") else "ros2msg"
-            number, data = len(self._schemas) + 1, definition.text.encode()
-            self._schemas[type_name] = Schema(id=number, name=type_name, encoding=form, data=data)
-            self._schemas[type_name].write(self._records)
         channel = Channel(
             id=len(self._topics) + 1,
             topic=name,
             message_encoding=encoding,
-            metadata={"offered_qos_profiles": yaml.safe_dump(profiles).strip()},
-            schema_id=self._schemas[type_name].id,
+            metadata={**(details or {}), "offered_qos_profiles": yaml.safe_dump(profiles).strip()},
+            schema_id=self._add_schema(schema) if schema else 0,
         )
+        for topic in self._topics:
+            if topic.metadata == metadata and topic.channel == replace(channel, id=topic.channel.id):
+                return topic.channel.id
         channel.write(self._records)
         self._channels[name] = channel.id
         self._topics.append(_Topic(channel, metadata))
         return channel.id
+
+    def _add_schema(self, schema: Schema) -> int:
+        """Add a schema, unless it is there already, and return its number."""
+        for each in self._schemas:
+            if each == replace(schema, id=each.id):
+                return each.id
+        self._schemas.append(replace(schema, id=len(self._schemas) + 1))
+        self._schemas[-1].write(self._records)
+        return self._schemas[-1].id
 
     def write(self, topic: str, time_ns: int, data: bytes) -> None:
         """Write one serialised message with its log time [ns]."""
@@ -191,6 +213,14 @@ class BagWriter:
             offset += rows.nbytes
             self._topics[part.channel - 1].count += count
         self._write_chunk(records, entries)
+
+    def write_record(self, opcode: int, content: bytes) -> None:
+        """Write a record that is outside of chunks: an attachment or metadata."""
+        if self._records.count:
+            self._close_chunk()
+        with writing(self._where):
+            self._file.write(RECORD_HEAD.pack(opcode, len(content)) + content)
+        self._outside[opcode] += 1
 
     def flush(self) -> None:
         """Hand all messages to the operating system; they survive the end of this process, not a loss of power."""
@@ -297,8 +327,8 @@ class BagWriter:
             message_count=sum(counts.values()),
             schema_count=len(self._schemas),
             channel_count=len(self._topics),
-            attachment_count=0,
-            metadata_count=1,
+            attachment_count=self._outside[Opcode.ATTACHMENT],
+            metadata_count=1 + self._outside[Opcode.METADATA],
             chunk_count=len(self._indices),
             message_start_time=first,
             message_end_time=last,
@@ -307,7 +337,7 @@ class BagWriter:
         place = MetadataIndex(name="rosbag2", offset=metadata_at, length=len(metadata))
         channels = [topic.channel for topic in self._topics]
         footer = Footer(summary_start=self._file.tell(), summary_offset_start=0, summary_crc=0)
-        index = b"".join(map(_bytes_of, [*self._schemas.values(), *channels, *self._indices, place, statistics]))
+        index = b"".join(map(_bytes_of, [*self._schemas, *channels, *self._indices, place, statistics]))
         footer.summary_crc = crc32(index + _bytes_of(footer)[:-4])
         self._file.write(index + _bytes_of(footer) + MAGIC)
 

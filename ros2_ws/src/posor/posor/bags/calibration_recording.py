@@ -14,7 +14,7 @@ from posor.bags.message_block import TopicReader
 from posor.bags.recording import POSE, Recording, Track
 from posor.chain.joint_measurements import UNIT_QUATERNION_TOLERANCE
 from posor.errors import BagError, TopicError, TrackError, checked_path
-from posor.messages.message_definitions import schema_of_connection
+from posor.messages.message_definitions import schema_of_topic
 from posor.messages.raw_scan import RecordedScans
 from posor.model.scan import CONTACTS
 from posor.numerics.stamps import time_ns
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from collections.abc import Collection, Mapping, Sequence
     from pathlib import Path
 
-    from posor.bags.read_order import OrderedReader
+    from posor.bags.ordered_reader import OrderedReader
     from posor.messages.cdr_schema import Value
     from posor.model.scan import Scans
     from posor.numerics.array_types import FloatArray
@@ -160,7 +160,7 @@ def _read_tracks(reader: OrderedReader, references: Sequence[Reference], where: 
     topics = [reference.topic for reference in references]
     known = reader.connections
     kinds = {topic: checked_type(known, topic, where, None, REFERENCE_FIELDS, filled=True) for topic in topics}
-    schemas = {each.topic: schema_of_connection(each, where) for each in known if each.topic in kinds}
+    schemas = {topic: schema_of_topic(known, topic, where) for topic in kinds}
     messages: dict[str, list[tuple[int, dict[str, Value]]]] = {topic: [] for topic in topics}
     for connection, logged_ns, data in read_messages(reader, kinds, where):
         try:

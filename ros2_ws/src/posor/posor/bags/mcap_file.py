@@ -6,8 +6,9 @@ A checksum of 0 means that the writer stated none.
 from __future__ import annotations
 
 import re
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from io import BytesIO
+from itertools import pairwise
 from mmap import ACCESS_READ, mmap
 from struct import Struct
 from struct import error as StructError
@@ -19,13 +20,13 @@ import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Chunk
+from mcap.records import Channel, Chunk, ChunkIndex, Schema
 from mcap.stream_reader import StreamReader
 
 from posor.errors import BagError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterable, Iterator
     from pathlib import Path
 
     from mcap.records import McapRecord
@@ -40,7 +41,18 @@ FOOTER = Struct("<BQQQI")  # head, offset of the index, offset of its table of c
 OF_MESSAGES = {Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE}
 OF_DATA = OF_MESSAGES | {Opcode.CHUNK, Opcode.MESSAGE_INDEX, Opcode.ATTACHMENT, Opcode.METADATA, Opcode.DATA_END}
 """Records between the header and the index."""
+SHORTEST = {Opcode.MESSAGE: 22, Opcode.CHUNK: 40, Opcode.MESSAGE_INDEX: 6, Opcode.DATA_END: 4}
+"""Bytes of the shortest content of a record. Longer ones may end with fields of a later version, but for messages."""
+UNKNOWN = range(0x10, 0x100)
+"""Records of applications and of later versions of the format, which every reader skips."""
+PIECE_BYTES = 4 << 20
+"""Most bytes of successive messages outside of chunks that are read at a time, but for a longer message."""
+MESSAGE = Struct("<QHIQ")  # of a message after its opcode: length, channel, sequence number, log time
+CHANNEL = Struct("<H")  # first of a message's content
+CHUNK_TIMES = Struct("<QQQ")  # first of a chunk's content: first and last log time, size of the decompressed records
 MAY_BE_CHUNK = re.compile(rb"(?s)(?=\x06.{5}\x00{3})")  # where a chunk of less than 2^40 bytes may begin
+MAY_BE_MESSAGE = re.compile(rb"(?s)(?=\x05.{5}\x00{3})")
+HEADS = 4  # number of successive heads of records that arbitrary bytes do not resemble
 
 
 class Record(NamedTuple):
@@ -56,6 +68,19 @@ class Damage(NamedTuple):
     offset: int  # where it begins [bytes]
     size: int  # up to the next whole chunk, or to the end of the data [bytes]
     what: str  # what is wrong, a clause
+
+
+class Span(NamedTuple):
+    """Bytes of a file that hold messages: a chunk, or successive messages outside of chunks with their definitions."""
+
+    offset: int
+    length: int  # with the head of a chunk [bytes]
+    size: int  # of the decompressed records [bytes]
+    start_ns: int  # first log time
+    end_ns: int  # last log time; before the first one: there is no message
+    channels: frozenset[int] | None  # channels of the messages; None: unknown
+    is_chunk: bool
+    index_length: int = 0  # of the message index records after a chunk; 0: there are none, or their place is unknown
 
 
 NOT_MCAP = Damage(0, len(MAGIC), "the file does not begin as MCAP files do")
@@ -81,13 +106,12 @@ def mapped(path: Path) -> Iterator[mmap]:
         yield data
 
 
-def checked_index(path: Path) -> list[McapRecord]:
+def checked_index(path: Path, data: mmap | bytes) -> list[McapRecord]:
     """Return the records of the index of a file; an empty list if the file has none.
 
-    Raises BagError: the file is not MCAP, its index is damaged, or it cannot be read.
+    ``path``: names the file in errors. Raises BagError: the file is not MCAP, or its index is damaged.
     """
-    with mapped(path) as data:
-        index = read_index(data) if data[: len(MAGIC)] == MAGIC else NOT_MCAP
+    index = read_index(data) if data[: len(MAGIC)] == MAGIC else NOT_MCAP
     if isinstance(index, Damage):
         raise damage_error(path, index)
     return index
@@ -118,31 +142,186 @@ def read_index(data: mmap | bytes) -> list[McapRecord] | Damage:
         return Damage(index.offset, len(data) - index.offset, "the index holds an invalid record")
 
 
-def read_records(data: mmap | bytes) -> Iterator[list[Record] | Damage]:
-    """Yield the records of messages, schemas and channels of every whole chunk, and what is damaged, in order.
+def read_spans(path: Path, data: mmap | bytes, index: Iterable[McapRecord]) -> Iterator[Span]:
+    """Yield all bytes between the header and the index of an undamaged file that hold messages.
 
-    After a damaged record, reading resumes at the next intact chunk.
+    The index only shortens the way: chunks that it does not list are found, too, and so are messages outside of chunks.
+    Raises BagError: a record is damaged.
     """
-    index = _index_begin(data)
+    listed = {each.chunk_start_offset: each for each in index if isinstance(each, ChunkIndex)}
+    begin = _index_begin(data)
+    end = len(data) if isinstance(begin, Damage) else begin.offset
+    position, piece = _after_header(data), _Piece()
+    while position < end:
+        try:
+            opcode, after = _read_head(data, position, end)
+        except _DamagedError as error:
+            raise damage_error(path, Damage(position, end - position, str(error))) from error
+        if piece.size and (opcode not in OF_MESSAGES or piece.size + after - position > PIECE_BYTES):
+            yield piece.span(position)
+            piece = _Piece()
+        if opcode == Opcode.DATA_END:
+            break
+        if opcode in OF_MESSAGES:
+            piece.add(data, opcode, position, after)
+        elif opcode == Opcode.CHUNK:
+            chunk = listed.pop(position, None)
+            yield _chunk_span(data, position, after, chunk)
+            after += chunk.message_index_length if chunk else 0
+        position = after
+    if piece.size:
+        yield piece.span(end)
+    if listed:
+        raise damage_error(path, Damage(min(listed), 0, "there is no chunk, which the index lists"))
+
+
+class _Piece:
+    """Successive records of messages and definitions outside of chunks."""
+
+    def __init__(self) -> None:
+        self.size = 0
+        self._start_ns, self._end_ns = 1 << 64, -1
+        self._channels = set[int]()
+
+    def add(self, data: mmap | bytes, opcode: int, position: int, after: int) -> None:
+        self.size += after - position
+        if opcode == Opcode.MESSAGE:
+            _, channel, _, time_ns = MESSAGE.unpack_from(data, position + 1)
+            self._start_ns, self._end_ns = min(self._start_ns, time_ns), max(self._end_ns, time_ns)
+            self._channels.add(channel)
+
+    def span(self, end: int) -> Span:
+        channels = frozenset(self._channels)
+        return Span(end - self.size, self.size, self.size, self._start_ns, self._end_ns, channels, is_chunk=False)
+
+
+def _chunk_span(data: mmap | bytes, position: int, after: int, chunk: ChunkIndex | None) -> Span:
+    """Return the span of a chunk; ``chunk``: what the index says of it, if anything."""
+    if chunk is None:
+        start_ns, end_ns, size = CHUNK_TIMES.unpack_from(data, position + RECORD_HEAD.size)
+        return Span(position, after - position, size, start_ns, end_ns, None, is_chunk=True)
+    return Span(
+        position,
+        after - position,
+        chunk.uncompressed_size,
+        chunk.message_start_time,
+        chunk.message_end_time,
+        _channels_of(chunk),
+        is_chunk=True,
+        index_length=chunk.message_index_length,
+    )
+
+
+def _channels_of(chunk: ChunkIndex) -> frozenset[int] | None:
+    """Return the channels whose message index records, of 15 bytes and more, have entries; None: unknown."""
+    begin = chunk.chunk_start_offset + chunk.chunk_length
+    end = begin + chunk.message_index_length
+    offsets = sorted((offset, number) for number, offset in chunk.message_index_offsets.items())
+    if not offsets or offsets[0][0] < begin or offsets[-1][0] >= end:
+        return None
+    found = frozenset(
+        number for (first, number), (last, _) in pairwise([*offsets, (end, 0)]) if last - first > INDEX_HEAD.size
+    )
+    return found or None
+
+
+def span_records(content: bytes, *, is_chunk: bool) -> bytes:
+    """Return the records of a span, decompressed. Raises: see ``chunk_records``."""
+    return chunk_records(content[RECORD_HEAD.size :]) if is_chunk else content
+
+
+def definitions_of(records: Iterable[Record]) -> Iterator[Schema | Channel]:
+    """Yield the schemas and channels among some records; invalid ones, and schemas of the number 0, are left out."""
+    for opcode, content in records:
+        if opcode in {Opcode.SCHEMA, Opcode.CHANNEL}:
+            kind = Schema if opcode == Opcode.SCHEMA else Channel
+            with suppress(McapError, ValueError, OverflowError, StructError):
+                found = kind.read(ReadDataStream(BytesIO(content)))
+                if isinstance(found, Channel) or found.id:
+                    yield found
+
+
+def read_records(data: mmap | bytes) -> Iterator[list[Record] | Damage]:
+    """Yield the records of every whole chunk, every whole record outside of chunks, and what is damaged, in order.
+
+    After a damaged record, reading resumes at the next intact chunk; in a file without chunks, at the next message.
+    Message indices are left out; records of unknown types are not.
+    """
+    index, records = _index_begin(data), read_index(data)
     position, end = _after_header(data), len(data)
     if not isinstance(index, Damage) and index.checked:
         end = index.offset
+    search = _Search(data, end, [] if isinstance(records, Damage) else records)
     if data[: len(MAGIC)] != MAGIC:
         yield NOT_MCAP
     while position < end:
         try:
-            opcode, records, after = _read_record(data, position)
+            opcode, found, after = search.read_record(position)
         except _DamagedError as error:
-            after = _find_chunk(data, position + 1, end)
+            after = search.find_next(position)
             yield Damage(position, after - position, str(error))
         else:
             if opcode == Opcode.DATA_END:
                 return
-            if records:
-                yield records
+            if found:
+                yield found
         position = after
     if isinstance(index, Damage):
         yield index
+
+
+class _Search:
+    """Reads the data of a file that may be damaged."""
+
+    def __init__(self, data: mmap | bytes, end: int, index: Iterable[McapRecord]) -> None:
+        self._data, self._end = data, end
+        index = list(index)
+        self._listed = {each.chunk_start_offset for each in index if isinstance(each, ChunkIndex)}
+        self._channels = {each.id for each in index if isinstance(each, Channel)}
+        self._has_chunks = bool(self._listed)
+        self._may_have_chunks = True
+
+    def read_record(self, position: int) -> tuple[int, list[Record], int]:
+        """Return type, content and end of the record at an offset."""
+        opcode, found, after = _read_record(self._data, position)
+        if position in self._listed and opcode != Opcode.CHUNK:
+            raise _DamagedError(f"a chunk is damaged: its type is 0x{opcode:02x}")
+        self._has_chunks |= opcode == Opcode.CHUNK
+        if opcode in OF_MESSAGES and not self._is_followed(after) and self._find_message(position + 1, after) < after:
+            raise _DamagedError("the length of a record is damaged")
+        self._channels.update(each.id for each in definitions_of(found) if isinstance(each, Channel))
+        return opcode, found, after
+
+    def find_next(self, position: int) -> int:
+        """Return the offset where reading resumes after a damaged record."""
+        chunk = _find_chunk(self._data, position + 1, self._end) if self._may_have_chunks else self._end
+        self._may_have_chunks = chunk < self._end
+        if self._has_chunks or self._may_have_chunks or self._data[position] == Opcode.CHUNK:
+            return chunk
+        return self._find_message(position + 1, self._end)
+
+    def _find_message(self, begin: int, end: int) -> int:
+        """Return the offset of the next whole message of a known channel between two offsets; ``end`` without any."""
+        for candidate in MAY_BE_MESSAGE.finditer(self._data, begin, end):
+            position = candidate.start()
+            with suppress(_DamagedError):
+                _, after = _read_head(self._data, position, self._end)
+                _, channel, _, _ = MESSAGE.unpack_from(self._data, position + 1)
+                if channel in self._channels and self._is_followed(after):
+                    return position
+        return end
+
+    def _is_followed(self, position: int) -> bool:
+        """Return whether the heads of the next records are sane."""
+        with suppress(_DamagedError):
+            for _ in range(HEADS):
+                if position == self._end:
+                    return True
+                opcode, position = _read_head(self._data, position, self._end)
+                if opcode == Opcode.DATA_END:
+                    return True
+            return True
+        return False
 
 
 class _IndexBegin(NamedTuple):
@@ -189,31 +368,36 @@ def _after_header(data: mmap | bytes) -> int:
     return int(after) if opcode == Opcode.HEADER and after <= len(data) else begin
 
 
-def _read_record(data: mmap | bytes, position: int) -> tuple[int, list[Record], int]:
-    """Return type, records of messages, and end of the record at an offset."""
-    content = position + RECORD_HEAD.size
-    if content > len(data):
+def _read_head(data: mmap | bytes, position: int, end: int) -> tuple[int, int]:
+    """Return type and end of the record at an offset in the data, which end at ``end``."""
+    if position + RECORD_HEAD.size > end:
         raise _DamagedError("the file is cut short within a record")
     opcode, length = RECORD_HEAD.unpack_from(data, position)
-    after = content + length
-    if opcode not in OF_DATA:
+    after = position + RECORD_HEAD.size + length
+    if opcode not in OF_DATA and opcode not in UNKNOWN:
         raise _DamagedError(f"there is no record, but a byte 0x{opcode:02x}")
-    if after > len(data):
+    if after > end:
         raise _DamagedError(f"the file is cut short within a record of {length} bytes, or its length is damaged")
-    records: list[Record] = []
+    if length < SHORTEST.get(opcode, 0):
+        raise _DamagedError(f"a record of type 0x{opcode:02x} has only {length} bytes")
+    return opcode, after
+
+
+def _read_record(data: mmap | bytes, position: int) -> tuple[int, list[Record], int]:
+    """Return type, records of messages, and end of the record at an offset."""
+    opcode, after = _read_head(data, position, len(data))
+    content, records = position + RECORD_HEAD.size, list[Record]()
     if opcode == Opcode.CHUNK:
         try:
             records = list(records_of(chunk_records(data[content:after])))
         except Exception as error:  # each compression raises errors of its own
             what = " ".join(str(error).split()).rstrip(".").lower()
             raise _DamagedError(f"a chunk is damaged: {what}") from error
-    elif opcode in OF_MESSAGES:
+    elif opcode not in {Opcode.MESSAGE_INDEX, Opcode.DATA_END}:
         records = [Record(opcode, data[content:after])]
-    elif opcode == Opcode.DATA_END and length != 4:  # noqa: PLR2004  its checksum
-        raise _DamagedError(f"the end of the data has {length} bytes")
     elif opcode == Opcode.MESSAGE_INDEX:
-        _, _, _, size = INDEX_HEAD.unpack_from(data, position) if length >= 6 else (0, 0, 0, -1)  # noqa: PLR2004
-        if position + INDEX_HEAD.size + size != after or size % INDEX_ENTRY_SIZE:
+        _, _, _, size = INDEX_HEAD.unpack_from(data, position)
+        if position + INDEX_HEAD.size + size > after or size % INDEX_ENTRY_SIZE:
             raise _DamagedError("the sizes in an index record contradict one another")
     return opcode, records, after
 
@@ -224,10 +408,7 @@ def chunk_records(content: bytes) -> bytes:
     Raises ValueError: the compression is unknown, or sizes or the checksum differ from those that the chunk states;
     McapError, RuntimeError, zstandard.ZstdError: the content is damaged.
     """
-    stream = ReadDataStream(BytesIO(content))
-    chunk = Chunk.read(stream)
-    if stream.count != len(content):
-        raise ValueError("its sizes contradict one another")
+    chunk = Chunk.read(ReadDataStream(BytesIO(content)))
     if chunk.compression == "zstd":
         data = zstandard.decompress(chunk.data, chunk.uncompressed_size)
     elif chunk.compression == "lz4":

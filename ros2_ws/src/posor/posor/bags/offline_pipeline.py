@@ -10,7 +10,7 @@ from time import perf_counter, process_time
 from typing import TYPE_CHECKING
 
 from posor.bags.arm_estimator import ArmEstimator
-from posor.bags.bag_reader import opened_bag, scan_schema
+from posor.bags.bag_reader import log_once, opened_bag, scan_schema
 from posor.bags.block_reader import read_blocks
 from posor.bags.message_block import TopicReader
 from posor.bags.provenance import custom_data, differences, provenance_of
@@ -41,7 +41,7 @@ def topics_of(bag: Path, joints: Mapping[str, JointSettings]) -> BagTopics:
     type.
     """
     where = str(bag)
-    with opened_bag(bag) as reader:
+    with opened_bag(bag, log_notes=False) as reader:
         connections = list(reader.connections)
         raw = {joint: settings.topic or _topic(joint, connections, where) for joint, settings in joints.items()}
         schemas = {}
@@ -63,6 +63,7 @@ def topics_of(bag: Path, joints: Mapping[str, JointSettings]) -> BagTopics:
             tuple(sorted(scans - set(raw.values()))),
             list(offered[:1]),
             sum(connection.msgcount for connection in own),
+            tuple(reader.notes()),
         )
 
 
@@ -107,7 +108,7 @@ def reprocess_bag(task: Task, progress: Callable[[int], object] = lambda _: None
     joints, endpoint = estimator.summarise()
     wall_s, cpu_s = perf_counter() - wall, process_time() - cpu
     changed = differences(custom_data(task.bag), task.settings)
-    return Summary(task.bag, task.output, joints, endpoint, topics.left_out, changed, wall_s, cpu_s)
+    return Summary(task.bag, task.output, joints, endpoint, topics.left_out, changed, topics.notes, wall_s, cpu_s)
 
 
 def estimate_bag(bag: Path, topics: BagTopics, estimator: ArmEstimator) -> Iterator[ArmEstimates]:
@@ -137,7 +138,7 @@ def read_recorded_scans(bag: Path, topics: BagTopics) -> Iterator[Mapping[str, S
 
 
 def _read_blocks(bag: Path, topics: Sequence[str]) -> Iterator[MessageBlock]:
-    with opened_bag(bag) as reader:
+    with opened_bag(bag, log_notes=False) as reader:
         try:
             yield from read_blocks(reader, topics, str(bag))
         except OSError as error:
@@ -173,7 +174,10 @@ class Arm(ArmFile):
         path = checked_path(bag, "Arm.estimate", "the path of a bag")
         settings = Settings.of_arm(self).with_false_alarm(false_alarm)
         estimator = ArmEstimator(settings)
-        parts = list(estimate_bag(path, topics_of(path, settings.joints), estimator))
+        topics = topics_of(path, settings.joints)
+        for note in topics.notes:
+            log_once(f"{path}: {note}")
+        parts = list(estimate_bag(path, topics, estimator))
         joints = {name: Estimates.concatenate([part.joints[name] for part in parts]) for name in settings.joints}
         return ArmEstimates(joints, EndpointEstimates.concatenate([part.endpoint for part in parts]), parts[0].chain)
 

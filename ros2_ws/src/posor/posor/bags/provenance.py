@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import yaml
 
-from posor.bags.bag_reader import METADATA
+from posor.bags.recorded_topics import METADATA
 from posor.calibration.calibration_file import load_calibration
 from posor.errors import BagError
 

@@ -17,94 +17,27 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from contextlib import suppress
-from copy import copy
-from heapq import merge
 from itertools import chain, dropwhile
-from operator import itemgetter
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from rosbags.rosbag2 import Reader
 
 from posor.bags.message_block import MessageBlock, TopicReader
 from posor.errors import BagError, TopicError
-from posor.messages.message_definitions import schema_of_connection
+from posor.messages.message_definitions import schema_of_topic
 from posor.numerics.stamps import NS
 from posor.ros_names import RAW_SCAN
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Generator, Iterator, Sequence
+    from collections.abc import Iterator, Sequence
 
-    from rosbags.interfaces import Connection
-
+    from posor.bags.ordered_reader import Messages, OrderedReader
     from posor.numerics.array_types import IntArray
-
-    Messages = Iterator[tuple[Connection, int, bytes]]
 
 WINDOW_S = 5.0
 """How much later than its successor a scan may be logged [s]."""
 WINDOW_BYTES = 64 << 20
 """Limit of the messages that wait for late scans [bytes]; it ends the window early where log times do not increase."""
-
-
-class OrderedReader(Reader):
-    """rosbags' reader of a bag, whose files are read in the order of time."""
-
-    _storages: list[Any]  # rosbags' reader of each file with messages
-
-    def open(self) -> None:
-        """Open the files."""
-        super().open()
-        of_folder = getattr(self.storage, "storages", [self.storage])
-        filled = (each for each in of_folder if each.metadata.message_count)
-        self._storages = sorted(filled, key=lambda each: each.metadata.start_time)
-
-    @property
-    def files(self) -> list[Path]:
-        """The files with messages, by the log time of their first message."""
-        return [Path(str(each.path)) for each in self._storages]
-
-    def check_files(self, files: Sequence[Path]) -> None:
-        """Raise a BagError if one of the ``files`` of the bag is not listed, or if one of several has no log times."""
-        listed = {Path(str(each.path)).name for each in getattr(self.storage, "storages", [self.storage])}
-        if unlisted := [file.name for file in files if file.name not in listed]:
-            what = f"metadata.yaml does not list {unlisted[0]}, but {', '.join(sorted(listed))}"
-            raise BagError(what, where=str(self.path), expected="all files of the folder, as 'ros2 bag reindex' does")
-        if len(self._storages) > 1 and self._storages[0].metadata.start_time <= 0:
-            first, second, *_ = self.files
-            what = f"messages of {first.name} have no log time, so that they are neither before nor after {second.name}"
-            raise BagError(what, where=str(self.path), expected="files with log times")
-
-    def messages(
-        self, connections: Collection[Connection] = (), start: int | None = None, stop: int | None = None
-    ) -> Generator[tuple[Connection, int, bytes], None, None]:
-        """Yield the messages of topics (none: of all) by log time [ns], from ``start`` to before ``stop``."""
-        connections, groups = connections or self.connections, list[list[Any]]()
-        end = -1
-        for storage in self._storages:
-            if storage.metadata.start_time > end:
-                groups.append([])
-            groups[-1].append(storage)
-            end = max(end, storage.metadata.end_time)
-        for group in groups:
-            parts = [self._only(each).messages(connections, start, stop) for each in group]
-            yield from merge(*parts, key=itemgetter(1))
-
-    def _only(self, storage: Any) -> Any:
-        """Return the reader of the bag limited to one of its files."""
-        if storage is self.storage:
-            return storage
-        limited: Any = copy(self.storage)
-        limited.storages = [storage]
-        return limited
-
-    def by_file(
-        self, connections: Sequence[Connection], start: int | None, stop: int | None
-    ) -> Iterator[tuple[Path, Messages]]:
-        """Yield each file with its messages, see ``messages``."""
-        for file, storage in zip(self.files, self._storages, strict=True):
-            yield file, self._only(storage).messages(connections, start, stop)
 
 
 class _Scan(NamedTuple):
@@ -228,7 +161,7 @@ class _TopicOrder:
     def __init__(self, number: int, topic: str, reader: OrderedReader, where: str) -> None:
         self._topic, self._reader, self._where = topic, reader, where
         self._connections = [connection for connection in reader.connections if connection.topic == topic]
-        self._schema = schema_of_connection(self._connections[0], where)
+        self._schema = schema_of_topic(self._connections, topic, where)
         self._tables = TopicReader(number, topic, self._schema, where)
         self._first: _Scan | None = None  # of the part of the recording that is being released
         self._released: _Scan | None = None  # the last one

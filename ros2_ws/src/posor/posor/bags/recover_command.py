@@ -1,38 +1,34 @@
-"""recover: writes the whole chunks of a damaged MCAP bag, or of one whose recording was killed, to a new bag."""
+"""recover: writes what is whole of a damaged MCAP bag, or of one whose recording was killed, to a new bag."""
 
 from __future__ import annotations
 
 import shutil
 import sys
-from contextlib import suppress
+from collections import Counter
 from dataclasses import dataclass, field
-from io import BytesIO
 from pathlib import Path
 from struct import Struct
-from struct import error as StructError
-from tempfile import NamedTemporaryFile
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from mcap.data_stream import ReadDataStream, RecordBuilder
-from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Channel, DataEnd, Footer, Header, McapRecord, Schema, Statistics
-from rosbags.rosbag2 import Reader
+from mcap.records import Statistics
 
 from posor.bags.bag_reader import storage_files
 from posor.bags.bag_writer import BagWriter
-from posor.bags.mcap_file import MAGIC, Damage, Record, mapped, read_index, read_records
+from posor.bags.mcap_file import UNKNOWN, Damage, definitions_of, mapped, read_index, read_records
+from posor.bags.mcap_storage import definitions_by_number, topic_of
 from posor.bags.provenance import custom_data
+from posor.bags.recorded_topics import BagMetadata, Unread, connection_of, profiles_of
 from posor.errors import BagError
 from posor.messages.byte_kernels import MESSAGE_HEAD
-from posor.messages.message_definitions import Definition, stored_type_hash
+from posor.messages.message_definitions import stored_type_hash
 from posor.reporting.command_line_parser import CommandLineParser
 from posor.reporting.program_errors import reports_errors
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
+    from collections.abc import Iterable, Sequence
 
-    from rosbags.interfaces import Connection
+    from mcap.records import McapRecord, Schema
 
 MESSAGE = Struct("<HIQ")  # head of a message: channel, sequence number, log time; the time of publication follows
 
@@ -43,19 +39,23 @@ class Rescue:
 
     path: Path  # the file
     messages: int = 0  # number of messages that were rescued
-    chunks: int = 0  # number of whole chunks, and of whole messages outside of chunks
     unknown: int = 0  # number of messages whose topic is not known, because its definition is damaged
     stated: int | None = None  # number of messages of the undamaged file; None: its index is lost
     damages: list[Damage] = field(default_factory=list)  # the damaged places
+    skipped: Counter[int] = field(default_factory=Counter)  # records that are left out, by their type
 
     def lines(self) -> list[str]:
         """Return what was rescued and what is lost, in sentences."""
-        lines = [f"{self.path}: {self.messages} messages in {self.chunks} chunks rescued"]
+        lines = [f"{self.path}: {self.messages} messages rescued"]
         lines += [f"{self.path}, byte {each.offset}: {each.what}; {each.size} bytes lost" for each in self.damages]
+        lines += [
+            f"{self.path}: {count} records of type 0x{opcode:02x}, which the format does not define, left out"
+            for opcode, count in sorted(self.skipped.items())
+        ]
         if self.unknown:
             lines.append(f"{self.path}: {self.unknown} messages lost, the definitions of their topics are damaged")
         if self.stated is None:
-            lines.append(f"{self.path}: its index is lost, so the number of lost messages is not known")
+            lines.append(f"{self.path}: its index states no number of messages, so that of lost ones is not known")
         else:
             lines.append(f"{self.path}: {self.stated - self.messages} of {self.stated} messages lost")
         return lines
@@ -66,40 +66,29 @@ class _Topics:
 
     def __init__(self, writer: BagWriter) -> None:
         self._writer = writer
-        self._definitions: dict[tuple[type, int], Schema | Channel] = {}
+        self._schemas: dict[int, Schema] = {}
         self.channels: dict[int, int] = {}
 
     def add(self, records: Iterable[McapRecord]) -> None:
-        """Add the definitions among some records; invalid ones, in a file without checksums, are left out."""
-        found = {(type(each), each.id): each for each in records if isinstance(each, (Schema, Channel))}
-        if new := {key: each for key, each in found.items() if key not in self._definitions}:
-            with suppress(Exception):  # rosbags raises whatever the bytes lead to
-                for source in _parse_topics([*self._definitions.values(), *new.values()]):
-                    ext: Any = source.ext
-                    definition = Definition(source.msgdef.data, stored_type_hash(source))
-                    self.channels[source.id] = self._writer.add_topic(
-                        source.topic, source.msgtype, definition, ext.offered_qos_profiles, ext.serialization_format
-                    )
-                self._definitions |= new
-
-
-def _parse_topics(definitions: Iterable[Schema | Channel]) -> list[Connection]:
-    """Have rosbags read schemas and channels as those of a file without messages."""
-    with NamedTemporaryFile(suffix=".mcap") as file:
-        builder = RecordBuilder()
-        footer = Footer(summary_start=0, summary_offset_start=0, summary_crc=0)
-        ordered = sorted(definitions, key=lambda each: (isinstance(each, Channel), each.id))
-        for record in (Header("ros2", ""), *ordered, DataEnd(0), footer):
-            record.write(builder)
-        file.write(MAGIC + builder.end() + MAGIC)
-        file.flush()
-        with Reader(file.name) as reader:
-            return list(reader.connections)
+        """Add the definitions among some records; a channel whose schema is not known is left out."""
+        schemas, channels = definitions_by_number(records)
+        self._schemas |= schemas
+        for number, channel in channels.items():
+            schema = self._schemas.get(channel.schema_id)
+            if number in self.channels or (schema is None and channel.schema_id):
+                continue
+            found = connection_of(topic_of(channel, self._schemas), 0, BagMetadata())
+            type_hash = "" if isinstance(found, Unread) else stored_type_hash(found)
+            qos = profiles_of(channel.metadata.get("offered_qos_profiles", ""))
+            self.channels[number] = self._writer.add_channel(
+                channel.topic, schema, channel.message_encoding, qos, type_hash, channel.metadata
+            )
 
 
 def recover(bag: Path, output: Path) -> list[Rescue]:
-    """Write the whole chunks of a bag's MCAP files to a new bag.
+    """Write the whole chunks of a bag's MCAP files, and the whole messages outside of chunks, to a new bag.
 
+    Messages of every encoding are copied, and so are attachments and metadata; records of unknown types are not.
     Log time and bytes of each message are kept; its sequence number is not, and its time of publication becomes its log
     time, as in every bag of the recorder. ``bag``: folder, with or without metadata.yaml, or a single .mcap file;
     ``output``: folder of the new bag; must not exist. Return what was found, by file. Raises BagError: the bag has no
@@ -122,7 +111,7 @@ def recover(bag: Path, output: Path) -> list[Rescue]:
         first = "; ".join(
             f"{each.damages[0].what} at byte {each.damages[0].offset}" for each in rescues if each.damages
         )
-        raise BagError(f"holds no whole chunk with messages{first and ', '}{first}", where=str(bag))
+        raise BagError(f"holds no whole message{first and ', '}{first}", where=str(bag))
     return rescues
 
 
@@ -148,35 +137,33 @@ def _rescue(file: Path, writer: BagWriter) -> Rescue:
             if isinstance(piece, Damage):
                 rescue.damages.append(piece)
                 continue
-            rescue.chunks += 1
-            topics.add(_definitions(piece))
+            topics.add(definitions_of(piece))
             for opcode, content in piece:
-                if opcode != Opcode.MESSAGE or len(content) < MESSAGE_HEAD:
-                    continue
-                number, _, time_ns = MESSAGE.unpack_from(content)
-                channel = topics.channels.get(number)
-                if channel is None:
-                    rescue.unknown += 1
-                else:
-                    writer.write_message(channel, time_ns, content[MESSAGE_HEAD:])
-                    rescue.messages += 1
+                if opcode == Opcode.MESSAGE and len(content) >= MESSAGE_HEAD:
+                    number, _, time_ns = MESSAGE.unpack_from(content)
+                    channel = topics.channels.get(number)
+                    if channel is None:
+                        rescue.unknown += 1
+                    else:
+                        writer.write_message(channel, time_ns, content[MESSAGE_HEAD:])
+                        rescue.messages += 1
+                elif opcode == Opcode.ATTACHMENT or (opcode == Opcode.METADATA and not _is_of_rosbag2(content)):
+                    writer.write_record(opcode, content)
+                elif opcode in UNKNOWN:
+                    rescue.skipped[opcode] += 1
     return rescue
 
 
-def _definitions(records: Iterable[Record]) -> Iterator[McapRecord]:
-    """Yield the schemas and channels among some records; invalid ones are left out."""
-    for opcode, content in records:
-        if opcode in {Opcode.SCHEMA, Opcode.CHANNEL}:
-            kind = Schema if opcode == Opcode.SCHEMA else Channel
-            with suppress(McapError, ValueError, OverflowError, StructError):
-                yield kind.read(ReadDataStream(BytesIO(content)))
+def _is_of_rosbag2(metadata: bytes) -> bool:
+    """Return whether a record is the copy of metadata.yaml, which every bag has its own of."""
+    return metadata.startswith(b"\x07\0\0\0rosbag2")
 
 
 def parser() -> CommandLineParser:
     """Return the parser of the command line."""
     command = CommandLineParser(
         prog="posor recover",
-        description="Write the whole chunks of a damaged MCAP bag to a new bag, and say what is lost.",
+        description="Write what is whole of a damaged MCAP bag to a new bag, and say what is lost.",
     )
     text = "folder of a bag, with or without metadata.yaml, or its .mcap file; it is not changed"
     command.add_argument("bag", type=Path, metavar="BAG", help=text)

@@ -232,8 +232,8 @@ def print_summary(summary: Summary, console: Console) -> None:
         )
     if summary.left_out:
         console.print(f"left out, of no joint named: {', '.join(summary.left_out)}", markup=False)
-    for difference in summary.differences:
-        console.print(f"warning: {difference}", markup=False, soft_wrap=True)
+    for sentence in (*summary.notes, *summary.differences):
+        console.print(f"warning: {sentence}", markup=False, soft_wrap=True)
     speed = summary.scans / summary.cpu_s if summary.cpu_s else 0.0
     console.print(
         f"{summary.scans:,} scans in {summary.wall_s:.1f} s, {summary.cpu_s:.1f} s of processor time: "

@@ -96,6 +96,7 @@ class BagTopics:
     left_out: tuple[str, ...]  # topics of raw scans of other joints
     offered: Sequence[Qos]  # quality of service with which the raw scans were recorded
     messages: int  # number of raw scans of the joints
+    notes: tuple[str, ...] = ()  # what is left out of the bag, and what it lacks, one sentence each
 
     @property
     def transforms(self) -> dict[str, str]:
@@ -153,6 +154,7 @@ class Summary:
     endpoint: EndpointSummary | None  # None without a chain
     left_out: tuple[str, ...] = ()  # topics of raw scans of other joints
     differences: tuple[str, ...] = ()  # files that differ from those named by the bag, one sentence each
+    notes: tuple[str, ...] = ()  # what is left out of the bag, and what it lacks, one sentence each
     wall_s: float = 0.0  # elapsed time
     cpu_s: float = 0.0  # processor time
 

@@ -6,8 +6,10 @@ This module needs rosbags, and no ROS: the definitions of a sourced ROS are foun
 from __future__ import annotations
 
 import os
+import re
 from functools import cache
 from pathlib import Path
+from textwrap import shorten
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rosbags.interfaces import MessageDefinitionFormat, Nodetype
@@ -18,9 +20,14 @@ from posor.errors import BagError
 from posor.messages.cdr_schema import Field, FieldKind, Schema, code_of_type
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Iterable, Iterator, Mapping
 
     from rosbags.interfaces import Connection
+
+NOT_IDL = re.compile(r"(?m)^(?:={80}|IDL: |#).*$")
+"""Lines of rosbag2 between the parts of a definition in IDL, and those of a preprocessor: rosbags reads neither."""
+REASON_LENGTH = 120
+"""Most characters of a parser's reason in an error; it may quote the whole definition."""
 
 
 class Definition(NamedTuple):
@@ -101,25 +108,46 @@ def schema_of_connection(connection: Connection, where: str) -> Schema:
             )
         return installed_types.schema(connection.msgtype)
     try:
-        types = get_types_from_msg(connection.msgdef.data, connection.msgtype)
-        return _schema(connection.msgtype, types)
+        return _schema(connection.msgtype, _types_of(connection))
     except (TypesysError, TypeError, KeyError) as error:
+        reason = shorten(f"{error}", REASON_LENGTH, placeholder=" ...").rstrip(".")
         raise BagError(
-            f"the definition of {connection.msgtype} cannot be read, {error}",
+            f"the definition of {connection.msgtype} cannot be read, {reason}",
             where=f"{where}, topic {connection.topic}",
-            expected="the definition of a message in 'ros2msg' format",
+            expected="the definition of a message in 'ros2msg' or 'ros2idl' format",
         ) from error
+
+
+def schema_of_topic(connections: Iterable[Connection], topic: str, where: str) -> Schema:
+    """Return the schema of a recorded topic, which all its connections must share; see ``schema_of_connection``.
+
+    Raises BagError: a definition is invalid, or two definitions have other fields.
+    """
+    first, *others = [schema_of_connection(each, where) for each in connections if each.topic == topic]
+    if any(each.fields != first.fields for each in others):
+        raise BagError(
+            f"topic {topic} is recorded with several definitions of {first.name} whose fields differ",
+            where=where,
+            expected="one definition for all messages of a topic",
+        )
+    return first
 
 
 def stored_type_hash(connection: Connection) -> str:
     """Return the RIHS01 hash of a topic's definition in a bag; ``INVALID`` without a valid definition."""
-    text, name, store = connection.msgdef.data, connection.msgtype, Typestore()
-    is_idl = connection.msgdef.format == MessageDefinitionFormat.IDL
+    store = Typestore()
     try:
-        store.register(get_types_from_idl(text) if is_idl else get_types_from_msg(text, name))
-        return store.hash_rihs01(name)
+        store.register(_types_of(connection))
+        return store.hash_rihs01(connection.msgtype)
     except (TypesysError, TypeError, KeyError):
         return "INVALID"
+
+
+def _types_of(connection: Connection) -> dict[str, Any]:
+    """Return the types in the stored definition of a topic, in rosbags' description."""
+    if connection.msgdef.format == MessageDefinitionFormat.IDL:
+        return get_types_from_idl(NOT_IDL.sub("", connection.msgdef.data))
+    return get_types_from_msg(connection.msgdef.data, connection.msgtype)
 
 
 def _schema(name: str, types: Mapping[str, Any]) -> Schema:

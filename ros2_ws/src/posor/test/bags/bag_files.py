@@ -57,7 +57,7 @@ def write_chunks(writer: McapWriter, chunks: Iterable[Sequence[Record]], text: s
 
 def chunk_indices(file: Path) -> list[ChunkIndex]:
     """Return the places of the chunks of an MCAP file."""
-    return [record for record in checked_index(file) if isinstance(record, ChunkIndex)]
+    return [record for record in checked_index(file, file.read_bytes()) if isinstance(record, ChunkIndex)]
 
 
 def in_chunks(records: Sequence[Record], size: int) -> Iterator[list[Record]]:

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from posor.bags import block_reader
+from posor.bags import chunk_reader, ordered_reader
 from posor.bags.bag_reader import opened_bag
 from posor.bags.bag_writer import BagWriter, TopicMessages
 from posor.bags.block_reader import read_blocks
@@ -66,8 +66,8 @@ def records(count: int) -> list[Record]:
 def test_blocks_hold_the_messages_that_rosbags_reads_in_the_same_order(
     storage: StoragePlugin, mode: CompressionMode, block: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(block_reader, "BLOCK_BYTES", block)
-    monkeypatch.setattr(block_reader, "BLOCK_MESSAGES", 333)
+    monkeypatch.setattr(chunk_reader, "BLOCK_BYTES", block)
+    monkeypatch.setattr(ordered_reader, "BLOCK_MESSAGES", 333)
     write(tmp_path / "bag", in_chunks(records(1000), 20_000), storage, mode)
     assert list(by_blocks(tmp_path / "bag")) == by_rosbags(tmp_path / "bag")
 
@@ -87,7 +87,7 @@ def test_a_record_beyond_the_end_of_its_chunk_is_refused(tmp_path: Path) -> None
     path = tmp_path / "bag" / "bag.mcap"
     begin = path.read_bytes().index(by_rosbags(path)[5][2]) - 31
     damaged(path, begin + 1, struct.pack("<Q", 10**6))
-    with pytest.raises(BagError, match=r"bag: a chunk holds a record that runs beyond its end, after the message logg"):
+    with pytest.raises(BagError, match=r"bag.mcap, byte \d+: a chunk holds a record that runs beyond its end, after the "):
         list(by_blocks(tmp_path / "bag"))
 
 
@@ -208,7 +208,7 @@ def test_the_whole_sequence_is_that_of_rosbags(
                 )
             )
         ]
-        monkeypatch.setattr(block_reader, "BLOCK_BYTES", int(random.choice([1, 500, 5000, 4 << 20])))
+        monkeypatch.setattr(chunk_reader, "BLOCK_BYTES", int(random.choice([1, 500, 5000, 4 << 20])))
         path = tmp_path / str(seed)
         write(path, in_chunks(records, int(random.choice([200, 2000, 20_000]))))
         assert list(by_blocks(path)) == by_rosbags(path), seed
@@ -240,8 +240,8 @@ def test_only_messages_that_have_to_wait_are_held(
     chunk: Callable[[int], list[Record]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     write(tmp_path / "bag", [chunk(n) for n in range(50)])
-    monkeypatch.setattr(block_reader, "BLOCK_BYTES", 15 * KILOBYTE)
-    monkeypatch.setattr(block_reader, "MOST_WAITING", 30 * KILOBYTE)
+    monkeypatch.setattr(chunk_reader, "BLOCK_BYTES", 15 * KILOBYTE)
+    monkeypatch.setattr(chunk_reader, "MOST_WAITING", 30 * KILOBYTE)
     assert list(by_blocks(tmp_path / "bag")) == by_rosbags(tmp_path / "bag")
 
 
@@ -258,10 +258,10 @@ def test_chunks_that_span_the_record_are_read_once_and_given_out_by_and_by(
         parsed.append(len(data))
         return index_messages(data, *others)
 
-    monkeypatch.setattr("posor.bags.block_reader.index_messages", counted)
-    monkeypatch.setattr(block_reader, "BLOCK_BYTES", 25 * KILOBYTE)
+    monkeypatch.setattr("posor.bags.chunk_reader.index_messages", counted)
+    monkeypatch.setattr(chunk_reader, "BLOCK_BYTES", 25 * KILOBYTE)
     with opened_bag(tmp_path / "bag") as reader:
-        found = list(block_reader.read_blocks(reader, WANTED, "the bag"))
+        found = list(read_blocks(reader, WANTED, "the bag"))
     assert parsed == [chunk.uncompressed_size for chunk in chunk_indices(tmp_path / "bag/bag.mcap")]
     assert len(found) > 15
     assert max(block.nbytes for block in found) < 60 * KILOBYTE
@@ -270,8 +270,8 @@ def test_chunks_that_span_the_record_are_read_once_and_given_out_by_and_by(
 
 def test_more_than_memory_may_hold_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write(tmp_path / "bag", SPANNING)
-    monkeypatch.setattr(block_reader, "BLOCK_BYTES", 25 * KILOBYTE)
-    monkeypatch.setattr(block_reader, "MOST_WAITING", 100 * KILOBYTE)
+    monkeypatch.setattr(chunk_reader, "BLOCK_BYTES", 25 * KILOBYTE)
+    monkeypatch.setattr(chunk_reader, "MOST_WAITING", 100 * KILOBYTE)
     with pytest.raises(
         BagError,
         match=r"^.*bag: chunks overlap so much in log time that more than 0 MiB of messages of /one/raw, /two/raw wait "
@@ -285,7 +285,7 @@ def test_a_damaged_message_index_is_refused(tmp_path: Path) -> None:
     third = chunk_indices(tmp_path / "bag/bag.mcap")[2]
     damaged(tmp_path / "bag" / "bag.mcap", third.chunk_start_offset + third.chunk_length + 1, struct.pack("<Q", 10**6))
     with pytest.raises(
-        BagError, match=rf"bag: the chunk at byte {third.chunk_start_offset} has a damaged message index; expected the"
+        BagError, match=rf"bag.mcap, byte {third.chunk_start_offset}: the chunk has a damaged message index; expected "
     ):
         list(by_blocks(tmp_path / "bag"))
 
@@ -297,6 +297,6 @@ def test_a_message_outside_the_times_of_its_chunk_is_refused(tmp_path: Path) -> 
     damaged(path, begin, struct.pack("<Q", 7))
     with pytest.raises(
         BagError,
-        match=r"bag: the chunk at byte \d+ holds messages logged from 7 to 1099 ns; expected from 1000 to 1099 ns",
+        match=r"bag.mcap, byte \d+: the chunk holds messages logged from 7 to 1099 ns, not 1000 to 1099 ns as stated",
     ):
         list(by_blocks(tmp_path / "bag"))

@@ -16,7 +16,7 @@ from posor.bags import recover_command
 from posor.bags.bag_reader import METADATA, opened_bag
 from posor.bags.bag_writer import BagWriter, TopicMessages
 from posor.bags.block_reader import read_messages
-from posor.bags.mcap_file import Damage, first_damage, read_index, read_records
+from posor.bags.mcap_file import OF_MESSAGES, Damage, first_damage, read_index, read_records
 from posor.bags.provenance import PENDING
 from posor.bags.recover_command import Rescue, recover
 from posor.errors import BagError, OutputError
@@ -162,7 +162,7 @@ def check_cuts(recorded: bytes, folder: Path, count: int) -> None:
             assert rescue.damages or length >= ends[-1]
             shutil.rmtree(folder / "out")
         else:
-            with pytest.raises(BagError, match=r"holds no whole chunk with messages, the file .*cut short"):
+            with pytest.raises(BagError, match=r"holds no whole message, the file .*cut short"):
                 recover(cut, folder / "out")
             assert not (folder / "out").exists()
 
@@ -224,6 +224,7 @@ def test_messages_outside_of_chunks_are_rescued(recorded: bytes, tmp_path: Path)
         for piece in read_records(recorded)
         if not isinstance(piece, Damage)
         for opcode, content in piece
+        if opcode in OF_MESSAGES
     )
     (tmp_path / "flat.mcap").write_bytes(recorded[:8] + records[:-10])
     (rescue,), messages = rescued(tmp_path / "flat.mcap", tmp_path / "out")
@@ -242,14 +243,14 @@ def test_topics_come_from_the_index_if_the_chunk_that_defines_them_is_damaged(re
     assert messages == [message for chunk in chunks()[1:] for message in chunk]
     damaged = f"{file}, byte {info.chunk_start_offset}: a chunk is damaged: chunk checksum mismatch"
     assert rescue.lines() == [
-        f"{file}: {(CHUNKS - 1) * IN_CHUNK} messages in {CHUNKS - 1} chunks rescued",
+        f"{file}: {(CHUNKS - 1) * IN_CHUNK} messages rescued",
         f"{damaged}; {rescue.damages[0].size} bytes lost",
         f"{file}: {IN_CHUNK} of {CHUNKS * IN_CHUNK} messages lost",
     ]
     with Reader(tmp_path / "out") as reader:
         assert [(each.topic, each.msgtype, each.msgdef, each.digest, each.ext) for each in reader.connections] == known
     file.write_bytes(data[:-1])
-    with pytest.raises(BagError, match="holds no whole chunk with messages"):
+    with pytest.raises(BagError, match="holds no whole message"):
         recover(tmp_path / "bag", tmp_path / "nothing")
 
 
@@ -266,7 +267,7 @@ def test_the_program_says_what_is_lost_and_keeps_the_custom_data(
     lines = capsys.readouterr().out.splitlines()
     assert lines[0].startswith(f"{bag}/killed.mcap: ")
     assert lines[-2:] == [
-        f"{bag}/killed.mcap: its index is lost, so the number of lost messages is not known.",
+        f"{bag}/killed.mcap: its index states no number of messages, so that of lost ones is not known.",
         f"written to {tmp_path}/out",
     ]
     metadata = yaml.safe_load((tmp_path / "out" / METADATA).read_text())["rosbag2_bagfile_information"]
@@ -282,7 +283,7 @@ def test_what_cannot_be_recovered_is_refused(tmp_path: Path) -> None:
     for name, sentence in (
         ("none", r"none: does not exist; expected an MCAP file, or a folder of MCAP files\."),
         ("notes.txt", r"notes\.txt: holds no MCAP file; expected an MCAP file; for SQLite: 'sqlite3 \.recover'\."),
-        ("empty.mcap", r"empty\.mcap: holds no whole chunk with messages, the file is empty at byte 0\."),
+        ("empty.mcap", r"empty\.mcap: holds no whole message, the file is empty at byte 0\."),
         ("other.mcap", "the file does not begin as MCAP files do at byte 0"),
     ):
         with pytest.raises(BagError, match=sentence):

@@ -11,7 +11,7 @@ from posor.bags.block_reader import read_messages
 from posor.bags.calibration_recording import bag_sha256, read_scans
 from posor.bags.recording import Track
 from posor.errors import BagError
-from posor.messages.message_definitions import schema_of_connection
+from posor.messages.message_definitions import schema_of_topic
 from posor.numerics.stamps import time_ns
 from posor.ros_names import COMMISSIONING_STEP, JOINT_STATE, POINT_STAMPED
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from pathlib import Path
     from typing import Any
 
-    from posor.bags.read_order import OrderedReader
+    from posor.bags.ordered_reader import OrderedReader
     from posor.model.scan import Scans
 
 ANNOUNCED, BEGIN, END = range(3)
@@ -104,7 +104,7 @@ def load_commissioning(bag: Path, topics: CommissioningTopics) -> CommissioningR
 def _read(reader: OrderedReader, topic: str, kind: str, where: str) -> list[tuple[int, Mapping[str, Any]]]:
     """Return stamp [ns] and values of all messages of a topic."""
     checked_type(reader.connections, topic, where, None, (kind,), filled=True)
-    schema = schema_of_connection(next(each for each in reader.connections if each.topic == topic), where)
+    schema = schema_of_topic(reader.connections, topic, where)
     values = [schema.values(data) for _, _, data in read_messages(reader, [topic], where)]
     return [(time_ns(each["header.stamp.sec"], each["header.stamp.nanosec"]), each) for each in values]
 

@@ -27,7 +27,7 @@ from posor_drivers.sources.source import LiveSource, SourceMessage, Topic
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from rosbags.rosbag2 import Reader
+    from posor.bags.ordered_reader import OrderedReader
 
 MAX_SCANS = 100_000
 """Limit of the scans held in memory."""
@@ -76,7 +76,7 @@ class LoopedSource(LiveSource[LoopedParameters]):
             self._scans = [_scan_template(data, f"{where}, message {n} of {name}") for n, (_, _, data) in records]
         return [Topic(RAW_TOPIC, RAW_SCAN)]
 
-    def _scan_count(self, reader: Reader, name: str) -> int | None:
+    def _scan_count(self, reader: OrderedReader, name: str) -> int | None:
         """Return the number of scans to read; None: all."""
         wanted, where = self.parameters.scans, self.parameters.path
         recorded = sum(connection.msgcount for connection in reader.connections if connection.topic == name)

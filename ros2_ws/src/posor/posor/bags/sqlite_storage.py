@@ -1,0 +1,126 @@
+"""A closed SQLite file of any version of rosbag2."""
+
+from __future__ import annotations
+
+import sqlite3
+import struct
+from contextlib import closing, contextmanager
+from typing import TYPE_CHECKING, Any
+
+from posor.bags.recorded_topics import StoredTopic, Unread
+from posor.bags.stored_file import StoredFile
+from posor.errors import BagError
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Iterator, Mapping
+    from pathlib import Path
+
+    from rosbags.interfaces import Connection
+
+    from posor.bags.recorded_topics import BagMetadata
+
+MAGIC = b"SQLite format 3\0"
+LAST_OF_HEAD = struct.Struct(">H10xI")  # after the magic bytes: size of a page, ..., number of pages
+
+
+class SqliteFile(StoredFile):
+    """An SQLite file; columns that an older version of rosbag2 does not have are empty."""
+
+    def __init__(self, path: Path, storage: Path, metadata: BagMetadata) -> None:
+        """Read the topics.
+
+        ``storage``: the file to read; another one than ``path`` if that is compressed or has unfinished transactions.
+        Raises BagError: the file is damaged, or no bag.
+        """
+        super().__init__(path)
+        is_copy = storage != path
+        if not is_copy:
+            _check_size(path)
+        with self._errors():
+            self._database = sqlite3.connect(
+                f"{storage.absolute().as_uri()}{'' if is_copy else '?immutable=1'}", uri=True, check_same_thread=False
+            )
+            topics, definitions = self._rows("topics"), self._rows("message_definitions")
+            if not topics and not self._rows("messages", "LIMIT 1"):
+                return
+            extents = "SELECT topic_id, count(*), min(timestamp), max(timestamp) FROM messages GROUP BY topic_id"
+            counts = dict[int, int]()
+            for number, count, start_ns, end_ns in self._database.execute(extents):
+                counts[number] = count
+                self.start_ns, self.end_ns = min(self.start_ns, start_ns), max(self.end_ns, end_ns)
+        for topic in topics:
+            self._add_topic(_topic_of(topic, definitions), counts.pop(topic["id"], 0), metadata)
+        for number, count in counts.items():
+            self.unread.append(Unread(f"of number {number}", "of no topic in the table of topics", count))
+
+    def messages(
+        self, connections: Collection[Connection], start: int | None, stop: int | None
+    ) -> Iterator[tuple[Connection, int, bytes]]:
+        """Yield the messages of topics by log time [ns], from ``start`` to before ``stop``; None: without this limit.
+
+        Raises BagError: the file is damaged.
+        """
+        by_number = {each.id: each for each in connections}
+        query = f"SELECT topic_id, timestamp, data FROM messages WHERE topic_id IN ({','.join('?' * len(by_number))})"  # noqa: S608  placeholders only
+        limits = [(sign, limit) for sign, limit in ((">=", start), ("<", stop)) if limit is not None]
+        query += "".join(f" AND timestamp {sign} ?" for sign, _ in limits)
+        with self._errors(), closing(self._database.cursor()) as cursor:
+            values = [*by_number, *(limit for _, limit in limits)]
+            for number, time_ns, data in cursor.execute(f"{query} ORDER BY timestamp, rowid", values):
+                yield by_number[number], time_ns, data
+
+    def first_damage(self) -> BagError | None:
+        """Return None: SQLite states no checksums."""
+        return None
+
+    def close(self) -> None:
+        """Close the file."""
+        self._database.close()
+
+    def _rows(self, table: str, selected: str = "") -> list[dict[str, Any]]:
+        """Return the rows of a table by column; none without the table."""
+        found = self._database.execute("SELECT 1 FROM sqlite_master WHERE type = 'table' AND name = ?", [table])
+        if found.fetchone() is None:
+            return []
+        with closing(self._database.execute(f"SELECT * FROM {table} {selected}")) as cursor:  # noqa: S608  own names
+            names = [column for column, *_ in cursor.description]
+            return [dict(zip(names, row, strict=True)) for row in cursor]
+
+    @contextmanager
+    def _errors(self) -> Iterator[None]:
+        """Turn errors of SQLite into a BagError that names the file."""
+        try:
+            yield
+        except (sqlite3.Error, KeyError, TypeError) as error:
+            reason = " ".join(str(error).split())
+            expected = f"a rosbag2 bag; 'sqlite3 {self.path.name} .recover' writes what is whole of a damaged one"
+            raise BagError(f"cannot be read, {reason}", where=str(self.path), expected=expected) from error
+
+
+def _topic_of(row: Mapping[str, Any], definitions: Collection[Mapping[str, Any]]) -> StoredTopic:
+    """Return a topic with its definition, that of the same type hash if there are several."""
+    type_hash = row.get("type_description_hash") or ""
+    of_type = [each for each in definitions if each["topic_type"] == row["type"]]
+    same = [each for each in of_type if each.get("type_description_hash") == type_hash]
+    found = next(iter(same or of_type), {"encoding": "", "encoded_message_definition": ""})
+    return StoredTopic(
+        row["id"],
+        row["name"],
+        row["type"],
+        row["serialization_format"],
+        found["encoding"],
+        str(found["encoded_message_definition"]).encode(),
+        type_hash,
+        row.get("offered_qos_profiles") or "",
+    )
+
+
+def _check_size(path: Path) -> None:
+    """Refuse a truncated file; SQLite itself notices only when it reads beyond the end."""
+    with path.open("rb") as file:
+        head = file.read(len(MAGIC) + LAST_OF_HEAD.size)
+    if len(head) == len(MAGIC) + LAST_OF_HEAD.size and head.startswith(MAGIC):
+        page_size, pages = LAST_OF_HEAD.unpack(head[len(MAGIC) :])
+        if path.stat().st_size < (page_size if page_size > 1 else 65536) * pages:
+            expected = f"a whole file; 'sqlite3 {path.name} .recover' writes what is whole"
+            raise BagError("the file is cut short", where=str(path), expected=expected)
