@@ -52,7 +52,10 @@ class McapFile(StoredFile):
         filled = filled or self.spans
         schemas, channels, counts = self._topics()
         for number, channel in sorted(channels.items()):
-            self._add_topic(topic_of(channel, schemas), counts[number], metadata)
+            if not channel.schema_id or channel.schema_id in schemas:
+                self._add_topic(topic_of(channel, schemas), counts[number], metadata)
+            elif counts[number]:
+                self.unread.append(Unread(channel.topic, "of a schema that the file lacks", counts[number]))
         for number in sorted(counts.keys() - channels.keys()):
             self.unread.append(Unread(f"of channel {number}", "of no defined topic", counts[number]))
         if sum(counts.values()):

@@ -8,6 +8,7 @@ copy in a temporary folder, in which SQLite completes or takes back the transact
 from __future__ import annotations
 
 import shutil
+from collections import Counter
 from contextlib import ExitStack
 from heapq import merge
 from itertools import islice
@@ -22,7 +23,7 @@ import zstandard
 from posor.bags.chunk_reader import ChunkReader
 from posor.bags.mcap_storage import McapFile
 from posor.bags.message_block import MessageBlock
-from posor.bags.recorded_topics import METADATA, BagMetadata
+from posor.bags.recorded_topics import METADATA, BagMetadata, Unread
 from posor.bags.sqlite_storage import SqliteFile
 from posor.errors import BagError
 
@@ -31,7 +32,6 @@ if TYPE_CHECKING:
 
     from rosbags.interfaces import Connection
 
-    from posor.bags.recorded_topics import Unread
     from posor.bags.stored_file import StoredFile
     from posor.numerics.array_types import IntArray
 
@@ -66,7 +66,10 @@ class OrderedReader:
         self._listed = {each.path for each in opened}
         filled = [each for each in opened if each.start_ns <= each.end_ns]
         self._opened = sorted(filled, key=lambda each: each.start_ns)
-        self.unread: list[Unread] = [unread for each in opened for unread in each.unread]
+        unread = Counter[tuple[str, str]]()
+        for topic, why, messages in (each for file in opened for each in file.unread):
+            unread[topic, why] += messages
+        self.unread = [Unread(topic, why, messages) for (topic, why), messages in unread.items()]
         self.connections = list(self._connections(opened))
 
     @property
