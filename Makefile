@@ -1,7 +1,7 @@
 # POSOR for ROS 2. Every target sets the workspace up first; this takes a fraction of a second if nothing has changed.
 
 .DEFAULT_GOAL := help
-.PHONY: help setup environment audit bounds demo arm calibrate-demo faults commissioning time mutations fuzz instruments soak test test-long coverage accuracy budgets thesis bench bench-core data docs lint words lines rooms lock clean
+.PHONY: help setup environment audit bounds demo arm calibrate-demo faults commissioning time mutations fuzz foreign-bags instruments soak test test-long coverage accuracy budgets thesis bench bench-core data docs lint words lines rooms lock clean
 
 BAG ?= ymo
 CAL ?= printed
@@ -25,6 +25,7 @@ help:
 	@echo "make commissioning [COMMISSIONING='--arms 20 ...']     exchange plugs, signs and files, count what is found"
 	@echo "make time                                              the rows of make faults on time: clocks, late scans, multiplexed channels"
 	@echo "make mutations [MUTATIONS='--quick ...']               break the model on purpose, find the check that notices"
+	@echo "make foreign-bags [BAGS='--bags 500 ...']              generate bags of other writers, count how each is read"
 	@echo "make fuzz [FUZZ='--scans 10000 ...']                   damage messages and files, count wrong poses"
 	@echo "make instruments [INSTRUMENTS='--trials TEXT ...']      try every kind of device against a server"
 	@echo "make soak [SOAK='--seconds 120 ...']                   run an arm for an hour, find losses and growth"
@@ -81,6 +82,9 @@ time:
 
 mutations:
 	@./run posor_lab mutations $(MUTATIONS)
+
+foreign-bags:
+	@./run posor_lab bags $(BAGS)
 
 fuzz:
 	@./run posor_lab fuzz $(FUZZ)

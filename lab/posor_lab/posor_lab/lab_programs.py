@@ -7,6 +7,7 @@ from posor.lazy_program import LazyProgram
 accuracy = LazyProgram("accuracy", "posor_lab.accuracy.accuracy_command")
 arm = LazyProgram("arm", "posor_lab.arm_study.arm_command")
 arm_budget = LazyProgram("arm_budget", "posor_lab.arm_study.arm_budget_command")
+bags = LazyProgram("bags", "posor_lab.foreign_bags.bags_command")
 bench = LazyProgram("bench", "posor_lab.benchmark.benchmark_command")
 bench_core = LazyProgram("bench_core", "posor_lab.accuracy.core_benchmark")
 budgets = LazyProgram("budgets", "posor_lab.thesis_budgets.thesis_budgets_command")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from enum import Enum
+from itertools import pairwise
 from typing import TYPE_CHECKING, NamedTuple
 
 from mcap.reader import make_reader
@@ -13,7 +14,10 @@ from posor.bags.block_reader import read_messages
 from posor.bags.recover_command import recover
 from posor.errors import PosorError
 
+from posor_lab.foreign_bags.generated_bag import STATES_MORE
+
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from pathlib import Path
 
     from posor_lab.foreign_bags.generated_bag import GeneratedBag
@@ -25,16 +29,17 @@ class Outcome(Enum):
     """What became of a bag."""
 
     READ = "read whole"
-    LISTED = "read, the rest listed"
+    LISTED = "read, with notes"
     REFUSED = "refused in one sentence"
+    RECOVERED = "recovered whole"
     WRONG = "wrong"
 
 
 class Judgement(NamedTuple):
-    """The outcome of a bag, and the sentence of a refusal or what is wrong."""
+    """The outcome of a bag, and the sentence of a refusal, the notes, or what is wrong."""
 
     outcome: Outcome
-    reason: str
+    reason: str = ""
 
 
 def judge_reading(bag: GeneratedBag) -> Judgement:
@@ -45,30 +50,29 @@ def judge_reading(bag: GeneratedBag) -> Judgement:
             topics = sorted({each.topic for each in reader.connections})
             found = [(each.topic, time_ns, data) for each, time_ns, data in read_messages(reader, topics, "bag")]
     except PosorError as error:
-        if "\n" in str(error):
-            return Judgement(Outcome.WRONG, f"more than one line: {error}")
-        if bag.fault or not bag.read:
-            return Judgement(Outcome.REFUSED, str(error))
-        return Judgement(Outcome.WRONG, f"refused: {error}")
+        may_refuse = (bag.fault or not bag.read) and "\n" not in str(error)
+        return Judgement(Outcome.REFUSED if may_refuse else Outcome.WRONG, str(error))
     except Exception as error:  # noqa: BLE001  whatever it is, it is a finding
         return Judgement(Outcome.WRONG, f"{type(error).__name__}: {error}")
-    missing, more = (bag.read - Counter(found)).total(), (Counter(found) - bag.read).total()
-    if more or (missing and not (bag.fault and notes)):
-        return Judgement(Outcome.WRONG, f"{missing} messages are missing, {more} were not written")
-    unlisted = [topic for topic, count in bag.left_out.items() if not _is_listed(topic, count, notes)]
-    if missing and not bag.fault:
-        return Judgement(Outcome.WRONG, f"{missing} of {written.total()} messages are missing")
-    if missing and not notes:
-        return Judgement(Outcome.WRONG, f"{missing} of {written.total()} messages are missing in silence")
-    if unlisted:
-        return Judgement(Outcome.WRONG, f"not listed: {', '.join(unlisted)}")
-    if any(first[1] > second[1] for first, second in zip(found, found[1:], strict=False)):
-        return Judgement(Outcome.WRONG, "messages not in the order of their log times")
+    if problem := _difference(bag, found, notes):
+        return Judgement(Outcome.WRONG, problem)
     return Judgement(Outcome.LISTED if notes else Outcome.READ, "; ".join(notes))
 
 
-def _is_listed(topic: str, count: int, notes: list[str]) -> bool:
-    return sum(int(match[2]) for note in notes if (match := LEFT_OUT.match(note)) and match[1] == topic) == count
+def _difference(bag: GeneratedBag, found: Sequence[tuple[str, int, bytes]], notes: Sequence[str]) -> str:
+    """Return how messages that were read, and notes, differ from what was written; empty: they do not."""
+    missing, more = (bag.read - Counter(found)).total(), (Counter(found) - bag.read).total()
+    if missing or more:
+        return f"{missing} messages are missing, {more} were not written"
+    if any(first[1] > second[1] for first, second in pairwise(found)):
+        return "messages are not in the order of their log times"
+    matches = [match for note in notes if (match := LEFT_OUT.match(note))]
+    listed = Counter({match[1]: int(match[2]) for match in matches})
+    if listed != bag.left_out:
+        return f"{listed} is listed, {bag.left_out} left out"
+    if bag.fault == STATES_MORE and len(matches) == len(notes):
+        return "the messages that metadata.yaml states are missing without a note"
+    return ""
 
 
 def judge_recovery(bag: GeneratedBag, output: Path) -> Judgement:
@@ -80,10 +84,9 @@ def judge_recovery(bag: GeneratedBag, output: Path) -> Judgement:
     if damages := [damage.what for rescue in rescues for damage in rescue.damages]:
         return Judgement(Outcome.WRONG, f"recover finds damage: {damages[0]}")
     with (output / f"{output.name}.mcap").open("rb") as file:
-        copied = Counter(
-            (channel.topic, each.log_time, each.data) for _, channel, each in make_reader(file).iter_messages()
-        )
+        messages = make_reader(file).iter_messages()
+        copied = Counter((channel.topic, message.log_time, message.data) for _, channel, message in messages)
     wanted = Counter((each.topic.name, each.time_ns, each.data) for each in bag.messages)
     if copied == wanted and sum(rescue.messages for rescue in rescues) == wanted.total():
-        return Judgement(Outcome.READ, "")
+        return Judgement(Outcome.RECOVERED)
     return Judgement(Outcome.WRONG, f"recover copies {copied.total()} of {wanted.total()} messages")

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import shutil
 from collections import Counter
 from dataclasses import dataclass, field
 from functools import cache
-from pathlib import Path
 from random import Random
 from typing import TYPE_CHECKING, Any
 
@@ -19,7 +19,8 @@ from posor_lab.foreign_bags.mcap_variants import GivenMessage, GivenTopic, happe
 from posor_lab.foreign_bags.sqlite_variants import write_sqlite
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
+    from pathlib import Path
 
 BEGIN_NS = 1_700_000_000 * NS
 STRING = "std_msgs/msg/String"
@@ -34,15 +35,22 @@ OTHERS = (
     GivenTopic("/own", "own/Type", "cdr", "protobuf", b"\0"),
 )
 """Topics that are left out."""
+STATES_MORE = "metadata.yaml states too many messages"
+"""Fault of a bag that is read with a note."""
+INFINITE = "{sec: 9223372036, nsec: 854775807}"
+QOS = """- history: {}
+  depth: 0
+  reliability: {}
+  durability: {}
+  deadline: {infinite}
+  lifespan: {infinite}
+  liveliness: {}
+  liveliness_lease_duration: {infinite}
+  avoid_ros_namespace_conventions: false"""
 QOS_TEXTS = (
     "",
-    "- history: 3\n  depth: 0\n  reliability: 1\n  durability: 2\n  deadline: {sec: 0, nsec: 0}\n"
-    "  lifespan: {sec: 0, nsec: 0}\n  liveliness: 1\n  liveliness_lease_duration: {sec: 0, nsec: 0}\n"
-    "  avoid_ros_namespace_conventions: false",
-    "- history: unknown\n  depth: 0\n  reliability: reliable\n  durability: volatile\n"
-    "  deadline: {sec: 9223372036, nsec: 854775807}\n  lifespan: {sec: 9223372036, nsec: 854775807}\n"
-    "  liveliness: automatic\n  liveliness_lease_duration: {sec: 9223372036, nsec: 854775807}\n"
-    "  avoid_ros_namespace_conventions: false",
+    QOS.format(3, 1, 2, 1, infinite=INFINITE),
+    QOS.format("unknown", "reliable", "volatile", "automatic", infinite=INFINITE),
     "- reliability: 17",
     "[: no YAML",
 )
@@ -123,7 +131,7 @@ class _Generator:
             encoding, text = DEFINITIONS[style](_definition(kind))
             own.append(GivenTopic(f"/arm/joint{n}/raw", kind, "cdr", encoding, text.encode()))
         others = chance.sample(OTHERS, chance.choice([0, 0, 1, 2])) if self._bag.is_mcap else []
-        return own + [each for each in others if each.type_name or self._bag.is_mcap]
+        return own + others
 
     def _messages(self, topics: Sequence[GivenTopic]) -> list[GivenMessage]:
         """Return messages in the order in which the file is written; scans have numbers by log time."""
@@ -228,17 +236,10 @@ class _Generator:
         bag, path = self._bag, self._folder / self._chance.choice(names)
         faults: dict[str, Callable[[], object]] = {"a cut file": lambda: self._cut(path)}
         if bag.path == self._folder:
-            faults |= {
-                "a missing file": path.unlink,
-                "a file that is not listed": lambda: (self._folder / f"more{path.suffix}").write_bytes(
-                    path.read_bytes()
-                ),
-            }
-            if not path.suffix == ".zstd":
-                faults |= {"more messages stated": self._state_more}
+            faults |= {"a missing file": path.unlink, STATES_MORE: self._state_more}
+        if bag.path == self._folder and path.suffix != ".zstd":
+            faults["a file that is not listed"] = lambda: shutil.copyfile(path, path.with_stem("more"))
         bag.fault = self._chance.choice(list(faults))
-        if bag.fault == "a file that is not listed" and path.suffix == ".zstd":
-            bag.fault = "a cut file"
         faults[bag.fault]()
 
     def _cut(self, path: Path) -> None:

@@ -135,15 +135,12 @@ class _RecordFile:
                 topic=topic.name,
                 message_encoding=topic.encoding,
                 metadata={},
-                schema_id=self._schema_id(topic),
+                schema_id=self._schemas[topic].id if topic in self._schemas else 0,
             )
             for n, topic in enumerate(topics)
         }
         self._counts, self._indices = _Counts(Counter()), list[ChunkIndex]()
         self._data = bytearray(MAGIC)
-
-    def _schema_id(self, topic: GivenTopic) -> int:
-        return self._schemas[topic].id if topic in self._schemas else 0
 
     def write(self) -> bytes:
         """Return the file."""
@@ -230,13 +227,12 @@ class _RecordFile:
         )
 
     def _write_other_record(self) -> None:
-        kind = self._chance.random()
-        if kind < 0.1:
+        chance = self._chance
+        if happens(chance, 0.1):
             self._counts.attachments += 1
-            self._data += self._record(
-                Attachment(1, 1, "setup.txt", "text/plain", self._chance.randbytes(30)), extend=False
-            )
-        elif kind < 0.2:
+            attachment = Attachment(1, 1, "setup.txt", "text/plain", chance.randbytes(30))
+            self._data += self._record(attachment, extend=False)
+        if happens(chance, 0.1):
             self._counts.metadata += 1
             self._data += self._record(Metadata("any", {"key": "value"}))
         self._data += self._private_record()

@@ -5,8 +5,8 @@ from __future__ import annotations
 import shutil
 import sqlite3
 from contextlib import closing
-from tempfile import TemporaryDirectory
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
 from posor_lab.foreign_bags.mcap_variants import happens
@@ -60,7 +60,7 @@ def _write(
     for number, topic in enumerate(topics, start=1):
         marks = ",".join("?" * (1 + len(COLUMNS[version].split(","))))
         values = (number, topic.name, topic.type_name, topic.encoding, qos, "")[: marks.count("?")]
-        database.execute(f"INSERT INTO topics (id, {COLUMNS[version]}) VALUES ({marks})", values)
+        database.execute(f"INSERT INTO topics (id, {COLUMNS[version]}) VALUES ({marks})", values)  # noqa: S608  own names
         if version == max(COLUMNS):
             definition = (topic.type_name, topic.definition_encoding, topic.definition.decode(), "")
             database.execute("INSERT INTO message_definitions VALUES (NULL, ?, ?, ?, ?)", definition)
@@ -97,6 +97,6 @@ def _create_tables(database: sqlite3.Connection, version: int, *, indexed: bool)
         database.execute("CREATE TABLE metadata (id INTEGER PRIMARY KEY, metadata_version INTEGER, metadata TEXT)")
     if version == max(COLUMNS):
         database.execute(
-            "CREATE TABLE message_definitions (id INTEGER PRIMARY KEY, topic_type TEXT NOT NULL, encoding TEXT NOT NULL,"
+            "CREATE TABLE message_definitions (id INTEGER PRIMARY KEY, topic_type TEXT NOT NULL, encoding TEXT,"
             " encoded_message_definition TEXT NOT NULL, type_description_hash TEXT NOT NULL)"
         )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from posor.bags.mcap_file import RECOVER
 from posor.bags.read_order import order_scans
 from posor.errors import BagError
 
@@ -36,7 +37,7 @@ def read_blocks(reader: OrderedReader, topics: Sequence[str], where: str) -> Ite
         raise BagError(
             f"holds {count} messages of {', '.join(topics)}",
             where=where,
-            expected=f"{expected}, as the index of the bag states",
+            expected=f"{expected}, as the index of the bag states; {RECOVER}",
         )
 
 

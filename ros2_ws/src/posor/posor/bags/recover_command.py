@@ -98,7 +98,8 @@ def recover(bag: Path, output: Path) -> list[Rescue]:
         raise BagError("does not exist", where=str(bag), expected="an MCAP file, or a folder of MCAP files")
     files = storage_files(bag, ".mcap")
     if not files:
-        raise BagError("holds no MCAP file", where=str(bag), expected="an MCAP file; for SQLite: 'sqlite3 .recover'")
+        expected = "an MCAP file; for SQLite: 'sqlite3 .recover', for .zstd: 'unzstd' before"
+        raise BagError("holds no MCAP file", where=str(bag), expected=expected)
     if output.exists():
         raise BagError("exists already", where=str(output), expected="a new folder")
     try:

@@ -40,9 +40,11 @@ class SqliteFile(StoredFile):
             self._database = sqlite3.connect(
                 f"{storage.absolute().as_uri()}{'' if is_copy else '?immutable=1'}", uri=True, check_same_thread=False
             )
-            topics, definitions = self._rows("topics"), self._rows("message_definitions")
-            if not topics and not self._rows("messages", "LIMIT 1"):
-                return
+            tables = {name for (name,) in self._database.execute("SELECT name FROM sqlite_master")}
+            if missing := [name for name in ("topics", "messages") if name not in tables]:
+                raise BagError(f"has no table {missing[0]}", where=str(path), expected="an SQLite file of rosbag2")
+            topics = self._rows("topics")
+            definitions = self._rows("message_definitions") if "message_definitions" in tables else []
             extents = "SELECT topic_id, count(*), min(timestamp), max(timestamp) FROM messages GROUP BY topic_id"
             counts = dict[int, int]()
             for number, count, start_ns, end_ns in self._database.execute(extents):
@@ -77,12 +79,9 @@ class SqliteFile(StoredFile):
         """Close the file."""
         self._database.close()
 
-    def _rows(self, table: str, selected: str = "") -> list[dict[str, Any]]:
-        """Return the rows of a table by column; none without the table."""
-        found = self._database.execute("SELECT 1 FROM sqlite_master WHERE type = 'table' AND name = ?", [table])
-        if found.fetchone() is None:
-            return []
-        with closing(self._database.execute(f"SELECT * FROM {table} {selected}")) as cursor:  # noqa: S608  own names
+    def _rows(self, table: str) -> list[dict[str, Any]]:
+        """Return the rows of a table by column."""
+        with closing(self._database.execute(f"SELECT * FROM {table}")) as cursor:  # noqa: S608  own names
             names = [column for column, *_ in cursor.description]
             return [dict(zip(names, row, strict=True)) for row in cursor]
 

@@ -87,7 +87,9 @@ def test_a_record_beyond_the_end_of_its_chunk_is_refused(tmp_path: Path) -> None
     path = tmp_path / "bag" / "bag.mcap"
     begin = path.read_bytes().index(by_rosbags(path)[5][2]) - 31
     damaged(path, begin + 1, struct.pack("<Q", 10**6))
-    with pytest.raises(BagError, match=r"bag.mcap, byte \d+: a chunk holds a record that runs beyond its end, after the "):
+    with pytest.raises(
+        BagError, match=r"bag.mcap, byte \d+: a chunk holds a record that runs beyond its end, after the "
+    ):
         list(by_blocks(tmp_path / "bag"))
 
 
@@ -96,7 +98,7 @@ def test_fewer_messages_than_in_the_index_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "bag" / "bag.mcap"
     damaged(path, path.read_bytes().index(by_rosbags(path)[5][2]) - 31, b"\x7f")
     with pytest.raises(
-        BagError, match=r"holds 59 messages of /one/raw, /two/raw; expected 60, as the index of the bag states\."
+        BagError, match=r"holds 59 messages of /one/raw, /two/raw; expected 60, as the index of the bag states; 'rec"
     ):
         list(by_blocks(tmp_path / "bag"))
 

@@ -282,7 +282,7 @@ def test_what_cannot_be_recovered_is_refused(tmp_path: Path) -> None:
     (tmp_path / "notes.txt").touch()
     for name, sentence in (
         ("none", r"none: does not exist; expected an MCAP file, or a folder of MCAP files\."),
-        ("notes.txt", r"notes\.txt: holds no MCAP file; expected an MCAP file; for SQLite: 'sqlite3 \.recover'\."),
+        ("notes.txt", r"notes\.txt: holds no MCAP file; expected an MCAP file; for SQLite: 'sqlite3 \.recover', "),
         ("empty.mcap", r"empty\.mcap: holds no whole message, the file is empty at byte 0\."),
         ("other.mcap", "the file does not begin as MCAP files do at byte 0"),
     ):
