@@ -7,12 +7,12 @@ from __future__ import annotations
 
 import os
 import re
-from functools import cache
+from functools import cache, lru_cache
 from pathlib import Path
 from textwrap import shorten
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from rosbags.interfaces import MessageDefinitionFormat, Nodetype
+from rosbags.interfaces import MessageDefinition, MessageDefinitionFormat, Nodetype
 from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 NOT_IDL = re.compile(r"(?m)^(?:={80}|IDL: |#).*$")
 """Lines of rosbag2 between the parts of a definition in IDL, and those of a preprocessor: rosbags reads neither."""
+MOST_DEFINITIONS = 64  # that are kept in memory once parsed, as every reader of a bag needs them again
 REASON_LENGTH = 120
 """Most characters of a parser's reason in an error; it may quote the whole definition."""
 
@@ -108,7 +109,7 @@ def schema_of_connection(connection: Connection, where: str) -> Schema:
             )
         return installed_types.schema(connection.msgtype)
     try:
-        return _schema(connection.msgtype, _types_of(connection))
+        return _schema(connection.msgtype, _types_in(connection.msgdef, connection.msgtype))
     except (TypesysError, TypeError, KeyError) as error:
         reason = shorten(f"{error}", REASON_LENGTH, placeholder=" ...").rstrip(".")
         raise BagError(
@@ -135,19 +136,25 @@ def schema_of_topic(connections: Iterable[Connection], topic: str, where: str) -
 
 def stored_type_hash(connection: Connection) -> str:
     """Return the RIHS01 hash of a topic's definition in a bag; ``INVALID`` without a valid definition."""
+    return _type_hash(connection.msgdef, connection.msgtype)
+
+
+@lru_cache(MOST_DEFINITIONS)
+def _type_hash(definition: MessageDefinition, name: str) -> str:
     store = Typestore()
     try:
-        store.register(_types_of(connection))
-        return store.hash_rihs01(connection.msgtype)
+        store.register(_types_in(definition, name))
+        return store.hash_rihs01(name)
     except (TypesysError, TypeError, KeyError):
         return "INVALID"
 
 
-def _types_of(connection: Connection) -> dict[str, Any]:
-    """Return the types in the stored definition of a topic, in rosbags' description."""
-    if connection.msgdef.format == MessageDefinitionFormat.IDL:
-        return get_types_from_idl(NOT_IDL.sub("", connection.msgdef.data))
-    return get_types_from_msg(connection.msgdef.data, connection.msgtype)
+@lru_cache(MOST_DEFINITIONS)
+def _types_in(definition: MessageDefinition, name: str) -> Mapping[str, Any]:
+    """Return the types in the stored definition of a type, in rosbags' description."""
+    if definition.format == MessageDefinitionFormat.IDL:
+        return get_types_from_idl(NOT_IDL.sub("", definition.data))
+    return get_types_from_msg(definition.data, name)
 
 
 def _schema(name: str, types: Mapping[str, Any]) -> Schema:
