@@ -46,7 +46,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
     from mcap.records import McapRecord
-    from numpy.typing import NDArray
 
     from posor.messages.message_definitions import Definition
     from posor.numerics.array_types import ByteArray, IntArray
@@ -252,11 +251,11 @@ class BagWriter:
 
     def _close_chunk(self) -> None:
         """Write the messages since the last chunk as a chunk."""
-        entries = {channel: np.array(index, dtype=np.uint64) for channel, index in self._entries.items()}
+        entries = {channel: np.array(index, dtype=np.int64) for channel, index in self._entries.items()}
         self._entries.clear()
         self._write_chunk(np.frombuffer(self._records.end(), dtype=np.uint8), entries)
 
-    def _write_chunk(self, records: ByteArray, entries: Mapping[int, IntArray | NDArray[np.uint64]]) -> None:
+    def _write_chunk(self, records: ByteArray, entries: Mapping[int, IntArray]) -> None:
         """Write records as a chunk; ``entries``: log time and offset of each message, shape (n, 2), by channel."""
         times = [(int(index[:, 0].min()), int(index[:, 0].max())) for index in entries.values()] or [(0, 0)]
         first, last = min(first for first, _ in times), max(last for _, last in times)

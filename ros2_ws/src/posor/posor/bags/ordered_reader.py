@@ -192,13 +192,13 @@ class OrderedReader:
         if kind is None:
             raise BagError("is no file of a bag", where=str(path), expected=f"a file that ends in {' or '.join(KINDS)}")
         if beside or _begins_with(path, ZSTD_MAGIC):
-            storage = Path(stack.enter_context(TemporaryDirectory(prefix="posor-bag-"))) / name
             repair = f"'sqlite3 {name} \"PRAGMA wal_checkpoint(TRUNCATE)\" .tables'"
             self._side_notes += [
                 f"{each.name} holds transactions that {name} lacks, so a copy of both is read; {repair} completes it"
                 for each in beside
             ]
             try:
+                storage = Path(stack.enter_context(TemporaryDirectory(prefix="posor-bag-"))) / name
                 before = _state([path, *beside])
                 _copy(path, storage)
                 for each in beside:

@@ -19,6 +19,7 @@ from posor.bags.mcap_file import UNKNOWN, Damage, definitions_of, mapped, read_i
 from posor.bags.mcap_storage import definitions_by_number, topic_of
 from posor.bags.provenance import custom_data
 from posor.bags.recorded_topics import BagMetadata, Unread, connection_of, profiles_of
+from posor.bags.stored_file import LAST_TIME_NS
 from posor.errors import BagError
 from posor.messages.byte_kernels import MESSAGE_HEAD
 from posor.messages.message_definitions import stored_type_hash
@@ -39,9 +40,9 @@ class Rescue:
 
     path: Path  # the file
     messages: int = 0  # number of messages that were rescued
-    unknown: int = 0  # number of messages whose topic is not known, because its definition is damaged
     stated: int | None = None  # number of messages of the undamaged file; None: its index is lost
     damages: list[Damage] = field(default_factory=list)  # the damaged places
+    lost: Counter[str] = field(default_factory=Counter)  # whole messages that are left out, by the reason, a clause
     skipped: Counter[int] = field(default_factory=Counter)  # records that are left out, by their type
 
     def lines(self) -> list[str]:
@@ -52,8 +53,7 @@ class Rescue:
             f"{self.path}: {count} records of type 0x{opcode:02x}, which the format does not define, left out"
             for opcode, count in sorted(self.skipped.items())
         ]
-        if self.unknown:
-            lines.append(f"{self.path}: {self.unknown} messages lost, the definitions of their topics are damaged")
+        lines += [f"{self.path}: {count} messages lost, {reason}" for reason, count in self.lost.items()]
         if self.stated is None:
             lines.append(f"{self.path}: its index states no number of messages, so that of lost ones is not known")
         else:
@@ -144,7 +144,9 @@ def _rescue(file: Path, writer: BagWriter) -> Rescue:
                     number, _, time_ns = MESSAGE.unpack_from(content)
                     channel = topics.channels.get(number)
                     if channel is None:
-                        rescue.unknown += 1
+                        rescue.lost["the definitions of their topics are damaged"] += 1
+                    elif time_ns > LAST_TIME_NS:
+                        rescue.lost["their log times are damaged"] += 1
                     else:
                         writer.write_message(channel, time_ns, content[MESSAGE_HEAD:])
                         rescue.messages += 1

@@ -158,7 +158,7 @@ def check_cuts(recorded: bytes, folder: Path, count: int) -> None:
         if whole:
             (rescue,), messages = rescued(cut, folder / "out")
             assert messages == whole
-            assert (rescue.messages, rescue.stated, rescue.unknown) == (len(whole), None, 0)
+            assert (rescue.messages, rescue.stated, rescue.lost) == (len(whole), None, {})
             assert rescue.damages or length >= ends[-1]
             shutil.rmtree(folder / "out")
         else:
