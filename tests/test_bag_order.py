@@ -14,10 +14,10 @@ import numpy as np
 import pytest
 import yaml
 from posor.bags import chunk_reader, ordered_reader
-from posor.bags.bag_reader import METADATA
 from posor.bags.calibration_recording import load_recording, read_scans
 from posor.bags.offline_pipeline import load_arm
 from posor.bags.read_order import WINDOW_S
+from posor.bags.recorded_topics import METADATA
 from posor.bags.reprocess_command import main as reprocess
 from posor.errors import BagError
 from posor.messages.message_definitions import MessageTypes

@@ -232,7 +232,7 @@ def test_path_that_is_no_bag_is_refused(tmp_path: Path) -> None:
     assert (error.where.endswith("none"), error.what) == (True, "does not exist")
     file = tmp_path / "notes.txt"
     file.write_text("no bag")
-    assert "the bag cannot be read" in str(refusal(BagError, load_recording, file))
+    assert "is no file that ends in .mcap or .db3" in str(refusal(BagError, load_recording, file))
 
 
 def test_linearisation_from_a_bag_is_that_from_memory(tmp_path: Path) -> None:

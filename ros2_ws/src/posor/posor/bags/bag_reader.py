@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from posor.bags.mcap_file import RECOVER
 from posor.bags.ordered_reader import OrderedReader
-from posor.bags.recorded_topics import METADATA
+from posor.bags.recorded_topics import EXPECTED, METADATA
 from posor.errors import BagError, PosorError
 from posor.messages.message_definitions import schema_of_topic
 from posor.messages.raw_scan import check_raw_scan_schema
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from posor.messages.cdr_schema import Schema
     from posor.messages.message_definitions import MessageTypes
 
-EXPECTED = "a rosbag2 bag, MCAP or SQLite, that was closed properly"
 ADVICE = {".mcap": f"it; {RECOVER} with {METADATA}", ".db3": "it, as 'ros2 bag reindex' makes it"}
 """What helps if the metadata are missing, by the suffix of the files."""
 
@@ -160,4 +159,6 @@ def _check_metadata(path: Path) -> None:
 def _check_not_empty(reader: OrderedReader, path: Path) -> None:
     if not reader.message_count:
         unread = ", ".join(sorted(f"{topic} {why}" for topic, why, _ in reader.unread))
-        raise BagError(f"holds no messages{unread and f' but of {unread}'}", where=str(path), expected="CDR")
+        if unread:
+            raise BagError(f"holds no messages but of {unread}", where=str(path), expected="messages in CDR")
+        raise BagError("holds no messages", where=str(path))

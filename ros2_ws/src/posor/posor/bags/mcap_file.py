@@ -117,15 +117,6 @@ def checked_index(path: Path, data: mmap | bytes) -> list[McapRecord]:
     return index
 
 
-def first_damage(path: Path) -> Damage | None:
-    """Return the first damaged place of a file; None: the file is whole. Raises BagError: the file cannot be read."""
-    with mapped(path) as data:
-        index = read_index(data)
-        return next((piece for piece in read_records(data) if isinstance(piece, Damage)), None) or (
-            index if isinstance(index, Damage) else None
-        )
-
-
 def damage_error(path: Path, damage: Damage) -> BagError:
     """Return the error that names a damaged place."""
     return BagError(damage.what, where=f"{path}, byte {damage.offset}", expected=ADVICE)

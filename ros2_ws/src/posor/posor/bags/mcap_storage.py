@@ -14,7 +14,6 @@ from posor.bags.mcap_file import (
     checked_index,
     damage_error,
     definitions_of,
-    first_damage,
     mapped,
     read_spans,
     records_of,
@@ -81,11 +80,6 @@ class McapFile(StoredFile):
     def damage(self, span: Span, what: str) -> BagError:
         """Return the error of a span that is damaged; ``what``: a clause."""
         return damage_error(self.path, Damage(span.offset, span.length, what))
-
-    def first_damage(self) -> BagError | None:
-        """Return the error of the first damaged place; None: the file is whole."""
-        damage = first_damage(self._storage)
-        return damage and damage_error(self.path, damage)
 
     def close(self) -> None:
         """Nothing is kept open."""

@@ -23,7 +23,7 @@ import zstandard
 from posor.bags.chunk_reader import ChunkReader
 from posor.bags.mcap_storage import McapFile
 from posor.bags.message_block import MessageBlock
-from posor.bags.recorded_topics import METADATA, BagMetadata, Unread
+from posor.bags.recorded_topics import EXPECTED, METADATA, BagMetadata, Unread
 from posor.bags.sqlite_storage import SqliteFile
 from posor.errors import BagError
 
@@ -97,8 +97,8 @@ class OrderedReader:
         found = dict.fromkeys(self.metadata.counts, 0)
         for each in self.connections:
             found[each.topic] = found.get(each.topic, 0) + each.msgcount
-        for each in self.unread:
-            found[each.topic] = found.get(each.topic, 0) + each.messages
+        for topic, _, messages in self.unread:
+            found[topic] = found.get(topic, 0) + messages
         left_out = [f"topic {topic} is left out: {messages} messages {why}" for topic, why, messages in self.unread]
         missing = [
             f"{METADATA} states {count} messages of {topic}; the files hold {found[topic]}"
@@ -106,10 +106,6 @@ class OrderedReader:
             if found[topic] < count
         ]
         return self._side_notes + left_out + missing
-
-    def first_damage(self) -> BagError | None:
-        """Return the error of the first damaged place of all files; None: there is no damage, or it cannot be seen."""
-        return next((damage for each in self._opened if (damage := each.first_damage()) is not None), None)
 
     def check_files(self, files: Sequence[Path]) -> None:
         """Raise a BagError if one of the ``files`` of the bag is not listed, or if one of several has no log times."""
@@ -190,7 +186,7 @@ class OrderedReader:
         storage, name, beside = path, path.name.removesuffix(ZSTD), _side_files(path)
         kind = KINDS.get(Path(name).suffix)
         if kind is None:
-            raise BagError("is no file of a bag", where=str(path), expected=f"a file that ends in {' or '.join(KINDS)}")
+            raise BagError(f"is no file that ends in {' or '.join(KINDS)}", where=str(path), expected=EXPECTED)
         if beside or _begins_with(path, ZSTD_MAGIC):
             repair = f"'sqlite3 {name} \"PRAGMA wal_checkpoint(TRUNCATE)\" .tables'"
             self._side_notes += [

@@ -9,6 +9,7 @@ from __future__ import annotations
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path, PureWindowsPath
+from textwrap import shorten
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import yaml
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from rosbags.interfaces import Qos
 
 METADATA = "metadata.yaml"
+EXPECTED = "a rosbag2 bag, MCAP or SQLite, that was closed properly"
 CDR = "cdr"
 NO_DEFINITION = MessageDefinition(MessageDefinitionFormat.NONE, "")
 FORMATS = {
@@ -85,11 +87,11 @@ class BagMetadata:
             for each, count in topics:
                 counts[each["name"]] += count
         except (OSError, ValueError, KeyError, TypeError, AttributeError, yaml.YAMLError) as error:
-            reason = " ".join(str(error).split()).rstrip(".")
-            what = f"no {reason}" if isinstance(error, KeyError) else reason
-            raise BagError(
-                f"cannot be read, {what}", where=str(path), expected="a metadata.yaml as 'ros2 bag reindex' makes it"
-            ) from error
+            reason = "its content is not that of a bag"
+            if isinstance(error, (KeyError, OSError, yaml.YAMLError)):
+                reason = f"{'no ' * isinstance(error, KeyError)}{shorten(str(error), 120).rstrip('.')}"
+            expected = "what 'ros2 bag reindex' writes, or 'recover' of posor for MCAP files"
+            raise BagError(f"cannot be read, {reason}", where=str(path), expected=expected) from error
         if mode.lower() not in ("", "none") and compression not in ("", "zstd"):
             raise BagError(f"the bag is compressed with {compression}", where=str(path), expected="zstd")
         return BagMetadata(list(dict.fromkeys(files)), types, hashes, counts)

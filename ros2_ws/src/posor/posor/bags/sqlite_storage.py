@@ -7,7 +7,7 @@ import struct
 from contextlib import closing, contextmanager
 from typing import TYPE_CHECKING, Any
 
-from posor.bags.recorded_topics import StoredTopic, Unread
+from posor.bags.recorded_topics import EXPECTED, StoredTopic, Unread
 from posor.bags.stored_file import StoredFile
 from posor.errors import BagError
 
@@ -42,7 +42,7 @@ class SqliteFile(StoredFile):
             )
             tables = {name for (name,) in self._database.execute("SELECT name FROM sqlite_master")}
             if missing := [name for name in ("topics", "messages") if name not in tables]:
-                raise BagError(f"has no table {missing[0]}", where=str(path), expected="an SQLite file of rosbag2")
+                raise BagError(f"has no table {missing[0]}", where=str(path), expected=EXPECTED)
             topics = self._rows("topics")
             definitions = self._rows("message_definitions") if "message_definitions" in tables else []
             extents = "SELECT topic_id, count(*), min(timestamp), max(timestamp) FROM messages GROUP BY topic_id"
@@ -71,10 +71,6 @@ class SqliteFile(StoredFile):
             for number, time_ns, data in cursor.execute(f"{query} ORDER BY timestamp, rowid", values):
                 yield by_number[number], time_ns, data
 
-    def first_damage(self) -> BagError | None:
-        """Return None: SQLite states no checksums."""
-        return None
-
     def close(self) -> None:
         """Close the file."""
         self._database.close()
@@ -92,8 +88,7 @@ class SqliteFile(StoredFile):
             yield
         except (sqlite3.Error, KeyError, TypeError) as error:
             reason = " ".join(str(error).split())
-            expected = f"a rosbag2 bag; 'sqlite3 {self.path.name} .recover' writes what is whole of a damaged one"
-            raise BagError(f"cannot be read, {reason}", where=str(self.path), expected=expected) from error
+            raise BagError(f"cannot be read, {reason}", where=str(self.path), expected=_advice(self.path)) from error
 
 
 def _topic_of(row: Mapping[str, Any], definitions: Collection[Mapping[str, Any]]) -> StoredTopic:
@@ -121,5 +116,8 @@ def _check_size(path: Path) -> None:
     if len(head) == len(MAGIC) + LAST_OF_HEAD.size and head.startswith(MAGIC):
         page_size, pages = LAST_OF_HEAD.unpack(head[len(MAGIC) :])
         if path.stat().st_size < (page_size if page_size > 1 else 65536) * pages:
-            expected = f"a whole file; 'sqlite3 {path.name} .recover' writes what is whole"
-            raise BagError("the file is cut short", where=str(path), expected=expected)
+            raise BagError("the file is cut short", where=str(path), expected=_advice(path))
+
+
+def _advice(path: Path) -> str:
+    return f"{EXPECTED}; 'sqlite3 {path.name} .recover' writes what is whole"

@@ -150,7 +150,7 @@ def _type_hash(definition: MessageDefinition, name: str) -> str:
 
 
 @lru_cache(MOST_DEFINITIONS)
-def _types_in(definition: MessageDefinition, name: str) -> Mapping[str, Any]:
+def _types_in(definition: MessageDefinition, name: str) -> dict[str, Any]:
     """Return the types in the stored definition of a type, in rosbags' description."""
     if definition.format == MessageDefinitionFormat.IDL:
         return get_types_from_idl(NOT_IDL.sub("", definition.data))

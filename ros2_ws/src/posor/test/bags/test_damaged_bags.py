@@ -13,11 +13,12 @@ import numpy as np
 import pytest
 import yaml
 from posor.bags import recover_command
-from posor.bags.bag_reader import METADATA, opened_bag
+from posor.bags.bag_reader import opened_bag
 from posor.bags.bag_writer import BagWriter, TopicMessages
 from posor.bags.block_reader import read_messages
-from posor.bags.mcap_file import OF_MESSAGES, Damage, first_damage, read_index, read_records
+from posor.bags.mcap_file import OF_MESSAGES, Damage, read_index, read_records
 from posor.bags.provenance import PENDING
+from posor.bags.recorded_topics import METADATA
 from posor.bags.recover_command import Rescue, recover
 from posor.errors import BagError, OutputError
 from posor.messages.message_definitions import MessageTypes
@@ -38,6 +39,11 @@ def chunks() -> list[list[Record]]:
         first = 1000 * chunk
         made.append([(TOPICS[n % 3], first + n, chance.bytes(int(chance.integers(40, 90)))) for n in range(IN_CHUNK)])
     return made
+
+
+def first_damage(file: Path) -> Damage | None:
+    """Return the first damaged place of a file; None: the file is whole."""
+    return next((piece for piece in read_records(file.read_bytes()) if isinstance(piece, Damage)), None)
 
 
 def record(path: Path) -> Path:

@@ -15,8 +15,9 @@ import pytest
 import yaml
 from mcap.writer import IndexType
 from mcap.writer import Writer as McapWriter
-from posor.bags.bag_reader import METADATA, opened_bag, scan_schema
+from posor.bags.bag_reader import opened_bag, scan_schema
 from posor.bags.block_reader import read_messages
+from posor.bags.recorded_topics import METADATA
 from posor.bags.recover_command import recover
 from posor.bags.reprocess_command import print_summary
 from posor.bags.reprocess_task import Summary
@@ -204,16 +205,8 @@ METADATA_FAULTS: dict[str, tuple[dict[str, bytes], dict[str, Any], str]] = {
         {"relative_file_paths": None},
         "metadata.yaml: cannot be read, no 'relative_file_pa",
     ),
-    "two storages": (
-        {"a.mcap": WHOLE, "b.db3": b""},
-        {},
-        r"b.db3: has no table topics; expected an SQLite file of rosbag2",
-    ),
-    "another file": (
-        {"a.bag": b"#ROSBAG"},
-        {},
-        r"a.bag: is no file of a bag; expected a file that ends in .mcap or .db3",
-    ),
+    "two storages": ({"a.mcap": WHOLE, "b.db3": b""}, {}, r"b.db3: has no table topics; expected a rosbag2 bag"),
+    "another file": ({"a.bag": b"#ROSBAG"}, {}, r"a.bag: is no file that ends in .mcap or .db3; expected .db3"),
 }
 
 
