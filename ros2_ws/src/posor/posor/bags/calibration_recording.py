@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from posor.model.scan import Scans
     from posor.numerics.array_types import FloatArray
 
+STORAGE_SUFFIXES = {".mcap", ".db3", ".db3-wal", ".db3-journal", ".zstd"}
 FLOAT64 = "std_msgs/msg/Float64"
 
 
@@ -179,9 +180,7 @@ def bag_sha256(path: Path) -> str:
     """
     if not path.is_dir():
         return _file_sha256(path)
-    files = sorted(
-        file for file in path.iterdir() if file.name == "metadata.yaml" or file.suffix in {".mcap", ".db3", ".zstd"}
-    )
+    files = sorted(file for file in path.iterdir() if file.name == "metadata.yaml" or file.suffix in STORAGE_SUFFIXES)
     listing = "".join(f"{_file_sha256(file)}  {file.name}\n" for file in files)
     return hashlib.sha256(listing.encode()).hexdigest()
 

@@ -57,7 +57,7 @@ class Rescue:
         if self.stated is None:
             lines.append(f"{self.path}: its index states no number of messages, so that of lost ones is not known")
         else:
-            lines.append(f"{self.path}: {self.stated - self.messages} of {self.stated} messages lost")
+            lines.append(f"{self.path}: {max(0, self.stated - self.messages)} of {self.stated} messages lost")
         return lines
 
 

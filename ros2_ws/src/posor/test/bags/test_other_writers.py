@@ -206,7 +206,11 @@ METADATA_FAULTS: dict[str, tuple[dict[str, bytes], dict[str, Any], str]] = {
         "metadata.yaml: cannot be read, no 'relative_file_pa",
     ),
     "two storages": ({"a.mcap": WHOLE, "b.db3": b""}, {}, r"b.db3: has no table topics; expected a rosbag2 bag"),
-    "another file": ({"a.bag": b"#ROSBAG"}, {}, r"a.bag: is no file that ends in .mcap or .db3; expected .db3"),
+    "another file": (
+        {"a.bag": b"#ROSBAG"},
+        {},
+        r"a.bag: is no file that ends in .mcap or .db3; expected a rosbag2 bag",
+    ),
 }
 
 
