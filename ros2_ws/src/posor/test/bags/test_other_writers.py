@@ -209,7 +209,7 @@ METADATA_FAULTS: dict[str, tuple[dict[str, bytes], dict[str, Any], str]] = {
     "another file": (
         {"a.bag": b"#ROSBAG"},
         {},
-        r"a.bag: is no file that ends in .mcap or .db3; expected a rosbag2 bag",
+        "a.bag: is no file that ends in .mcap or .db3; expected a ros",
     ),
 }
 
