@@ -60,9 +60,9 @@ class OrderedReader:
         self._side_notes: list[str] = []
         with ExitStack() as stack:
             opened = [self._open_file(each, stack) for each in self._files()]
+            if len({type(each) for each in opened}) > 1:
+                raise BagError("holds both MCAP and SQLite files", where=str(path), expected="files of one kind")
             self._close = stack.pop_all().close
-        if len({type(each) for each in opened}) > 1:
-            raise BagError("holds both MCAP and SQLite files", where=str(path), expected="files of one kind")
         self._listed = {each.path for each in opened}
         filled = [each for each in opened if each.start_ns <= each.end_ns]
         self._opened = sorted(filled, key=lambda each: each.start_ns)
