@@ -41,6 +41,8 @@ FOOTER = Struct("<BQQQI")  # head, offset of the index, offset of its table of c
 OF_MESSAGES = {Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE}
 OF_DATA = OF_MESSAGES | {Opcode.CHUNK, Opcode.MESSAGE_INDEX, Opcode.ATTACHMENT, Opcode.METADATA, Opcode.DATA_END}
 """Records between the header and the index."""
+OF_SUMMARY = {0x02, 0x03, 0x04, 0x08, 0x0A, 0x0B, 0x0D, 0x0E}
+"""Records after the end of the data."""
 SHORTEST = {Opcode.MESSAGE: 22, Opcode.CHUNK: 40, Opcode.MESSAGE_INDEX: 6, Opcode.DATA_END: 4}
 """Bytes of the shortest content of a record. Longer ones may end with fields of a later version, but for messages."""
 UNKNOWN = range(0x10, 0x100)
@@ -142,10 +144,11 @@ def read_spans(path: Path, data: mmap | bytes, index: Iterable[McapRecord]) -> I
     listed = {each.chunk_start_offset: each for each in index if isinstance(each, ChunkIndex)}
     begin = _index_begin(data)
     end = len(data) if isinstance(begin, Damage) else begin.offset
-    position, piece = _after_header(data), _Piece()
+    position, piece, has_chunks = _after_header(data), _Piece(), False
     while position < end:
         try:
             opcode, after = _read_head(data, position, end)
+            _check_place(opcode, has_chunks=has_chunks, is_last=after == end)
         except _DamagedError as error:
             raise damage_error(path, Damage(position, end - position, str(error))) from error
         if piece.size and (opcode not in OF_MESSAGES or piece.size + after - position > PIECE_BYTES):
@@ -156,6 +159,7 @@ def read_spans(path: Path, data: mmap | bytes, index: Iterable[McapRecord]) -> I
         if opcode in OF_MESSAGES:
             piece.add(data, opcode, position, after)
         elif opcode == Opcode.CHUNK:
+            has_chunks = True
             chunk = listed.pop(position, None)
             yield _chunk_span(data, position, after, chunk)
             after += chunk.message_index_length if chunk else 0
@@ -164,6 +168,14 @@ def read_spans(path: Path, data: mmap | bytes, index: Iterable[McapRecord]) -> I
         yield piece.span(end)
     if listed:
         raise damage_error(path, Damage(min(listed), 0, "there is no chunk, which the index lists"))
+
+
+def _check_place(opcode: int, *, has_chunks: bool, is_last: bool) -> None:
+    """Refuse the end of the data before the last record, and a message index before any chunk."""
+    if opcode == Opcode.DATA_END and not is_last:
+        raise _DamagedError("the record that ends the data is not the last one")
+    if opcode == Opcode.MESSAGE_INDEX and not has_chunks:
+        raise _DamagedError("an index record follows no chunk")
 
 
 class _Piece:
@@ -223,19 +235,49 @@ def span_records(content: bytes, *, is_chunk: bool) -> bytes:
 
 def definitions_of(records: Iterable[Record]) -> Iterator[Schema | Channel]:
     """Yield the schemas and channels among some records; invalid ones, and schemas of the number 0, are left out."""
-    for opcode, content in records:
-        if opcode in {Opcode.SCHEMA, Opcode.CHANNEL}:
-            kind = Schema if opcode == Opcode.SCHEMA else Channel
-            with suppress(McapError, ValueError, OverflowError, StructError):
-                found = kind.read(ReadDataStream(BytesIO(content)))
+    for record in records:
+        with suppress(ValueError):
+            if record.opcode in {Opcode.SCHEMA, Opcode.CHANNEL}:
+                found = _definition(record)
                 if isinstance(found, Channel) or found.id:
                     yield found
+
+
+def _definition(record: Record) -> Schema | Channel:
+    """Return a schema or a channel. Raises ValueError: the record is invalid."""
+    kind = Schema if record.opcode == Opcode.SCHEMA else Channel
+    try:
+        found: Schema | Channel = kind.read(ReadDataStream(BytesIO(record.content)))
+    except (McapError, OverflowError, StructError) as error:
+        raise ValueError(str(error)) from error
+    return found
+
+
+class Definitions:
+    """Schemas and channels of a file, of which those of one number must be equal."""
+
+    def __init__(self, index: Iterable[McapRecord] = ()) -> None:
+        """Begin with the definitions in an index."""
+        self._known = {(type(each), each.id): each for each in index if isinstance(each, (Schema, Channel))}
+
+    def add(self, record: Record) -> None:
+        """Add a definition. Raises ValueError: it is invalid, or differs from the one of the same number."""
+        found = _definition(record)
+        if self._known.setdefault((type(found), found.id), found) != found:
+            kind = type(found).__name__.lower()
+            message = f"{kind} {found.id} differs from another one of the same number"
+            raise ValueError(message)
+
+    def has_channel(self, number: int) -> bool:
+        """Return whether there is a channel of a number."""
+        return (Channel, number) in self._known
 
 
 def read_records(data: mmap | bytes) -> Iterator[list[Record] | Damage]:
     """Yield the records of every whole chunk, every whole record outside of chunks, and what is damaged, in order.
 
-    After a damaged record, reading resumes at the next intact chunk; in a file without chunks, at the next message.
+    After a damaged record, reading resumes at the next intact chunk; in a file with messages outside of chunks, at the
+    next message, if that comes first.
     Message indices are left out; records of unknown types are not.
     """
     index, records = _index_begin(data), read_index(data)
@@ -268,8 +310,8 @@ class _Search:
         self._data, self._end = data, end
         index = list(index)
         self._listed = {each.chunk_start_offset for each in index if isinstance(each, ChunkIndex)}
-        self._channels = {each.id for each in index if isinstance(each, Channel)}
-        self._has_chunks = bool(self._listed)
+        self._definitions = Definitions(index)
+        self._has_chunks, self._has_messages = bool(self._listed), False  # messages outside of chunks
         self._may_have_chunks = True
 
     def read_record(self, position: int) -> tuple[int, list[Record], int]:
@@ -277,19 +319,33 @@ class _Search:
         opcode, found, after = _read_record(self._data, position)
         if position in self._listed and opcode != Opcode.CHUNK:
             raise _DamagedError(f"a chunk is damaged: its type is 0x{opcode:02x}")
+        is_last = after == self._end or self._data[after] in OF_SUMMARY
+        _check_place(opcode, has_chunks=self._has_chunks, is_last=is_last)
         self._has_chunks |= opcode == Opcode.CHUNK
+        self._has_messages |= opcode == Opcode.MESSAGE
         if opcode in OF_MESSAGES and not self._is_followed(after) and self._find_message(position + 1, after) < after:
             raise _DamagedError("the length of a record is damaged")
-        self._channels.update(each.id for each in definitions_of(found) if isinstance(each, Channel))
+        self._add_definitions(found, is_chunk=opcode == Opcode.CHUNK)
         return opcode, found, after
+
+    def _add_definitions(self, records: Iterable[Record], *, is_chunk: bool) -> None:
+        """Add the definitions among some records; in a chunk, invalid ones are left out."""
+        for each in records:
+            if each.opcode in {Opcode.SCHEMA, Opcode.CHANNEL}:
+                try:
+                    self._definitions.add(each)
+                except ValueError as error:
+                    if not is_chunk:
+                        raise _DamagedError(f"a definition is damaged: {error}") from error
 
     def find_next(self, position: int) -> int:
         """Return the offset where reading resumes after a damaged record."""
         chunk = _find_chunk(self._data, position + 1, self._end) if self._may_have_chunks else self._end
         self._may_have_chunks = chunk < self._end
-        if self._has_chunks or self._may_have_chunks or self._data[position] == Opcode.CHUNK:
-            return chunk
-        return self._find_message(position + 1, self._end)
+        may_be_chunk = self._has_chunks or not self._has_messages
+        is_chunk = position in self._listed or (self._data[position] == Opcode.CHUNK and may_be_chunk)
+        is_in_chunks = not self._has_messages and (self._has_chunks or self._may_have_chunks)
+        return chunk if is_chunk or is_in_chunks else self._find_message(position + 1, chunk)
 
     def _find_message(self, begin: int, end: int) -> int:
         """Return the offset of the next whole message of a known channel between two offsets; ``end`` without any."""
@@ -298,7 +354,7 @@ class _Search:
             with suppress(_DamagedError):
                 _, after = _read_head(self._data, position, self._end)
                 _, channel, _, _ = MESSAGE.unpack_from(self._data, position + 1)
-                if channel in self._channels and self._is_followed(after):
+                if self._definitions.has_channel(channel) and self._is_followed(after):
                     return position
         return end
 

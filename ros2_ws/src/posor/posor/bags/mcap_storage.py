@@ -11,6 +11,7 @@ from mcap.records import Channel, Schema, Statistics
 from posor.bags.mcap_file import (
     CHANNEL,
     Damage,
+    Definitions,
     checked_index,
     damage_error,
     definitions_of,
@@ -93,10 +94,13 @@ class McapFile(StoredFile):
             known = {number for number, each in channels.items() if each.schema_id in schemas or not each.schema_id}
             if counts.total() == statistics.message_count and counts.keys() <= known:
                 return schemas, channels, counts
-        counts = Counter[int]()
+        counts, definitions = Counter[int](), Definitions(self.index)
         for span in self.spans:
             try:
                 records = list(records_of(self.records(span)))
+                for record in records:
+                    if record.opcode in {Opcode.SCHEMA, Opcode.CHANNEL}:
+                        definitions.add(record)
             except ValueError as error:
                 raise self.damage(span, f"a chunk is damaged: {_clause(error)}") from error
             more_schemas, more_channels = definitions_by_number(definitions_of(records))

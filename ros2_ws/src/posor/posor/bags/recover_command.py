@@ -109,10 +109,9 @@ def recover(bag: Path, output: Path) -> list[Rescue]:
         raise
     if not any(rescue.messages for rescue in rescues):
         shutil.rmtree(output)
-        first = "; ".join(
-            f"{each.damages[0].what} at byte {each.damages[0].offset}" for each in rescues if each.damages
-        )
-        raise BagError(f"holds no whole message{first and ', '}{first}", where=str(bag))
+        first = [f"{each.damages[0].what} at byte {each.damages[0].offset}" for each in rescues if each.damages]
+        lost = [f"{count} messages lost, {reason}" for each in rescues for reason, count in each.lost.items()]
+        raise BagError(", ".join(["holds no whole message", *first, *lost]), where=str(bag))
     return rescues
 
 

@@ -206,11 +206,7 @@ METADATA_FAULTS: dict[str, tuple[dict[str, bytes], dict[str, Any], str]] = {
         "metadata.yaml: cannot be read, no 'relative_file_pa",
     ),
     "two storages": ({"a.mcap": WHOLE, "b.db3": b""}, {}, r"b.db3: has no table topics; expected a rosbag2 bag"),
-    "another file": (
-        {"a.bag": b"#ROSBAG"},
-        {},
-        "a.bag: is no file that ends in .mcap or .db3; expected a ros",
-    ),
+    "another file": ({"a.bag": b"#ROSBAG"}, {}, "a.bag: is no file that ends in .mcap or .db3; expected a ros"),
 }
 
 
@@ -237,7 +233,7 @@ def test_log_times_beyond_the_range_are_refused(tmp_path: Path) -> None:
         BagError, match=r"a.mcap: messages are logged at 9223372036854775810 ns; expected at most 2\^63"
     ):
         read(tmp_path / "a.mcap")
-    with pytest.raises(BagError, match="holds no whole message"):
+    with pytest.raises(BagError, match="holds no whole message, 3 messages lost, their log times are damaged"):
         recover(tmp_path / "a.mcap", tmp_path / "out")
 
 
@@ -252,13 +248,13 @@ def test_a_chunk_that_is_not_where_the_index_lists_it_is_damage(tmp_path: Path) 
 
 
 @pytest.mark.parametrize("flips", [60, pytest.param(1500, marks=pytest.mark.long)])
-def test_one_damaged_byte_of_a_file_without_chunks_costs_two_messages_at_most(flips: int, tmp_path: Path) -> None:
+def test_a_flipped_bit_of_a_file_without_chunks_costs_two_messages_at_most(flips: int, tmp_path: Path) -> None:
     whole, chance = mcap({CDR: 60}, **unindexed(use_chunking=False)), np.random.default_rng(43)
     sent = [n.to_bytes(40, "little") for n in range(60)]
-    begin = whole.index(sent[0]) - 31
+    begin = whole.index(sent[1]) - 2 * 31 - 40  # of the first message
     for n in range(flips):
         data, at = bytearray(whole), int(chance.integers(begin, len(whole) - 60))
-        data[at] ^= int(chance.integers(1, 256))
+        data[at] ^= 1 << int(chance.integers(8))
         (tmp_path / "a.mcap").write_bytes(data)
         (rescue,) = recover(tmp_path / "a.mcap", tmp_path / f"out{n}")
         with opened_bag(tmp_path / f"out{n}") as reader:
@@ -267,6 +263,17 @@ def test_one_damaged_byte_of_a_file_without_chunks_costs_two_messages_at_most(fl
         if len(found) < 60:
             assert rescue.damages or rescue.skipped or rescue.lost
         shutil.rmtree(tmp_path / f"out{n}")
+
+
+def test_an_end_of_the_data_before_their_last_record_is_damage(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    path.write_bytes(mcap({CDR: 60}, **unindexed(use_chunking=False)))
+    at = path.read_bytes().index((7).to_bytes(40, "little")) - 31
+    damaged(path, at, b"\x0f")
+    with pytest.raises(BagError, match=rf"a.mcap, byte {at}: the record that ends the data is not the last"):
+        read(path)
+    (rescue,) = recover(path, tmp_path / "out")
+    assert (rescue.messages, [damage.offset for damage in rescue.damages]) == (59, [at])
 
 
 def state_of(folder: Path) -> dict[str, bytes]:
