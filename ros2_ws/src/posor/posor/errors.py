@@ -6,13 +6,15 @@ are attributes as well, for callers.
 
 from __future__ import annotations
 
+from contextlib import contextmanager
+from copy import copy
 from difflib import get_close_matches
 from math import isfinite
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Iterator, Sequence
 
     from posor.model.fault import Fault
 
@@ -24,10 +26,12 @@ class PosorError(Exception):
         what: What is wrong, a clause without a full stop.
         where: File, line, key, topic or parameter at fault; empty if the text names it.
         expected: What is expected; empty if it is obvious.
+        summed: The single errors that this error sums up; empty: it is a single error.
 
     """
 
     exit_code = 1
+    summed: tuple[PosorError, ...] = ()
 
     def __init__(self, what: str, *, where: str = "", expected: str = "") -> None:
         self.what = what
@@ -38,6 +42,11 @@ class PosorError(Exception):
             sentence += f"; expected {expected}"
         super().__init__(sentence + ".")
 
+    @property
+    def parts(self) -> tuple[PosorError, ...]:
+        """The single errors, each with its place: itself, or those that it sums up."""
+        return self.summed or (self,)
+
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle the error with all attributes, for errors raised in worker processes."""
         return _unpickle, (type(self), str(self), self.__dict__)
@@ -47,6 +56,59 @@ def _unpickle(kind: type[PosorError], sentence: str, attributes: dict[str, Any])
     error = kind.__new__(kind, sentence)
     error.__dict__.update(attributes)
     return error
+
+
+ErrorT = TypeVar("ErrorT", bound=PosorError)
+
+
+def sum_up(errors: Sequence[ErrorT]) -> ErrorT:
+    """Return one error of a kind for several: the first with the number of further ones; one is returned as it is."""
+    first, *others = errors
+    if not others:
+        return first
+    summary = copy(first)
+    PosorError.__init__(summary, f"{first.what} (and {len(others)} more)", where=first.where, expected=first.expected)
+    summary.summed = tuple(errors)
+    return summary
+
+
+class SeveralErrors(PosorError):
+    """Errors of several kinds, one sentence a line."""
+
+    def __init__(self, errors: Sequence[PosorError]) -> None:
+        super().__init__("\n".join(map(str, errors)).rstrip("."))
+        self.summed = tuple(errors)
+        self.exit_code = max(error.exit_code for error in errors)
+
+
+class ErrorCollector:
+    """Collects the errors of independent checks, so that all are reported at once.
+
+    Attributes:
+        errors: The single errors so far, each once.
+
+    """
+
+    def __init__(self) -> None:
+        self.errors: list[PosorError] = []
+
+    @contextmanager
+    def collecting(self) -> Iterator[None]:
+        """Collect a PosorError that ends the ``with`` block."""
+        try:
+            yield
+        except PosorError as error:
+            self.add(error)
+
+    def add(self, error: PosorError) -> None:
+        """Add the parts of an error that are not known yet."""
+        known = set(map(str, self.errors))
+        self.errors += [part for part in error.parts if str(part) not in known]
+
+    def raise_errors(self) -> None:
+        """Raise what was collected. Raises PosorError: the only error, or SeveralErrors."""
+        if self.errors:
+            raise self.errors[0] if len(self.errors) == 1 else SeveralErrors(self.errors)
 
 
 class ParameterError(PosorError):

@@ -15,12 +15,13 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic_core import PydanticUndefined
 
 from posor.calibration.file_model import FrozenModel
-from posor.errors import ParameterError, similar_name
+from posor.errors import ParameterError, similar_name, sum_up
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
     from pydantic.fields import FieldInfo
+    from pydantic_core import ErrorDetails
 
 ModelT = TypeVar("ModelT", bound=BaseModel)
 
@@ -180,11 +181,12 @@ def validate_parameters(model: type[ModelT], values: Mapping[str, object], *, no
     Raises ParameterError: a value is wrong or missing, or a name is unknown; names ``node``.
     """
     known = {spec.name: spec for spec in parameter_specs(model)}
+    errors = []
     for name in values:
         if name not in known:
             where = f"node {node}, parameter '{name}'"
             expected = REPLACED.get(name) or similar_name(name, known, "a parameter of the node", least=0.0)
-            raise ParameterError("there is no such parameter", where=where, expected=expected, parameter=name)
+            errors.append(ParameterError("there is no such parameter", where=where, expected=expected, parameter=name))
     tree: dict[str, Any] = {}
     for name, spec in known.items():
         *groups, leaf = name.split(".")
@@ -194,25 +196,29 @@ def validate_parameters(model: type[ModelT], values: Mapping[str, object], *, no
         if name in values:
             branch[leaf] = spec.as_declared(values[name])
     try:
-        return model.model_validate(tree)
+        parameters = model.model_validate(tree)
     except ValidationError as error:
-        raise _first_error(error, known, node) from None
+        found = [_parameter_error(details, known, node) for details in error.errors(include_url=False)]
+        meant = {each.expected for each in errors}  # by a misspelt name, so that its parameter is not set
+        errors += [each for each in found if f"perhaps '{each.parameter}'" not in meant]
+    if errors:
+        raise sum_up(errors)
+    return parameters
 
 
-def _first_error(error: ValidationError, known: Mapping[str, ParameterSpec], node: str) -> ParameterError:
-    first = error.errors(include_url=False)[0]
-    path = [str(part) for part in first["loc"]]
+def _parameter_error(details: ErrorDetails, known: Mapping[str, ParameterSpec], node: str) -> ParameterError:
+    path = [str(part) for part in details["loc"]]
     while path and ".".join(path) not in known:
         path.pop()  # an index within a list
     name = ".".join(path)
     where = f"node {node}, parameter '{name}'" if name else f"node {node}"
-    if first["type"] == "value_error":
-        return ParameterError(str(first["ctx"]["error"]), where=where, parameter=name)
+    if details["type"] == "value_error":
+        return ParameterError(str(details["ctx"]["error"]), where=where, parameter=name)
     spec = known[name]
-    if first["type"] == "missing":
+    if details["type"] == "missing":
         expected = f"{spec.constraint}: {spec.field.description}"
         return ParameterError("is not set", where=where, expected=expected, parameter=name)
-    return ParameterError(f"{first['input']!r} is wrong", where=where, expected=spec.constraint, parameter=name)
+    return ParameterError(f"{details['input']!r} is wrong", where=where, expected=spec.constraint, parameter=name)
 
 
 def help_text(model: type[BaseModel], prefix: str = "") -> str:

@@ -14,9 +14,10 @@ from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument, LogInfo, OpaqueFunction
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
-from posor_bringup.arm_programs import arm_programs
-from posor_bringup.arms import load_checked_arm
+from posor_bringup.arm_programs import full_name
+from posor_bringup.arms import check_arm
 from posor_bringup.bringup_options import parse_driver_parameters
+from posor_bringup.graph_observer import GraphObserver
 from posor_bringup.tool_views import VIEWS, write_views
 
 if TYPE_CHECKING:
@@ -40,19 +41,22 @@ def arm_nodes(context: LaunchContext) -> list[LaunchDescriptionEntity]:
     def value(argument: str) -> str:
         return str(LaunchConfiguration(argument).perform(context))
 
-    arm, view = load_checked_arm(value("arm")), value("view")
-    programs = arm_programs(
-        arm,
-        drivers=value("drivers") == "true",
-        driver_parameters=parse_driver_parameters(value("driver_parameters")),
-        parameters={"use_sim_time": value("use_sim_time") == "true"},
-    )
+    view, files = value("view"), [Path(path) for path in value("params_file").split()]
+    with GraphObserver() as graph:
+        arm, _, _, programs = check_arm(
+            value("arm"),
+            drivers=value("drivers") == "true",
+            driver_parameters=parse_driver_parameters(value("driver_parameters")),
+            parameters={"use_sim_time": value("use_sim_time") == "true"},
+            parameter_files=files,
+        )
+        graph.refuse_running([full_name(program) for program in programs])
     tools: list[LaunchDescriptionEntity] = []
     if view != "none":
         folder = Path(value("view_folder")) / arm.name
         folder.mkdir(parents=True, exist_ok=True)
-        files = write_views(arm, folder)
-        tools = [LogInfo(msg=f"views of {arm.name}: {folder}"), *view_nodes(view, files)]
+        views = write_views(arm, folder)
+        tools = [LogInfo(msg=f"views of {arm.name}: {folder}"), *view_nodes(view, views)]
     return tools + [
         Node(
             package=program.package,
@@ -73,6 +77,7 @@ def generate_launch_description() -> LaunchDescription:
             DeclareLaunchArgument("arm", default_value="five_axis", description="name or path of an arm file"),
             DeclareLaunchArgument("drivers", default_value="true", choices=["true", "false"]),
             DeclareLaunchArgument("driver_parameters", default_value="", description="name:=value name:=value ..."),
+            DeclareLaunchArgument("params_file", default_value="", description="ROS parameter files of the nodes"),
             DeclareLaunchArgument("view", default_value="none", choices=["none", *VIEWS]),
             DeclareLaunchArgument("view_folder", default_value="build/views", description="folder for views"),
             DeclareLaunchArgument("use_sim_time", default_value="false", choices=["true", "false"]),

@@ -3,14 +3,21 @@
 from __future__ import annotations
 
 import re
+from contextlib import suppress
+from dataclasses import replace
 from typing import TYPE_CHECKING, Literal, get_args
 
 import yaml
+from posor.chain.arm_file import CHAIN_NODE, POSOR_NODE, node_errors, posor_parameters
 from posor.chain.arm_file import chain_parameters as chain_parameters_of
-from posor.chain.arm_file import posor_parameters
-from posor.errors import ParameterError
-from posor.node_parameters import RECORDING
+from posor.errors import ErrorCollector, ParameterError, PosorError, similar_name
+from posor.node_parameters import RECORDING, ChainParameters, PosorParameters
+from posor.parameter_model import validate_parameters
+from posor.ros_names import ROS_OWN_PARAMETERS
+from posor_drivers.driver_parameters import driver_parameters_for
 from posor_drivers.sources.source import LiveSource, load_source_class
+from posor_ros.parameter_files import load_parameter_file
+from posor_ros.qos_overrides import PREFIX, QosOverrides
 
 from posor_bringup.supervisor import ProgramCommand
 
@@ -19,9 +26,11 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from posor.chain.arm_file import ArmFile
+    from pydantic import BaseModel
 
     from posor_bringup.supervisor import Parameter
 
+DRIVER_NODE = "driver_node"
 Layout = Literal["separate", "drivers_apart", "composed"]
 LAYOUTS: tuple[Layout, ...] = get_args(Layout)
 """One process for each node; one for all drivers and one for all other nodes; one for all nodes."""
@@ -36,6 +45,7 @@ def arm_programs(
     driver_parameters: Mapping[str, Parameter] | None = None,
     chain_parameters: Mapping[str, Parameter] | None = None,
     parameters: Mapping[str, Parameter] | None = None,
+    parameter_files: Sequence[Path] = (),
 ) -> list[ProgramCommand]:
     """Return one program for each node, subscribers first: chain_node, then posor_node and driver_node of each joint.
 
@@ -46,28 +56,84 @@ def arm_programs(
         chain_parameters: ROS parameters of chain_node; they replace those of the arm file.
         parameters: ROS parameters of all nodes, such as ``use_sim_time``; they replace the freshness of the stamps that
             follows from the source.
+        parameter_files: ROS parameter files; their values replace all others.
 
     Raises:
-        NodeError: The arm file has an unknown parameter of chain_node or of a posor_node.
-        ParameterError: A driver parameter of the arm file contains an unknown placeholder.
+        NodeError: A node has an unknown parameter or an invalid value.
+        ParameterError: A driver parameter of the arm file contains an unknown placeholder, or a section of a parameter
+            file is for no node of the arm.
+        CalibrationError: A parameter file cannot be read.
+        SeveralErrors: More than one of these.
 
     """
-    common = {**(_freshness(arm, driver_parameters or {}) if drivers else {}), **(parameters or {})}
-    chain = {**chain_parameters_of(arm), **common, **(chain_parameters or {})}
-    programs = [_arm_node("posor_estimator", "chain_node", f"/{arm.name}", chain)]
+    errors, given = ErrorCollector(), driver_parameters or {}
+    common = {**(_freshness(arm, given) if drivers else {}), **(parameters or {})}
+    chain = {**chain_parameters_of(arm, checked=False), **common, **(chain_parameters or {})}
+    programs = [_arm_node("posor_estimator", CHAIN_NODE, f"/{arm.name}", chain)]
     for joint in arm.calibrations:
-        posor = {**posor_parameters(arm, joint), **common}
-        programs.append(_arm_node("posor_estimator", "posor_node", f"/{arm.name}/{joint}", posor))
+        posor = {**posor_parameters(arm, joint, checked=False), **common}
+        programs.append(_arm_node("posor_estimator", POSOR_NODE, f"/{arm.name}/{joint}", posor))
     for joint in arm.calibrations if drivers else ():
-        driver = {**_driver_parameters(arm, joint), **common, **(driver_parameters or {})}
-        programs.append(_arm_node("posor_drivers", "driver_node", f"/{arm.name}/{joint}", driver))
+        with errors.collecting():
+            driver = {**_driver_parameters(arm, joint), **common, **given}
+            programs.append(_arm_node("posor_drivers", DRIVER_NODE, f"/{arm.name}/{joint}", driver))
+    names, places = [full_name(program) for program in programs], dict[tuple[str, str], str]()
+    for path in parameter_files:
+        with errors.collecting():
+            for section in load_parameter_file(path):
+                if not any(map(section.is_for, names)):
+                    what, expected = f"no node of the arm is called '{section.name}'", f"one of {', '.join(names)}"
+                    expected = similar_name(section.name, names, expected)
+                    errors.add(ParameterError(what, where=section.place, expected=expected))
+                for n, name in enumerate(names):
+                    if section.is_for(name):
+                        programs[n] = replace(programs[n], parameters={**programs[n].parameters, **section.parameters})
+                        places |= {(name, each): place for each, place in section.places.items()}
+    options = {name: f"option -p {name}" for name in given}
+    for name, program in zip(names, programs, strict=True):
+        joint = program.namespace.partition("/")[2].partition("/")[2]
+        own = {**arm.driver_locations, **options} if program.executable == DRIVER_NODE else arm.node_locations(joint)
+        of_files = {each: place for (node, each), place in places.items() if node == name}
+        if found := _parameter_errors(program):
+            node = DRIVER_NODE if program.executable == DRIVER_NODE else program.name  # errors of all drivers are one
+            errors.add(node_errors(found, node, {**own, **of_files}, str(arm.path)))
+    errors.raise_errors()
     return programs
+
+
+def full_name(program: ProgramCommand) -> str:
+    """Return the name of a program's node in the graph."""
+    return f"{program.namespace}/{program.executable}"
+
+
+def own_parameters(program: ProgramCommand) -> dict[str, Parameter]:
+    """Return the parameters that a program's node declares, without those of every node of rclpy."""
+    return {name: value for name, value in program.parameters.items() if not name.startswith(ROS_OWN_PARAMETERS)}
+
+
+def _parameter_errors(program: ProgramCommand) -> list[PosorError]:
+    """Return an error for each parameter that the node of a program will not accept."""
+    errors, own, name = ErrorCollector(), own_parameters(program), program.executable
+    with errors.collecting():
+        QosOverrides(name, {each: value for each, value in program.parameters.items() if each.startswith(PREFIX)})
+    model: type[BaseModel] = PosorParameters if name == POSOR_NODE else ChainParameters
+    if name == DRIVER_NODE:
+        with errors.collecting():
+            driver_parameters_for(own)
+        wrong = {error.parameter for error in errors.errors if isinstance(error, ParameterError)}
+        if "source" in wrong:
+            return errors.errors
+        own = {each: value for each, value in own.items() if each not in wrong}
+        model = driver_parameters_for(own)
+    with errors.collecting():
+        validate_parameters(model, own, node=name if name == DRIVER_NODE else program.name)
+    return errors.errors
 
 
 def _arm_node(package: str, executable: str, namespace: str, parameters: Mapping[str, Parameter]) -> ProgramCommand:
     """Return the program of one node in the namespace of its arm or joint."""
     joint = "".join(f"{name}/" for name in namespace.split("/")[2:])
-    ends = executable == "driver_node"
+    ends = executable == DRIVER_NODE
     enclave = f"{namespace}/{executable}"
     return ProgramCommand(f"{joint}{executable}", package, executable, (), namespace, parameters, ends, enclave)
 
@@ -75,8 +141,10 @@ def _arm_node(package: str, executable: str, namespace: str, parameters: Mapping
 def _freshness(arm: ArmFile, driver_parameters: Mapping[str, Parameter]) -> Mapping[str, Parameter]:
     """Return the freshness that all nodes expect of the stamps: any age of a recording that keeps its stamps."""
     parameters = {"source": arm.driver.source, **arm.driver.parameters, **driver_parameters}
-    is_live = issubclass(load_source_class(str(parameters["source"])), LiveSource)
-    return {} if is_live or parameters.get("restamp") else RECORDING
+    with suppress(ParameterError):  # an unknown source is an error of each driver
+        if not (parameters.get("restamp") or issubclass(load_source_class(str(parameters["source"])), LiveSource)):
+            return RECORDING
+    return {}
 
 
 def _driver_parameters(arm: ArmFile, joint: str) -> dict[str, Parameter]:
@@ -86,7 +154,7 @@ def _driver_parameters(arm: ArmFile, joint: str) -> dict[str, Parameter]:
         parameters |= {"simulated.arm": str(arm.path.resolve()), "simulated.joint": joint}
     known = {"arm": arm.name, "joint": joint, "folder": str(arm.path.resolve().parent)}
     for name, value in arm.driver.parameters.items():
-        where = f"{arm.path}, key driver.parameters.{name}"
+        where = arm.driver_locations[name]
         if isinstance(value, list):
             parameters[name] = [_fill_placeholders(entry, known, where) for entry in value]
         else:

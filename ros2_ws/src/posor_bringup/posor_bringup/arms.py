@@ -1,16 +1,40 @@
-"""Finds an arm by name or path and checks that its files are consistent."""
+"""Finds an arm by name or path, and checks all its files and parameters before any node starts.
+
+Everything that is wrong is reported at once. ``posor arm check``, ``bringup``, the launch file and all programs that
+read an arm use this check.
+"""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
 
+from posor.calibration.calibration_file import load_calibration
 from posor.calibration.shared_terms import check_same_terms
+from posor.calibration.yaml_document import FileLocations, parse_yaml, read_text
 from posor.chain.arm_file import ArmFile, load_arm_file
+from posor.chain.beams_file import load_beams
 from posor.chain.commissioning_record import load_record
-from posor.errors import ChainError, ParameterError
+from posor.chain.kinematic_chain import load_chain
+from posor.errors import CalibrationError, ChainError, ErrorCollector, ParameterError, PosorError
+from posor.messages.message_definitions import MessageTypes
+from posor.parameter_model import validate_parameters
+from posor_drivers.driver_parameters import driver_parameters_for
 from posor_drivers.simulator.arm_simulation import ArmSimulation
+from posor_drivers.simulator.scenario import load_scenario
+from posor_drivers.sources.simulated_source import SimulatedParameters
+from posor_drivers.sources.source import load_source_class
 
+from posor_bringup.arm_programs import DRIVER_NODE, arm_programs, own_parameters
 from posor_bringup.installed import share
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from posor.calibration.calibration_file import Calibration
+    from posor.chain.kinematic_chain import Chain
+
+    from posor_bringup.supervisor import Parameter, ProgramCommand
 
 ARM_FILE = "arm.yaml"
 
@@ -32,28 +56,149 @@ def find_arm(text: str) -> Path:
     raise ParameterError("no such arm", where=f"arm '{text}'", expected=f"the path of an arm file, or one of {names}")
 
 
-def load_checked_arm(text: str) -> ArmFile:
-    """Load an arm, given as for ``find_arm``, and check that all its files can be read and are consistent.
+class CheckedArm(NamedTuple):
+    """An arm of which no file and no parameter is wrong."""
 
-    Raises ParameterError: there is no such arm; CalibrationError: a file cannot be read or is invalid, two files state
-    different uncertainties of a shared term, or the scenario does not fit the arm; ChainError: the URDF is invalid, or
-    the calibrations do not match its joints.
+    arm: ArmFile
+    chain: Chain
+    calibrations: Mapping[str, Calibration]  # by joint, sessions applied
+    programs: Sequence[ProgramCommand]  # one for each node
+
+
+def check_arm(
+    text: str,
+    *,
+    drivers: bool = True,
+    driver_parameters: Mapping[str, Parameter] | None = None,
+    parameters: Mapping[str, Parameter] | None = None,
+    parameter_files: Sequence[Path] = (),
+) -> CheckedArm:
+    """Load an arm, given as for ``find_arm``, and check all its files and the parameters of its nodes.
+
+    The other arguments are those of ``arm_programs``; without ``drivers`` their parameters and source are not checked.
+
+    Raises PosorError: there is no such arm, or a file or a parameter is wrong. An error for several problems is a
+    SeveralErrors.
     """
-    arm = load_arm_file(find_arm(text))
-    chain = arm.chain()
-    terms = {str(arm.beams): chain.shared}
-    for joint in chain.joints:
-        calibration = arm.calibration(joint.name)
-        frames, terms[str(arm.calibrations[joint.name])] = calibration.frames, calibration.shared
-        if (frames.parent, frames.child) != (joint.parent, joint.child):
-            raise ChainError(
-                f"measures '{frames.child}' in '{frames.parent}'",
-                where=f"{arm.calibrations[joint.name]}, calibration of joint '{joint.name}'",
-                expected=f"'{joint.child}' in '{joint.parent}', as in {arm.urdf}",
-            )
-    check_same_terms(terms)
+    path, errors = find_arm(text), ErrorCollector()
+    try:
+        arm = load_arm_file(path)
+    except PosorError as error:
+        errors.add(error)
+        _check_named_files(path, errors)
+        errors.raise_errors()
+        raise
+    programs: list[ProgramCommand] = []
+    with errors.collecting():
+        programs = arm_programs(
+            arm,
+            drivers=drivers,
+            driver_parameters=driver_parameters,
+            parameters=parameters,
+            parameter_files=parameter_files,
+        )
+    calibrations: dict[str, Calibration] = {}
+    for joint in arm.calibrations:
+        with errors.collecting():
+            calibrations[joint] = arm.calibration(joint)
+    chain = _check_chain(arm, calibrations, errors)
     if arm.commissioning is not None and arm.commissioning.exists():  # before the first commissioning there is none
-        load_record(arm.commissioning)
+        with errors.collecting():
+            _check_record(arm)
+    simulated: Any = None
+    for program in programs:
+        joint = program.namespace.rpartition("/")[2]
+        if program.executable == DRIVER_NODE and joint in calibrations:
+            with errors.collecting():
+                own = _source_parameters(program)
+                simulated = own if isinstance(own, SimulatedParameters) else simulated
+                load_source_class(str(program.parameters["source"]))(own, MessageTypes()).check(calibrations[joint])
     if arm.scenario is not None:
-        ArmSimulation(arm)  # each driver makes one; here its errors are reported before anything is started
-    return arm
+        with errors.collecting():
+            if chain is None or calibrations.keys() != arm.calibrations.keys():
+                load_scenario(arm.scenario)
+            elif simulated is None:
+                ArmSimulation(arm)
+            else:  # each driver simulates the arm; here the errors are reported before any node starts
+                ArmSimulation(arm, simulated, simulated.rate, simulated.truth)
+    errors.raise_errors()
+    return CheckedArm(arm, arm.chain() if chain is None else chain, calibrations, programs)
+
+
+def load_checked_arm(text: str) -> ArmFile:
+    """Return an arm, given as for ``find_arm``, whose files are right; the drivers are not checked.
+
+    Raises PosorError: see ``check_arm``.
+    """
+    return check_arm(text, drivers=False).arm
+
+
+def _source_parameters(program: ProgramCommand) -> Any:
+    """Return the parameters of a driver's source."""
+    parameters = own_parameters(program)
+    model = validate_parameters(driver_parameters_for(parameters), parameters, node=program.name)
+    return getattr(model, str(parameters["source"]))
+
+
+def _check_named_files(path: Path, errors: ErrorCollector) -> None:
+    """Check each file that an invalid arm file names, by itself."""
+    with errors.collecting():
+        _, content = parse_yaml(read_text(path, "arm file"), str(path))
+        if not isinstance(content, dict):
+            return
+        folder, joints = path.resolve().parent, content.get("joints")
+        entries = joints.values() if isinstance(joints, dict) else ()
+        named = [
+            *((content.get(key), load) for key, load in (("beams", load_beams), ("scenario", load_scenario))),
+            (content.get("urdf"), lambda urdf: load_chain(urdf, str(content.get("endpoint_frame", "endpoint")))),
+            *((each.get("calibration"), load_calibration) for each in entries if isinstance(each, dict)),
+        ]
+        for name, load in named:
+            if isinstance(name, str) and name:
+                with errors.collecting():
+                    load(folder / name)
+
+
+def _check_chain(arm: ArmFile, calibrations: Mapping[str, Calibration], errors: ErrorCollector) -> Chain | None:
+    """Check URDF and beams by themselves and together, then against the calibrations; None: the chain is wrong."""
+    chain = plain = None
+    with errors.collecting():
+        plain = load_chain(arm.urdf, arm.endpoint_frame)
+    if arm.beams is not None:
+        with errors.collecting():
+            load_beams(arm.beams)
+    with errors.collecting():
+        chain = arm.chain()
+    for joint in () if plain is None else plain.joints:
+        calibration = calibrations.get(joint.name)
+        if calibration is None:
+            continue
+        frames = calibration.frames
+        if (frames.parent, frames.child) != (joint.parent, joint.child):
+            path = arm.calibrations[joint.name]
+            place = FileLocations(str(path), parse_yaml(read_text(path, "calibration file"), str(path))[0])
+            errors.add(
+                ChainError(
+                    f"measures '{frames.child}' in '{frames.parent}'",
+                    where=f"{place.describe('frames')}, calibration of joint '{joint.name}'",
+                    expected=f"'{joint.child}' in '{joint.parent}', as in {arm.urdf}",
+                )
+            )
+    terms = {str(arm.calibrations[joint]): calibration.shared for joint, calibration in calibrations.items()}
+    with errors.collecting():
+        check_same_terms({**({} if chain is None else {str(arm.beams): chain.shared}), **terms})
+    return chain
+
+
+def _check_record(arm: ArmFile) -> None:
+    """Check the commissioning record of an arm that has one."""
+    if arm.commissioning is None:
+        return
+    record = load_record(arm.commissioning)
+    commissioned = record.files.calibrations
+    if set(commissioned) != set(arm.calibrations):
+        raise CalibrationError(
+            f"joints {', '.join(commissioned)}",
+            where=f"commissioning record {arm.commissioning}",
+            expected=f"{', '.join(arm.calibrations)}, the joints of {arm.path}",
+        )

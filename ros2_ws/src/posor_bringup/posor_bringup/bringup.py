@@ -2,28 +2,39 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import time
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from posor.chain.arm_file import CHAIN_NODE, load_arm_file
+from posor.errors import ParameterError, PosorError
 from posor.node_parameters import RECORDING
 from posor.reporting.command_line_parser import CommandLineParser
 from posor.reporting.program_errors import reports_errors
-from posor_ros.node_program import SPIN_TIMEOUT_S, StopSignal, non_ros_arguments
+from posor_ros.node_program import SPIN_TIMEOUT_S, StopSignal
+from posor_ros.parameter_files import OPTION, parameter_files_of
+from posor_ros.ros_arguments import split_ros_arguments
 from rich.console import Console
 
-from posor_bringup.arm_programs import LAYOUTS, arm_programs, group_programs
-from posor_bringup.arms import installed_arms, load_checked_arm
+from posor_bringup.arm_programs import LAYOUTS, full_name, group_programs
+from posor_bringup.arms import check_arm, find_arm, installed_arms
 from posor_bringup.bringup_options import LOGS, add_driver_parameters, prepare_output_folder
+from posor_bringup.graph_observer import GraphObserver
 from posor_bringup.supervisor import Supervisor
 from posor_bringup.tool_views import VIEWS, write_views
 
 if TYPE_CHECKING:
     from argparse import Namespace
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from posor_bringup.supervisor import RunningProgram
+
+
+GRAPH_CHECK_S = 10.0
+"""Time after the start in which the nodes of a second arm of the same name are looked for."""
 
 
 def parse_options(arguments: Sequence[str]) -> Namespace:
@@ -45,6 +56,14 @@ def parse_options(arguments: Sequence[str]) -> Namespace:
     )
     add_driver_parameters(parser)
     parser.add_argument(
+        OPTION,
+        action="append",
+        default=[],
+        type=Path,
+        metavar="FILE",
+        help="ROS parameter file, whose sections name nodes of the arm; may be repeated",
+    )
+    parser.add_argument(
         "--output",
         type=Path,
         default=Path("build/bringup"),
@@ -58,36 +77,70 @@ def parse_options(arguments: Sequence[str]) -> Namespace:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the program; the exit code is 0 if all nodes ended without error."""
     argv = sys.argv if arguments is None else arguments
-    _run_arm(parse_options(non_ros_arguments(argv)))
+    own, of_ros = split_ros_arguments(argv[1:])
+    options = parse_options(own)
+    options.params_file += parameter_files_of(of_ros)
+    if len(of_ros) != 2 * len(parameter_files_of(of_ros)):
+        expected = f"{OPTION} FILE, -p NAME:=VALUE of the drivers, or parameters in the arm file"
+        raise ParameterError("ROS arguments do not reach the nodes", where="bringup", expected=expected)
+    _run_arm(options)
     return 0
+
+
+def _enclave(options: Namespace) -> str:
+    """Return the identity of the first node in a network with SROS 2, which this program shares."""
+    if os.environ.get("ROS_SECURITY_ENABLE") == "true":
+        with suppress(PosorError):
+            process = CHAIN_NODE if options.layout == "separate" else "compose"
+            return f"/{load_arm_file(find_arm(options.arm)).name}/{process}"
+    return ""
 
 
 def _run_arm(options: Namespace) -> None:
     console = Console(highlight=False, soft_wrap=True, markup=False)
-    arm = load_checked_arm(options.arm)
     parameters: dict[str, bool | float] = dict(RECORDING) if options.recording else {}
     if options.use_sim_time:
         parameters["use_sim_time"] = True
-    nodes = arm_programs(
-        arm, drivers=not options.no_driver, driver_parameters=dict(options.parameters), parameters=parameters
-    )
-    folder = prepare_output_folder(options.output / arm.name, tuple(VIEWS.values()))
-    write_views(arm, folder)
-    with StopSignal() as stop, Supervisor(folder / LOGS) as supervisor:
-        running = [supervisor.start(program) for program in group_programs(nodes, options.layout, folder)]
-        for started in running:
-            console.print(f"{started.program.name}: process {started.process.pid}")
-        console.print(f"{arm.name}: {len(nodes)} nodes started, their logs in {folder / LOGS}; Ctrl-C ends them")
-        console.print(f"views for RViz, Foxglove and PlotJuggler: {', '.join(VIEWS.values())} in {folder}")
-        _watch(supervisor, running, stop, console)
+    with GraphObserver(_enclave(options)) as graph:
+        arm, _, _, nodes = check_arm(
+            options.arm,
+            drivers=not options.no_driver,
+            driver_parameters=dict(options.parameters),
+            parameters=parameters,
+            parameter_files=options.params_file,
+        )
+        names = [full_name(node) for node in nodes]
+        graph.refuse_running(names)
+        folder = prepare_output_folder(options.output / arm.name, tuple(VIEWS.values()))
+        write_views(arm, folder)
+        with StopSignal() as stop, Supervisor(folder / LOGS) as supervisor:
+            running = [supervisor.start(program) for program in group_programs(nodes, options.layout, folder)]
+            for started in running:
+                console.print(f"{started.program.name}: process {started.process.pid}")
+            console.print(f"{arm.name}: {len(nodes)} nodes started, their logs in {folder / LOGS}; Ctrl-C ends them")
+            console.print(f"views for RViz, Foxglove and PlotJuggler: {', '.join(VIEWS.values())} in {folder}")
+            _watch(supervisor, running, stop, console, lambda: graph.refuse_second(names))
     console.print(f"{arm.name}: all nodes have ended")
 
 
-def _watch(supervisor: Supervisor, running: Sequence[RunningProgram], stop: StopSignal, console: Console) -> None:
-    """Wait for Ctrl-C; print a line when a driver has played all its scans. Raises ProcessError: a node failed."""
+def _watch(
+    supervisor: Supervisor,
+    running: Sequence[RunningProgram],
+    stop: StopSignal,
+    console: Console,
+    check_graph: Callable[[], None],
+) -> None:
+    """Wait for Ctrl-C; print a line when a driver has played all its scans.
+
+    ``check_graph`` is called for a while: an arm that started at the same time was not known before. Raises
+    ProcessError: a node failed; PosorError: of ``check_graph``.
+    """
+    graph_end_s = time.monotonic() + GRAPH_CHECK_S
     drivers = [started for started in running if started.program.ends]
     while not stop.requested:
         supervisor.check()
+        if time.monotonic() < graph_end_s:
+            check_graph()
         for driver in [driver for driver in drivers if driver.has_ended]:
             drivers.remove(driver)
             console.print(f"{driver.program.name}: all scans have been played")

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from ament_index_python.packages import get_package_prefix
 from posor_bringup.arm_programs import arm_programs
-from posor_bringup.arms import load_checked_arm
+from posor_bringup.arms import check_arm, load_checked_arm
 from posor_bringup.installed import BAGS, CALIBRATIONS, share
 
 REPLAY, ARM = (share() / "launch" / f"{name}.launch.py" for name in ("replay_1985", "arm"))
@@ -55,14 +55,12 @@ def test_arm_launch_file_uses_existing_functions_and_attributes() -> None:
         if isinstance(node, ast.ImportFrom) and node.module and node.module.startswith("posor_")
         for alias in node.names
     ]
-    assert {"arm_programs", "load_checked_arm", "parse_driver_parameters", "write_views"} <= {
-        name for _, name in imported
-    }
+    assert {"GraphObserver", "check_arm", "parse_driver_parameters", "write_views"} <= {name for _, name in imported}
     for module, name in imported:
         assert hasattr(importlib.import_module(module), name)
     used = {node.attr for node in nodes if isinstance(node, ast.Attribute) and ast.unparse(node.value) == "program"}
     assert used == {"package", "executable", "namespace", "parameters", "enclave"}
-    (call,) = (node for node in nodes if isinstance(node, ast.Call) and ast.unparse(node.func) == "arm_programs")
-    assert {keyword.arg for keyword in call.keywords} <= set(inspect.signature(arm_programs).parameters)
+    (call,) = (node for node in nodes if isinstance(node, ast.Call) and ast.unparse(node.func) == "check_arm")
+    assert {keyword.arg for keyword in call.keywords} <= set(inspect.signature(check_arm).parameters)
     for program in arm_programs(load_checked_arm("five_axis")):
         assert all(getattr(program, attribute) for attribute in used)

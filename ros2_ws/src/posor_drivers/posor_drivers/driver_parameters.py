@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from posor.errors import ParameterError
+from posor.errors import ParameterError, sum_up
 from posor.node_parameters import NodeParameters
 from posor.parameter_model import FixedAtStart, ParameterGroup
 from pydantic import ConfigDict, Field, create_model, model_validator
@@ -144,8 +144,16 @@ def driver_parameters_for(overrides: Mapping[str, object]) -> type[DriverParamet
     group: Any = (source.Parameters, ...)
     if not issubclass(source, LiveSource):
         return create_model("DriverParameters", __base__=ReplayDriverParameters, **{name: group})
-    for parameter in sorted(ReplayParameters.model_fields.keys() - NodeParameters.model_fields.keys()):
-        if parameter in overrides:
-            what, where = f"source '{name}' is live and cannot be replayed", f"parameter '{parameter}'"
-            raise ParameterError(what, where=where, expected="a recorded source, or no parameters of a replay")
+    replay = sorted(ReplayParameters.model_fields.keys() - NodeParameters.model_fields.keys())
+    what, expected = (
+        f"source '{name}' is live and cannot be replayed",
+        "a recorded source, or no parameters of a replay",
+    )
+    errors = [
+        ParameterError(what, where=f"parameter '{each}'", expected=expected, parameter=each)
+        for each in replay
+        if each in overrides
+    ]
+    if errors:
+        raise sum_up(errors)
     return create_model("DriverParameters", __base__=LiveDriverParameters, **{name: group})

@@ -24,11 +24,13 @@ from std_srvs.srv import Trigger
 from posor_ros.declared_parameters import DeclaredParameters, take_overrides
 from posor_ros.diagnostics import Diagnostics, Level
 from posor_ros.idle_scheduler import run_when_idle
+from posor_ros.parameter_files import check_sections
 from posor_ros.publication_timing import TIMING_STATUS, Timing
 from posor_ros.qos_overrides import PREFIX, QosOverrides
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterator, Sequence
+    from pathlib import Path
 
     from rclpy.qos import QoSProfile
     from rclpy.service import Service
@@ -73,10 +75,11 @@ class PosorNode(LifecycleNode, Generic[ParametersT]):
     Parameters: ClassVar[type[Any]]
     USES_KERNELS: ClassVar[bool] = False
 
-    def __init__(self, **options: Any) -> None:
+    def __init__(self, *, parameter_files: Sequence[Path] = (), **options: Any) -> None:
         """Create the node and declare its parameters; rclpy receives the options: ``context``, ``namespace``...
 
-        Raises ParameterError: a parameter is wrong, missing or unknown.
+        ``parameter_files``: those of the command line, of which each must have a section for this node. Raises
+        ParameterError: a parameter is wrong, missing or unknown, or a parameter file is for other nodes.
         """
         try:
             # The two steps of LifecycleNode's initialiser; the parameters decide whether the second opens services.
@@ -92,6 +95,7 @@ class PosorNode(LifecycleNode, Generic[ParametersT]):
         self._cleanups = ExitStack()
         self._retired: list[Callable[[], object]] = []
         try:
+            check_sections(parameter_files, [self.get_fully_qualified_name()])
             overrides = take_overrides(self)
             qos_names = [name for name in self.get_parameters_by_prefix("") if name.startswith(PREFIX)]
             qos_values = {name: self.get_parameter(name).value for name in qos_names}

@@ -21,6 +21,7 @@ from rclpy.utilities import remove_ros_args, try_shutdown
 
 from posor_ros.idle_scheduler import run_when_idle
 from posor_ros.lifecycle_node import INPUT_CHECK_S
+from posor_ros.parameter_files import parameter_files_of
 from posor_ros.realtime_process import PROCESS_STATUS, ProcessHealth, apply_realtime_parameters, prepare_heap
 from posor_ros.service_manager import ServiceManager
 
@@ -253,6 +254,6 @@ def run_node(node_class: type[PosorNode[Any]], arguments: Sequence[str] | None =
                 f"argument '{own[0]}' is unknown", where=node_class.NAME, expected="--ros-args -p name:=value"
             )
         with NodeGroup() as nodes:
-            nodes.add(node_class())
+            nodes.add(node_class(parameter_files=parameter_files_of(arguments)))
             nodes.run(lambda: stop.requested)
     return 0

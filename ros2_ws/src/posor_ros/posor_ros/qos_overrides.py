@@ -62,4 +62,5 @@ class QosOverrides:
             is_valid = choices is None or value in choices  # ``check_names`` refuses other policies
             expected = " or ".join(choices or [])
         if not is_valid:
-            raise ParameterError(f"'{name}' is {value!r}", where=f"node {self._node}", expected=expected)
+            what = f"'{name}' is {value!r}"
+            raise ParameterError(what, where=f"node {self._node}", expected=expected, parameter=name)

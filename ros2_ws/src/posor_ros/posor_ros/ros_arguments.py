@@ -7,7 +7,7 @@ import math
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
 
 def ros_arguments(
@@ -40,3 +40,18 @@ def yaml_text(value: object) -> str:
     if isinstance(value, float) and not math.isfinite(value):
         return ".nan" if math.isnan(value) else f"{'-' if value < 0.0 else ''}.inf"
     return json.dumps(value)
+
+
+def split_ros_arguments(arguments: Sequence[str]) -> tuple[list[str], list[str]]:
+    """Return the other arguments of a command line, and those between ``--ros-args`` and ``--``.
+
+    For a program that is no node: unlike rclpy it takes no ``name:=value`` elsewhere for an old remap rule.
+    """
+    parts: tuple[list[str], list[str]] = ([], [])
+    of_ros = False
+    for each in arguments:
+        if each == "--ros-args" or (each == "--" and of_ros):
+            of_ros = each != "--"
+        else:
+            parts[of_ros].append(each)
+    return parts

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import reprlib
+from copy import deepcopy
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, model_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, ValidationError, model_validator
 
 from posor.errors import CalibrationError, similar_name
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping, Sequence
 
-    from pydantic import ValidationError
     from pydantic_core import ErrorDetails
 
 Location = tuple[str | int, ...]  # keys and indices from the root of a file
@@ -60,6 +60,15 @@ def format_value(value: object) -> str:
     return _SHORT.repr(value)
 
 
+class UnknownKeyError(EntryError):
+    """A key is not of the format; ``instead``: the known key that it may have meant, or empty."""
+
+    def __init__(self, key: str, free: Sequence[str]) -> None:
+        expected = similar_name(key, free, "a key of the format")
+        super().__init__(f"unknown key '{key}'", key=(key,), expected=expected)
+        self.instead = next((name for name in free if expected == f"perhaps '{name}'"), "")
+
+
 class FrozenModel(BaseModel):
     """Base of every part of a file: immutable, unknown keys are refused."""
 
@@ -78,9 +87,7 @@ class FrozenModel(BaseModel):
             if not isinstance(key, str):
                 raise EntryError(f"key {format_value(key)} is not text", key=(key,), expected=TEXT)
             if key not in known:
-                free = [name for name in known if name not in data]
-                expected = similar_name(key, free, "a key of the format")
-                raise EntryError(f"unknown key '{key}'", key=(key,), expected=expected)
+                raise UnknownKeyError(key, [name for name in known if name not in data])
         return data
 
 
@@ -123,6 +130,51 @@ def first_problem(error: ValidationError) -> Problem:
     if len(details) == 1:
         return problem
     return Problem(f"{problem.what} (and {len(details) - 1} more)", problem.location, problem.expected)
+
+
+def all_problems(error: ValidationError, content: object, validate: Callable[[Any], object]) -> list[Problem]:
+    """Return all problems of a file's content, also those that pydantic does not reach because of an unknown key.
+
+    ``error``: of the first validation; ``validate``: repeats it with other content. An unknown key is replaced by the
+    key that it may have meant, or left out, until no further unknown key is found.
+    """
+    found: dict[Problem, None] = {}
+    renamed: dict[Location, str] = {}
+    further: ValidationError | None = error
+    while further is not None:
+        unknown = False
+        for details in further.errors(include_url=False):
+            problem = _problem(details)
+            location = tuple(renamed.get(problem.location[: n + 1], part) for n, part in enumerate(problem.location))
+            found[Problem(problem.what, location, problem.expected)] = None
+            cause = details.get("ctx", {}).get("error")
+            if isinstance(cause, UnknownKeyError):
+                content = deepcopy(content)
+                unknown |= _replace_key(content, details["loc"], cause)
+                renamed[*details["loc"], cause.instead] = str(cause.key[0])
+        further = _error_of(content, validate) if unknown else None
+    return list(found)
+
+
+def _replace_key(content: Any, mapping: Location, unknown: UnknownKeyError) -> bool:
+    """Replace or remove an unknown key of a mapping in the content; return whether it was found."""
+    try:
+        for step in mapping:
+            content = content[step]
+        value = content.pop(unknown.key[0])
+    except (LookupError, TypeError, AttributeError):  # pydantic's location is not always one of the content
+        return False
+    if unknown.instead:
+        content[unknown.instead] = value
+    return True
+
+
+def _error_of(content: object, validate: Callable[[Any], object]) -> ValidationError | None:
+    try:
+        validate(content)
+    except ValidationError as error:
+        return error
+    return None
 
 
 def _problem(details: ErrorDetails) -> Problem:

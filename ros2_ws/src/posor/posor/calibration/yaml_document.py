@@ -20,13 +20,15 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import yaml
 from pydantic import ValidationError
 
-from posor.calibration.file_model import TEXT, first_problem, format_value
-from posor.errors import CalibrationError
+from posor.calibration.file_model import TEXT, all_problems, format_value
+from posor.errors import CalibrationError, sum_up
 from posor.input_text import read_input_text
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from pathlib import Path
+
+    from posor.calibration.file_model import Problem
 
 Document = TypeVar("Document")
 
@@ -287,10 +289,15 @@ def parse_document(
     try:
         return validate(content), locations
     except ValidationError as error:
-        problem = first_problem(error)
-        what, expected, written = problem.what, problem.expected, locations.plain_scalar(*problem.location)
-        if written and expected == TEXT:
-            what = f"{written} without quotes"
-        elif written and what == format_value(written) and "number" in expected:
-            expected += next((f", {hint}" for text, hint in _HINTS if re.fullmatch(text, written)), "")
-        raise CalibrationError(what, where=locations.describe(*problem.location), expected=expected) from error
+        problems = all_problems(error, content, validate)
+        raise sum_up([_error_of(problem, locations) for problem in problems]) from error
+
+
+def _error_of(problem: Problem, locations: FileLocations) -> CalibrationError:
+    """Return the error of one problem, with the notation of the value as it stands in the file."""
+    what, expected, written = problem.what, problem.expected, locations.plain_scalar(*problem.location)
+    if written and expected == TEXT:
+        what = f"{written} without quotes"
+    elif written and what == format_value(written) and "number" in expected:
+        expected += next((f", {hint}" for text, hint in _HINTS if re.fullmatch(text, written)), "")
+    return CalibrationError(what, where=locations.describe(*problem.location), expected=expected)

@@ -17,13 +17,13 @@ from posor.calibration.calibration_file import Calibration, Provenance, load_cal
 from posor.calibration.file_model import EntryError, FrozenModel, format_value
 from posor.calibration.yaml_document import load_document
 from posor.chain.kinematic_chain import Chain, load_chain
-from posor.errors import CalibrationError, ChainError, NodeError, ParameterError, similar_name
+from posor.errors import CalibrationError, ChainError, NodeError, ParameterError, PosorError, similar_name, sum_up
 from posor.node_parameters import ChainParameters, PosorParameters
 from posor.parameter_model import validate_parameters
 from posor.ros_names import ROS_NAME_RULE, ROS_OWN_PARAMETERS, is_ros_name
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
     from pathlib import Path
 
     from posor.parameter_model import ParameterGroup
@@ -117,6 +117,8 @@ class ArmFile:
     chain_parameters: Mapping[str, ParameterValue]
     # File, line and key of these parameters, by joint ('' for chain_node) and name
     parameter_locations: Mapping[tuple[str, str], str]
+    driver_locations: Mapping[str, str]  # file, line and key of each parameter of the drivers, and of ``source``
+    joints_location: str  # file, line and key of the joints
     driver: DriverFile  # source and parameters of the drivers
     scenario: Path | None  # path of the simulator's scenario; None: no scenario
 
@@ -131,7 +133,7 @@ class ArmFile:
         if set(joints) != set(self.calibrations):
             named = ", ".join(self.calibrations) or "none"
             expected = f"{', '.join(joints)}, the floating joints of {self.urdf}"
-            raise ChainError(f"joints {named}", where=str(self.path), expected=expected)
+            raise ChainError(f"joints {named}", where=self.joints_location, expected=expected)
         return chain
 
     def calibration(self, joint: str) -> Calibration:
@@ -143,6 +145,10 @@ class ArmFile:
             expected = similar_name(str(joint), self.calibrations, f"one of {', '.join(self.calibrations)}")
             raise ParameterError(f"joint {joint!r} is unknown", where="Arm.calibration", expected=expected)
         return load_calibration(self.calibrations[joint]).for_session(self.sessions[joint])
+
+    def node_locations(self, joint: str) -> dict[str, str]:
+        """Return file, line and key of each parameter of the posor_node of a joint; '': of chain_node."""
+        return {name: place for (owner, name), place in self.parameter_locations.items() if owner == joint}
 
 
 def load_arm_file(path: Path) -> ArmFile:
@@ -179,42 +185,61 @@ def load_arm_file(path: Path) -> ArmFile:
                 for name in entry.parameters
             },
         },
+        driver_locations={
+            "source": locations.describe("driver", "source"),
+            **{name: locations.describe("driver", "parameters", name) for name in content.driver.parameters},
+        },
+        joints_location=locations.describe("joints"),
         driver=content.driver,
         scenario=folder / content.scenario if content.scenario else None,
     )
 
 
-def chain_parameters(arm: ArmFile) -> dict[str, ParameterValue]:
+def chain_parameters(arm: ArmFile, *, checked: bool = True) -> dict[str, ParameterValue]:
     """Return the ROS parameters of an arm's chain_node.
 
-    Raises NodeError: the arm file gives chain_node an unknown parameter or an invalid value; names the line.
+    ``checked``: whether chain_node must accept them. Raises NodeError: the arm file gives chain_node an unknown
+    parameter or an invalid value; names the line.
     """
     parameters: dict[str, ParameterValue] = {"urdf": str(arm.urdf), "endpoint_frame": arm.endpoint_frame}
     if arm.beams is not None:
         parameters["beams"] = str(arm.beams)
     if arm.commissioning is not None:
         parameters["commissioning"] = str(arm.commissioning)
-    return _checked(arm, "", ChainParameters, {**parameters, **arm.chain_parameters})
+    parameters |= arm.chain_parameters
+    return _checked(arm, "", ChainParameters, parameters) if checked else parameters
 
 
-def posor_parameters(arm: ArmFile, joint: str) -> dict[str, ParameterValue]:
+def posor_parameters(arm: ArmFile, joint: str, *, checked: bool = True) -> dict[str, ParameterValue]:
     """Return the ROS parameters of a joint's posor_node.
 
-    Raises NodeError: the arm file gives posor_node an unknown parameter or an invalid value; names the line.
+    ``checked``: whether posor_node must accept them. Raises NodeError: the arm file gives posor_node an unknown
+    parameter or an invalid value; names the line.
     """
     parameters = {"calibration": str(arm.calibrations[joint]), "session": arm.sessions[joint]}
-    return _checked(arm, joint, PosorParameters, {**parameters, **arm.posor_parameters[joint]})
+    parameters |= arm.posor_parameters[joint]
+    return _checked(arm, joint, PosorParameters, parameters) if checked else parameters
 
 
 def _checked(
     arm: ArmFile, joint: str, model: type[ParameterGroup], parameters: dict[str, ParameterValue]
 ) -> dict[str, ParameterValue]:
-    """Return the parameters if the node (of a joint; '': chain_node) accepts them."""
+    """Return the parameters if the node (of a joint; '': chain_node) accepts them; raise an error for each."""
     own = {name: value for name, value in parameters.items() if not name.startswith(ROS_OWN_PARAMETERS)}
     node = f"{joint}/{POSOR_NODE}" if joint else CHAIN_NODE
     try:
         validate_parameters(model, own, node=node)
     except ParameterError as error:
-        place = arm.parameter_locations.get((joint, error.parameter), str(arm.path))
-        raise NodeError(error, node, place) from error
+        raise node_errors(error.parts, node, arm.node_locations(joint), str(arm.path)) from error
     return parameters
+
+
+def node_errors(errors: Sequence[PosorError], node: str, places: Mapping[str, str], otherwise: str) -> NodeError:
+    """Return the errors of a node's parameters with their places in files, summed up.
+
+    ``places``: file, line and key by the name of the parameter; ``otherwise``: the place of all others.
+    """
+    names = [error.parameter if isinstance(error, ParameterError) else "" for error in errors]
+    return sum_up(
+        [NodeError(error, node, places.get(name, otherwise)) for error, name in zip(errors, names, strict=True)]
+    )

@@ -15,14 +15,17 @@ P = ParamSpec("P")
 
 
 def reports_errors(main: Callable[P, int]) -> Callable[P, int]:
-    """Decorate the function of a program: a PosorError is written to standard error, and its exit code returned."""
+    """Decorate the function of a program: a PosorError is written to standard error, and its exit code returned.
+
+    An error that sums up several is written as one sentence for each.
+    """
 
     @wraps(main)
     def run(*arguments: P.args, **named: P.kwargs) -> int:
         try:
             return main(*arguments, **named)
         except PosorError as error:
-            sys.stderr.write(f"{error}\n")
+            sys.stderr.writelines(f"{part}\n" for part in error.parts)
             return error.exit_code
 
     return run

@@ -16,10 +16,8 @@ from posor.chain.arm_file import ArmFile, load_arm_file
 from posor.errors import ParameterError
 from posor.reporting.command_line_parser import CommandLineParser
 from posor.reporting.program_errors import reports_errors
-from posor.sensors.bumpy_ring import BumpyRingCalibration
-from posor.sensors.diodes import DiodesCalibration
-from posor.sensors.gap_probes import GapProbesCalibration
 
+from posor_drivers.instruments.calibrated_readings import readings_of
 from posor_drivers.instruments.device import DeviceError, device_classes
 from posor_drivers.instruments.device_reader import DeviceReader
 from posor_drivers.instruments.instruments_file import READINGS, WHOLE_NUMBERS, InstrumentsFile, load_instruments
@@ -29,13 +27,10 @@ if TYPE_CHECKING:
     from argparse import Namespace
     from collections.abc import Mapping, Sequence
 
-    from posor.calibration.calibration_file import Calibration
-
 PROBE_S = 5.0
 """Time in which a device must deliver frames whose clock is known."""
 POLL_S = 0.05
 WATCH_S = 1.0
-CONTACTS = "ABCD"
 HEADING = """\
 # Instruments file of {arm}, to be completed: replace addresses, rates, numbers of channels, and every scale of 1.0.
 # `posor instruments list FILE` checks it, `posor instruments probe FILE` tries it.
@@ -194,30 +189,13 @@ def _format_starting_file(arm: ArmFile, kind: str, probes_kind: str) -> str:
     }
     for joint, path in arm.calibrations.items():
         calibration = load_calibration(path)
-        readings = _readings(calibration)
+        readings = readings_of(calibration)
         entry = content["joints"][joint] = {"frame_id": calibration.frames.parent}
         if kind != probes_kind:
             gaps = {name: readings.pop(name) for name in [*readings] if readings[name] == "gap_voltages"}
             _add_device(content, entry, f"{joint}_probes", probes_kind, gaps)
         _add_device(content, entry, joint, kind, readings)
     return HEADING.format(arm=arm.name) + yaml.safe_dump(content, sort_keys=False, width=120)
-
-
-def _readings(calibration: Calibration) -> dict[str, str]:
-    """Return the kind of each reading of a POSOR by the name of its channel, in the order of the calibration file."""
-    readings: dict[str, str] = {}
-    for sensor in calibration.sensors:
-        if isinstance(sensor, GapProbesCalibration):
-            readings |= {probe.name: "gap_voltages" for probe in sensor.probes}
-            readings |= {"reference": "reference_voltage"} if sensor.reference is not None else {}
-        elif isinstance(sensor, BumpyRingCalibration):
-            readings |= {probe.name: "ring_voltages" for probe in sensor.probes} | {"home": "home_mark"}
-        elif isinstance(sensor, DiodesCalibration):
-            names = [diode.name for diode in sensor.diodes]
-            readings |= {f"{name}_{contact}": "diode_currents" for name in names for contact in CONTACTS}
-            readings |= {f"{name}_source": "lit_sources" for name in names}
-            readings |= {"light": "light"} if sensor.ambient is not None else {}
-    return readings
 
 
 def _add_device(

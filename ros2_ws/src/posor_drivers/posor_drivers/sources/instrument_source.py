@@ -22,6 +22,7 @@ from posor.ros_names import RAW_SCAN, RAW_TOPIC
 from pydantic import Field
 
 from posor_drivers.host_clock import HostClock
+from posor_drivers.instruments.calibrated_readings import check_readings
 from posor_drivers.instruments.channel_exposures import Exposures
 from posor_drivers.instruments.device_reader import StampError, shared_reader
 from posor_drivers.instruments.instruments_file import WHOLE_NUMBERS, InstrumentsFile, JointEntry, load_instruments
@@ -31,6 +32,7 @@ from posor_drivers.sources.source import LiveSource, SourceMessage, SourceStatus
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
+    from posor.calibration.calibration_file import Calibration
     from posor.numerics.array_types import FloatArray
 
     from posor_drivers.instruments.device_reader import DeviceReader
@@ -72,13 +74,23 @@ class InstrumentSource(LiveSource[InstrumentParameters]):
         """The instruments file."""
         return self.parameters.file
 
+    def check(self, calibration: Calibration) -> None:
+        """Read the file and compare the readings of the joint with its calibration."""
+        where = f"{self.parameters.file}, key joints.{self.parameters.joint}"
+        check_readings(self._read_file().joints[self.parameters.joint], calibration, where)
+
+    def _read_file(self) -> InstrumentsFile:
+        where, name = self.parameters.file, self.parameters.joint
+        file = load_instruments(Path(where))
+        if name not in file.joints:
+            what, expected = f"'{name}' is not a joint of {where}", f"one of {', '.join(file.joints)}"
+            raise ParameterError(what, where="parameter 'instruments.joint'", expected=expected)
+        return file
+
     def open(self) -> Sequence[Topic]:
         """Read the file and start to read the devices; a device that is away is connected to when it comes."""
         where, name = self.parameters.file, self.parameters.joint
-        self._file = load_instruments(Path(where))
-        if name not in self._file.joints:
-            what, expected = f"'{name}' is not a joint of {where}", f"one of {', '.join(self._file.joints)}"
-            raise ParameterError(what, where="parameter 'instruments.joint'", expected=expected)
+        self._file = self._read_file()
         self._joint = joint = self._file.joints[name]
         self._references = [
             ReferenceReading(reference, entry, self.types)

@@ -26,6 +26,7 @@ from posor.parameter_model import ParameterGroup
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
+    from posor.calibration.calibration_file import Calibration
     from posor.messages.message_definitions import MessageTypes
     from posor_ros.diagnostics import Value
 
@@ -107,9 +108,23 @@ class Source(ABC, Generic[ParametersT]):
     def close(self) -> None:
         """Release what ``open`` acquired."""
 
+    def check(self, calibration: Calibration) -> None:
+        """Check before any node starts that the source fits a joint, without connecting to a device; by default not.
+
+        Raises:
+            PosorError: A file of the source is missing, invalid, or not for a joint with this calibration.
+
+        """
+
 
 class RecordedSource(Source[ParametersT]):
     """A source whose messages all exist already; ``driver_node`` replays them at a chosen pace."""
+
+    def check(self, calibration: Calibration) -> None:
+        """Open the recording as the driver will."""
+        del calibration
+        self.open()
+        self.close()
 
     @abstractmethod
     def read_messages(self) -> Iterator[SourceMessage]:
@@ -184,12 +199,14 @@ def load_source_class(name: str) -> type[Source[Any]]:
     entries = registered_sources()
     if name not in entries:
         names = ", ".join(f"'{known}'" for known in entries)
-        raise ParameterError(f"source '{name}' is unknown", where=where, expected=f"one of {names}")
+        expected = f"one of {names}"
+        raise ParameterError(f"source '{name}' is unknown", where=where, expected=expected, parameter="source")
     try:
         found = entries[name].load()
     except (ImportError, AttributeError) as error:
-        raise ParameterError(f"source '{name}' cannot be loaded, {error}", where=where) from None
+        what = f"source '{name}' cannot be loaded, {error}"
+        raise ParameterError(what, where=where, parameter="source") from None
     if not (isinstance(found, type) and issubclass(found, Source)):
         what = f"the entry point of source '{name}' is not a source"
-        raise ParameterError(what, where=where, expected="a subclass of Source")
+        raise ParameterError(what, where=where, expected="a subclass of Source", parameter="source")
     return found

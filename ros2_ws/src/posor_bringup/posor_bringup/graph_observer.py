@@ -1,0 +1,78 @@
+"""Finds nodes of an arm that run in the ROS domain already, before and after its own are started.
+
+Node names of ROS 2 need not be unique: a second arm of the same name would publish on the same topics.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections import Counter
+from typing import TYPE_CHECKING, Self
+
+import rclpy
+from posor.errors import PosorError
+from rclpy.context import Context
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+    from types import TracebackType
+
+DISCOVERY_S = 1.0
+"""Time in which a new participant learns of the nodes of its domain; it runs while the files of the arm are read."""
+POLL_S = 0.02
+
+
+class GraphObserver:
+    """A hidden node that lists the nodes of its domain; leaving the ``with`` block removes it."""
+
+    def __init__(self, enclave: str = "") -> None:
+        """Join the domain; ``enclave``: identity in a network with SROS 2."""
+        self._context = Context()
+        arguments = ["--ros-args", "--enclave", enclave] if enclave else []
+        rclpy.init(args=arguments, context=self._context, signal_handler_options=SignalHandlerOptions.NO)
+        self._node = Node(
+            f"_posor_bringup_{os.getpid()}",
+            context=self._context,
+            use_global_arguments=False,
+            enable_rosout=False,
+            start_parameter_services=False,
+        )
+        self._discovered_s = time.monotonic() + DISCOVERY_S
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._node.destroy_node()
+        self._context.try_shutdown()
+
+    def _names(self) -> Iterable[str]:
+        return (f"{namespace.rstrip('/')}/{name}" for name, namespace in self._node.get_node_names_and_namespaces())
+
+    def refuse_running(self, names: Sequence[str]) -> None:
+        """Raise a PosorError if a node with one of the full names runs; wait until the domain has been discovered."""
+        wanted = set(names)
+        while True:
+            self._refuse(wanted.intersection(self._names()))
+            if time.monotonic() >= self._discovered_s:
+                return
+            time.sleep(POLL_S)
+
+    def refuse_second(self, names: Sequence[str]) -> None:
+        """Raise a PosorError if two nodes have one of the full names: one of them is not of this arm."""
+        count = Counter(self._names())
+        self._refuse({name for name in names if count[name] > 1})
+
+    def _refuse(self, running: set[str]) -> None:
+        if running:
+            domain = self._context.get_domain_id()
+            raise PosorError(
+                f"already runs in ROS domain {domain}, with {len(running)} of the nodes to be started",
+                where=f"node {min(running)}",
+                expected="one arm of a name: end it, give this one another name, or set another ROS_DOMAIN_ID",
+            )

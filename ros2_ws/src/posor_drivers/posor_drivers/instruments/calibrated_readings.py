@@ -1,0 +1,55 @@
+"""The readings that a calibration file expects of a joint, compared with those of an instruments file."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import TYPE_CHECKING
+
+from posor.errors import CalibrationError, sum_up
+from posor.sensors.bumpy_ring import BumpyRingCalibration
+from posor.sensors.diodes import DiodesCalibration
+from posor.sensors.gap_probes import GapProbesCalibration
+
+if TYPE_CHECKING:
+    from posor.calibration.calibration_file import Calibration
+
+    from posor_drivers.instruments.instruments_file import JointEntry
+
+CONTACTS = "ABCD"
+OF_SENSORS = ("gap_voltages", "ring_voltages", "diode_currents")
+"""Readings whose number follows from the calibration; a sensor of another package may use more."""
+
+
+def readings_of(calibration: Calibration) -> dict[str, str]:
+    """Return the kind of each reading of a POSOR by the name of its channel, in the order of the calibration file."""
+    readings: dict[str, str] = {}
+    for sensor in calibration.sensors:
+        if isinstance(sensor, GapProbesCalibration):
+            readings |= {probe.name: "gap_voltages" for probe in sensor.probes}
+            readings |= {"reference": "reference_voltage"} if sensor.reference is not None else {}
+        elif isinstance(sensor, BumpyRingCalibration):
+            readings |= {probe.name: "ring_voltages" for probe in sensor.probes} | {"home": "home_mark"}
+        elif isinstance(sensor, DiodesCalibration):
+            names = [diode.name for diode in sensor.diodes]
+            readings |= {f"{name}_{contact}": "diode_currents" for name in names for contact in CONTACTS}
+            readings |= {f"{name}_source": "lit_sources" for name in names}
+            readings |= {"light": "light"} if sensor.ambient is not None else {}
+    return readings
+
+
+def check_readings(entry: JointEntry, calibration: Calibration, where: str) -> None:
+    """Check the readings and the frame of a joint in an instruments file against its calibration.
+
+    Raises CalibrationError: a number of readings or the frame differs; names ``where``.
+    """
+    expected, errors = Counter(readings_of(calibration).values()), []
+    for name in OF_SENSORS:
+        number = len(getattr(entry, name))
+        if expected[name] and number != expected[name]:
+            what = f"{number} {name}"
+            errors.append(CalibrationError(what, where=where, expected=f"{expected[name]}, as in the calibration"))
+    if entry.frame_id != calibration.frames.parent:
+        expected_frame = f"'{calibration.frames.parent}', as in the calibration"
+        errors.append(CalibrationError(f"frame_id '{entry.frame_id}'", where=where, expected=expected_frame))
+    if errors:
+        raise sum_up(errors)

@@ -1,0 +1,87 @@
+"""ROS parameter files: which node a section is for. rclpy ignores a section whose name fits no node without a word."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from posor.calibration.yaml_document import FileLocations, parse_yaml, read_text
+from posor.errors import ParameterError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+OPTION = "--params-file"
+PARAMETERS = "ros__parameters"
+ALL_NODES = "/**"
+
+
+@dataclass(frozen=True)
+class ParameterSection:
+    """A section of a parameter file."""
+
+    name: str  # full name of a node, such as /arm/joint1/posor_node; * stands for one name, ** for any number of them
+    parameters: Mapping[str, Any]  # by full name
+    places: Mapping[str, str]  # file, line and key by full name of the parameter
+    place: str  # of the section
+
+    def is_for(self, node: str) -> bool:
+        """Return whether rclpy gives the parameters to a node, by its full name."""
+        pattern = "".join(
+            {"**": "(/[^/]+)*", "*": "/[^/]+"}.get(part, re.escape(f"/{part}")) for part in self.name.split("/")[1:]
+        )
+        return re.fullmatch(pattern, node) is not None
+
+
+def load_parameter_file(path: Path) -> list[ParameterSection]:
+    """Read a parameter file.
+
+    Raises CalibrationError: the file cannot be read or is not YAML; ParameterError: it has no section.
+    """
+    root, content = parse_yaml(read_text(path, "parameter file"), str(path))
+    sections = list(_sections(content, (), FileLocations(str(path), root)))
+    if not sections:
+        expected = f"a node's full name or {ALL_NODES}, below it {PARAMETERS}"
+        raise ParameterError("has no section", where=f"parameter file {path}", expected=expected)
+    return sections
+
+
+def _sections(content: Any, path: tuple[str, ...], locations: FileLocations) -> Iterator[ParameterSection]:
+    for key, part in content.items() if isinstance(content, dict) else ():
+        if key == PARAMETERS:
+            name = "/" + "/".join(path).lstrip("/")
+            paths = dict(_flat(part, ()))
+            parameters = {".".join(parts): value for parts, value in paths.items()}
+            places = {".".join(parts): locations.describe(*path, key, *parts) for parts in paths}
+            yield ParameterSection(name, parameters, places, locations.describe(*path))
+        else:
+            yield from _sections(part, (*path, str(key)), locations)
+
+
+def _flat(values: Any, group: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], object]]:
+    for name, value in values.items() if isinstance(values, dict) else ():
+        if isinstance(value, dict):
+            yield from _flat(value, (*group, str(name)))
+        else:
+            yield (*group, str(name)), value
+
+
+def parameter_files_of(arguments: Sequence[str]) -> list[Path]:
+    """Return the parameter files of the ROS arguments of a command line."""
+    return [Path(path) for option, path in pairwise(arguments) if option == OPTION]
+
+
+def check_sections(files: Sequence[Path], nodes: Sequence[str]) -> None:
+    """Check that each parameter file has a section for at least one of the nodes, by their full names.
+
+    Raises ParameterError: a file has none; CalibrationError: a file cannot be read.
+    """
+    for path in files:
+        sections = load_parameter_file(path)
+        if not any(section.is_for(node) for section in sections for node in nodes):
+            names = ", ".join(f"'{section.name}'" for section in sections)
+            what = f"has no section for {' or '.join(nodes)}, only for {names}"
+            raise ParameterError(what, where=f"parameter file {path}", expected=f"'{nodes[0]}' or '{ALL_NODES}'")
