@@ -43,13 +43,14 @@ def arm_nodes(context: LaunchContext) -> list[LaunchDescriptionEntity]:
 
     view, files = value("view"), [Path(path) for path in value("params_file").split()]
     with GraphObserver() as graph:
-        arm, _, _, programs = check_arm(
+        checked = check_arm(
             value("arm"),
             drivers=value("drivers") == "true",
             driver_parameters=parse_driver_parameters(value("driver_parameters")),
             parameters={"use_sim_time": value("use_sim_time") == "true"},
             parameter_files=files,
         )
+        arm, programs = checked.arm, checked.programs
         graph.refuse_running([full_name(program) for program in programs])
     tools: list[LaunchDescriptionEntity] = []
     if view != "none":

@@ -63,6 +63,7 @@ class CheckedArm(NamedTuple):
     chain: Chain
     calibrations: Mapping[str, Calibration]  # by joint, sessions applied
     programs: Sequence[ProgramCommand]  # one for each node
+    scans_per_second: int | None  # of the simulator; None: the arm has no scenario
 
 
 def check_arm(
@@ -106,6 +107,7 @@ def check_arm(
         with errors.collecting():
             _check_record(arm)
     simulated: Any = None
+    scans_per_second: int | None = None
     for program in programs:
         joint = program.namespace.rpartition("/")[2]
         if program.executable == DRIVER_NODE and joint in calibrations:
@@ -117,12 +119,11 @@ def check_arm(
         with errors.collecting():
             if chain is None or calibrations.keys() != arm.calibrations.keys():
                 load_scenario(arm.scenario)
-            elif simulated is None:
-                ArmSimulation(arm)
             else:  # each driver simulates the arm; here the errors are reported before any node starts
-                ArmSimulation(arm, simulated, simulated.rate, simulated.truth)
+                own = () if simulated is None else (simulated, simulated.rate, simulated.truth)
+                scans_per_second = ArmSimulation(arm, *own).scenario.ticks_per_second
     errors.raise_errors()
-    return CheckedArm(arm, arm.chain() if chain is None else chain, calibrations, programs)
+    return CheckedArm(arm, arm.chain() if chain is None else chain, calibrations, programs, scans_per_second)
 
 
 def load_checked_arm(text: str) -> ArmFile:

@@ -102,13 +102,14 @@ def _run_arm(options: Namespace) -> None:
     if options.use_sim_time:
         parameters["use_sim_time"] = True
     with GraphObserver(_enclave(options)) as graph:
-        arm, _, _, nodes = check_arm(
+        checked = check_arm(
             options.arm,
             drivers=not options.no_driver,
             driver_parameters=dict(options.parameters),
             parameters=parameters,
             parameter_files=options.params_file,
         )
+        arm, nodes = checked.arm, checked.programs
         names = [full_name(node) for node in nodes]
         graph.refuse_running(names)
         folder = prepare_output_folder(options.output / arm.name, tuple(VIEWS.values()))

@@ -12,7 +12,7 @@ from posor_calibration.calibration_programs import calibrate
 from posor_design.design_programs import budget, design
 from posor_drivers.driver_programs import import_table, instruments, record
 
-from posor_bringup.bringup_programs import bringup, commission, view
+from posor_bringup.bringup_programs import arm, bringup, commission, view
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -39,6 +39,7 @@ def _print_completion() -> int:
 
 
 SUBCOMMANDS = {
+    "arm": Subcommand(arm, "make the files of a new arm, check those of an arm"),
     "bringup": Subcommand(bringup, "start all nodes of an arm"),
     "view": Subcommand(view, "show an arm or a bag in the browser"),
     "commission": Subcommand(commission, "check plugs, motions and files of an arm, record its identity"),

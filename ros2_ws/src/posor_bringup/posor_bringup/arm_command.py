@@ -1,0 +1,177 @@
+"""arm: makes the files of a new arm, and checks those of an arm."""
+
+from __future__ import annotations
+
+import re
+import sys
+from collections import Counter
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeVar
+
+import numpy as np
+from posor.chain.commissioning_record import load_record
+from posor.chain.identity import ArmIdentity, calibration_id, file_sha256
+from posor.errors import ParameterError, PosorError
+from posor.reporting.command_line_parser import CommandLineParser
+from posor.reporting.program_errors import reports_errors
+from posor.uncertainty.protection_level import arm_reliability
+from posor_drivers.instruments.calibrated_readings import readings_of
+from posor_drivers.instruments.instruments_file import load_instruments
+from posor_ros.parameter_files import OPTION
+from rich.console import Console
+
+from posor_bringup.arms import check_arm, installed_arms
+from posor_bringup.bringup_options import add_driver_parameters
+from posor_bringup.new_arm import AXES, COMMON_AXES, LONGEST, SENSORS, SHORTEST, arm_texts, new_joints, write_arm
+
+if TYPE_CHECKING:
+    from argparse import Namespace
+    from collections.abc import Callable, Iterator, Sequence
+
+    from posor_bringup.arms import CheckedArm
+
+T = TypeVar("T")
+MOST_JOINTS = 20
+NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
+
+
+def _parse_options(arguments: Sequence[str] | None) -> Namespace:
+    parser = CommandLineParser(prog="posor arm", description="Make the files of a new arm, and check those of an arm.")
+    actions = parser.add_subparsers(dest="action", required=True, parser_class=CommandLineParser)
+    summary = "write the files of a simulated arm, to be completed by measured values"
+    new = actions.add_parser("new", help=summary, description=summary)
+    new.add_argument("name", metavar="NAME", help="name of the arm, also its ROS namespace")
+    new.add_argument("--joints", type=int, required=True, metavar="N", help=f"number of joints, 1 to {MOST_JOINTS}")
+    new.add_argument("--folder", type=Path, metavar="FOLDER", help="folder of the files (default: ./NAME)")
+    text = f"one or N, separated by commas, at the angle zero (default: {','.join(COMMON_AXES)}, the first N)"
+    new.add_argument("--axes", metavar="AXES", help=f"axes of the joints, {', '.join(AXES)} of the base; {text}")
+    text = "lengths of the beams after the joints [m], one or N (default: 0.3)"
+    new.add_argument("--lengths", default="0.3", metavar="LENGTHS", help=text)
+    text = f"sensors of the joints, {', '.join(SENSORS)}; one or N (default: {SENSORS[0]})"
+    new.add_argument("--sensors", default=SENSORS[0], metavar="SENSORS", help=text)
+    new.add_argument("--names", metavar="NAMES", help="names of the joints (default: joint1, joint2, ...)")
+    summary = "check all files and parameters of an arm; print everything that is wrong, or a summary"
+    check = actions.add_parser("check", help=summary, description=summary)
+    arms = ", ".join(installed_arms())
+    check.add_argument("arm", metavar="ARM", help=f"path of an arm file, or name of an installed arm: {arms}")
+    check.add_argument("--no-driver", action="store_true", help="do not check the drivers")
+    add_driver_parameters(check)
+    text = "ROS parameter file of the nodes; may be repeated"
+    check.add_argument(OPTION, action="append", default=[], type=Path, metavar="FILE", help=text)
+    return parser.parse_args(arguments)
+
+
+@reports_errors
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the program; the exit code is 0 if the files were written, or if all is right."""
+    options = _parse_options(arguments)
+    return _make(options) if options.action == "new" else _check(options)
+
+
+def _per_joint(option: str, text: str, count: int, parse: Callable[[str], T | None], expected: str) -> list[T]:
+    """Return an entry for each joint; one entry is for all."""
+    entries = [entry.strip() for entry in text.split(",")]
+    values = [value for value in map(parse, entries) if value is not None]
+    if len(values) < len(entries) or len(entries) not in {1, count}:
+        raise ParameterError(f"'{text}'", where=f"arm new, {option}", expected=f"1 or {count}: {expected}")
+    return values * (count // len(values))
+
+
+def _make(options: Namespace) -> int:
+    where, count = "arm new", options.joints
+    if not NAME.fullmatch(options.name):
+        expected = "a letter, then letters, digits and underscores"
+        raise ParameterError(f"name '{options.name}'", where=where, expected=expected)
+    if not 1 <= count <= MOST_JOINTS:
+        raise ParameterError(f"--joints {count}", where=where, expected=f"1 to {MOST_JOINTS}")
+    default = ",".join((COMMON_AXES * count)[:count])
+    axes = _per_joint("--axes", options.axes or default, count, dict(zip(AXES, AXES, strict=True)).get, ", ".join(AXES))
+    expected = f"lengths of {SHORTEST:g} to {LONGEST:g} m"
+    lengths = _per_joint("--lengths", options.lengths, count, _length, expected)
+    kinds = dict(zip(SENSORS, SENSORS, strict=True))
+    sensors = _per_joint("--sensors", options.sensors, count, kinds.get, ", ".join(SENSORS))
+    names = [f"joint{n + 1}" for n in range(count)] if options.names is None else options.names.split(",")
+    if len(set(names)) != count or not all(map(NAME.fullmatch, names)):
+        expected = f"{count} different names of letters, digits and underscores"
+        raise ParameterError(f"'{options.names}'", where=f"{where}, --names", expected=expected)
+    folder = options.folder or Path(options.name)
+    write_arm(folder, arm_texts(options.name, new_joints(names, axes, lengths, sensors), str(folder)))
+    print(f"{folder}: files of arm {options.name} with {count} joints; {folder / 'arm.yaml'} says what to replace")
+    print(f"check: posor arm check {folder}; start: posor bringup {folder}; watch: posor view {folder}")
+    return 0
+
+
+def _length(text: str) -> float | None:
+    try:
+        length = float(text)
+    except ValueError:
+        return None
+    return length if SHORTEST <= length <= LONGEST else None
+
+
+def _check(options: Namespace) -> int:
+    checked = check_arm(
+        options.arm,
+        drivers=not options.no_driver,
+        driver_parameters=dict(options.parameters),
+        parameter_files=options.params_file,
+    )
+    console = Console(highlight=False, soft_wrap=True, markup=False)
+    for line in _summary(checked):
+        console.print(line)
+    return 0
+
+
+def _summary(checked: CheckedArm) -> Iterator[str]:
+    """Yield lines on an arm that is right."""
+    arm, chain, calibrations = checked.arm, checked.chain, checked.calibrations
+    yield f"{arm.name}: all files and the parameters of {len(checked.programs)} nodes are right ({arm.path})"
+    for joint, calibration in calibrations.items():
+        readings = Counter(readings_of(calibration).values())
+        numbers = ", ".join(f"{number} {name.replace('_', ' ')}" for name, number in readings.items())
+        sensors = ", ".join(str(getattr(sensor, "type", "")) for sensor in calibration.sensors)
+        yield f"joint {joint}: {sensors} ({numbers}); calibration {calibration.name}"
+    angles = dict.fromkeys(calibrations, 0.0)
+    reach = sum(float(np.linalg.norm(link.T_nominal.translation)) for link in chain.links)
+    x, y, z = chain.nominal_endpoint(angles).translation
+    place = f"{x:.4f}, {y:.4f}, {z:.4f} m in {chain.base_frame}"
+    yield f"nominal reach: {reach:.4f} m; endpoint with all angles zero: {place}"
+    yield f"driver: source {arm.driver.source}, {_rate(checked)}"
+    yield _levels(checked, angles)
+    if arm.commissioning is None or not arm.commissioning.exists():
+        yield "commissioning: none; 'posor commission' makes the record"
+        return
+    record = load_record(arm.commissioning)
+    files = ArmIdentity({}, file_sha256(arm.urdf), file_sha256(arm.beams))
+    ids = {joint: calibration_id(calibration) for joint, calibration in calibrations.items()}
+    found = files.with_calibrations(ids, record.parts().record).differences(record.parts())
+    state = f"not as commissioned: {'; '.join(found.values())}" if found else "as commissioned"
+    yield f"commissioning: {record.date}, {state}"
+
+
+def _rate(checked: CheckedArm) -> str:
+    parameters = checked.programs[-1].parameters
+    if parameters.get("source") == "simulated":
+        return f"{checked.scans_per_second} scans per second"
+    if parameters.get("source") == "instruments":
+        return f"{load_instruments(Path(str(parameters['instruments.file']))).rate.number:g} scans per second"
+    return "at the rate of its recording or device"
+
+
+def _levels(checked: CheckedArm, angles: dict[str, float]) -> str:
+    """Return a line on the protection levels of the endpoint."""
+    what = "protection level of the endpoint, all angles zero"
+    try:
+        found = arm_reliability(checked.chain, checked.calibrations, angles)
+    except PosorError as error:
+        return f"{what}: unknown, {error}"
+    level = found.protection_level
+    if np.isfinite(level).all():
+        return f"{what}: finite, at most {1e6 * max(level[:3]):.3g} um and {1e6 * max(level[3:]):.3g} urad"
+    axes = zip(("x", "y", "z", "alpha", "beta", "gamma"), level, found.set_by, strict=True)
+    causes = dict.fromkeys(f"{cause} of {joint}" for _, size, (joint, cause) in axes if not np.isfinite(size))
+    return f"{what}: not finite, because no reading shows {', '.join(causes)}"
+
+
+if __name__ == "__main__":
+    sys.exit(main())
