@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import re
 import subprocess
 import sys
+import threading
 import time
+from functools import partial
 from typing import TYPE_CHECKING
 
 from environment import SetupError, Workspace, run_commands
@@ -23,7 +26,22 @@ OFFLINE_SIGNS = (  # in pip's log if it has reached no index
     "ProxyError",
     "ReadTimeoutError",
 )
+TYPICAL_S = {
+    "venv.log": "some 10 s",
+    "pip.log": "one to three minutes",
+    "colcon.log": "one to three minutes",
+    "kernels.log": "two to five minutes",
+}
+"""Duration of each step on a first set-up, by the name of its log."""
+DURATIONS = "durations.json"
+"""File with the durations of the steps of earlier set-ups."""
 UNKNOWN_LIBRARY = re.compile(r"No matching distribution found for (\S+)")
+
+
+def show_elapsed(line: str, start: float, ended: threading.Event) -> None:
+    """Show the time since the start of a step once a second on a terminal, until the step has ended."""
+    while not ended.wait(1.0):
+        print(f"\r{line}{time.monotonic() - start:.0f} s, ", end="", flush=True)
 
 
 class SetupReport:
@@ -47,16 +65,36 @@ class SetupReport:
         self.workspace.logs.mkdir(parents=True, exist_ok=True)
         self.log = self.workspace.logs / log_name
         self.log.write_bytes(b"")
-        print(f"set-up: {what} ... ", end="", flush=True)
+        known = self.known_durations()
+        about = f"about {known[log_name]:.0f} s" if log_name in known else TYPICAL_S.get(log_name, "")
+        line = f"set-up: {what}{f' ({about})' if about else ''} ... "
+        print(line, end="", flush=True)
         start = time.monotonic()
+        ended = threading.Event()
+        if sys.stdout.isatty():
+            show = partial(show_elapsed, line, start, ended)
+            threading.Thread(target=show, daemon=True).start()
         try:
             yield
         except BaseException:
+            ended.set()
             print("failed", flush=True)
             lines = self.log.read_text(encoding="utf-8", errors="replace").splitlines()
             sys.stderr.write("".join(f"  | {line}\n" for line in lines[-LOG_TAIL_LINES:]))
             raise
-        print(f"{time.monotonic() - start:.1f} s", flush=True)
+        ended.set()
+        seconds = time.monotonic() - start
+        print(f"{seconds:.1f} s", flush=True)
+        text = json.dumps({**known, log_name: round(seconds, 1)}) + "\n"
+        (self.workspace.logs / DURATIONS).write_text(text, encoding="utf-8")
+
+    def known_durations(self) -> dict[str, float]:
+        """Return how long each step took last time [s], by the name of its log."""
+        try:
+            found = json.loads((self.workspace.logs / DURATIONS).read_text(encoding="utf-8"))
+            return {str(name): float(seconds) for name, seconds in found.items()}
+        except (OSError, ValueError, TypeError, AttributeError):
+            return {}
 
     def run(self, *commands: Sequence[str | Path], environ: Mapping[str, str], failure: str) -> None:
         """Run commands of the current step at the same time.

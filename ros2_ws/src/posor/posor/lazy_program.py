@@ -30,6 +30,7 @@ SHORTAGES = {  # remedies of errors of the system
     errno.ENOMEM: "more memory, or a higher limit (ulimit -v)",
     errno.ENOSPC: "free space on the disk",
     errno.EDQUOT: "a larger quota on the disk",
+    errno.EFBIG: "a higher limit of the size of files (ulimit -f)",
 }
 
 
@@ -103,8 +104,8 @@ class LazyProgram:
         default action while it ends. A background job of a shell is interrupted in the same way
         (``handle_interrupts``).
 
-        A limit of the process that is too low, and a lack of descriptors, memory or disk, are one sentence and exit
-        code 1.
+        A limit of the process that is too low, and a lack of descriptors, memory or disk, also for standard output, are
+        one sentence and exit code 1.
         """
         _open_standard_streams()
         handle_interrupts(self._exit_at_once)
@@ -116,7 +117,7 @@ class LazyProgram:
         try:
             program = import_module(self.module).main
             handle_interrupts()
-            return int(program())
+            return self._with_flushed_output(int(program()))
         except KeyboardInterrupt:
             sys.stderr.write(self._message)
             return EXIT_INTERRUPTED
@@ -128,6 +129,17 @@ class LazyProgram:
             return self._fail(f"{where}{os.strerror(code).lower()}; expected {SHORTAGES[code]}")
         finally:
             handle_interrupts(signal.SIG_IGN)
+
+    def _with_flushed_output(self, code: int) -> int:
+        """Return an exit code; before, write what is buffered: Python would report a full disk while it ends."""
+        try:
+            sys.stdout.flush()
+        except OSError as error:
+            if error.errno in SHORTAGES:
+                os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+                error.filename = "standard output"
+            raise
+        return code
 
     def _fail(self, reason: str) -> int:
         sys.stderr.write(f"{self.name}: {reason}.\n")

@@ -8,6 +8,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Literal, get_args
 
 import yaml
+from posor.bags.result_folder import writing
 from posor.chain.arm_file import CHAIN_NODE, POSOR_NODE, node_errors, posor_parameters
 from posor.chain.arm_file import chain_parameters as chain_parameters_of
 from posor.errors import ErrorCollector, ParameterError, PosorError, similar_name
@@ -176,7 +177,8 @@ def _fill_placeholders(text: str, known: Mapping[str, str], where: str) -> str:
 def group_programs(programs: Sequence[ProgramCommand], layout: Layout, folder: Path) -> list[ProgramCommand]:
     """Return programs that run the same nodes in fewer processes.
 
-    ``programs`` are of one node each, subscribers first; ``folder`` exists and receives the composition files.
+    ``programs`` are of one node each, subscribers first; ``folder`` exists and receives the composition files. Raises
+    OutputError: a composition file cannot be written.
     """
     if layout == "separate":
         return list(programs)
@@ -195,7 +197,8 @@ def _compose(name: str, programs: Sequence[ProgramCommand], folder: Path) -> Pro
     ]
     path = folder / f"{name}.yaml"
     content = {"format": "posor_composition", "version": 1, "nodes": nodes}
-    path.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
+    with writing(path):
+        path.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
     ends = all(program.ends for program in programs)
     enclave = "/".join(["", *programs[0].namespace.split("/")[1:2], "compose"])
     return ProgramCommand(name, "posor_estimator", "compose", (str(path),), ends=ends, enclave=enclave)

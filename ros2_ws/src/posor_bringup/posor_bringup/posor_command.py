@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import re
 import sys
+from contextlib import redirect_stdout, suppress
+from importlib import import_module
+from io import StringIO
 from typing import TYPE_CHECKING, NamedTuple
 
 from posor.errors import ParameterError, similar_name
+from posor.lazy_program import LazyProgram
 from posor.library_programs import recover, reprocess
 from posor.reporting.program_errors import reports_errors
 from posor_calibration.calibration_programs import calibrate
@@ -26,16 +31,60 @@ class Subcommand(NamedTuple):
     arguments: tuple[str, ...] = ()  # of the program, before those of the command line
 
 
+COMPLETION = """\
+declare -gA _posor_words
+_posor() {{
+    local words="{names}" key="${{COMP_WORDS[*]:1:COMP_CWORD > 2 ? 2 : 1}}"
+    if [ "$COMP_CWORD" -gt 1 ]; then
+        [ -n "${{_posor_words[$key]+known}}" ] || _posor_words[$key]=$("$1" completion $key 2>/dev/null)
+        words=${{_posor_words[$key]}}
+    fi
+    COMPREPLY=($(compgen -W "$words" -- "$2"))
+}}
+complete -o default -F _posor posor
+"""
+"""Asks this program for the words of a subcommand, once in a shell; without a match bash completes file names."""
+_OPTION = re.compile(r"(?<![\w-])--?[a-zA-Z][\w-]*")
+_CHOICES = re.compile(r"\{([\w,]+)\}")
+_INSTALLED = re.compile(r"name of an installed arm: ((?:\w+, )*\w+)")
+
+
 def _print_completion() -> int:
-    """Print the completion of the subcommands for bash; the further arguments are completed as file names."""
-    names = " ".join(SUBCOMMANDS)
-    sys.stdout.write(
-        "_posor() {\n"
-        f'    [ "$COMP_CWORD" -ne 1 ] || COMPREPLY=($(compgen -W "{names}" -- "$2"))\n'
-        "}\n"
-        "complete -o default -F _posor posor\n"
-    )
+    """Print the completion for bash, or with arguments the words that may follow them."""
+    if len(sys.argv) == 1:
+        sys.stdout.write(COMPLETION.format(names=" ".join(SUBCOMMANDS)))
+    elif sys.argv[1] in SUBCOMMANDS:
+        sys.stdout.write(" ".join(words_after(*sys.argv[1:])) + "\n")
     return 0
+
+
+def words_after(name: str, action: str = "") -> list[str]:
+    """Return options, actions and installed arms that may follow a subcommand, as its help lists them.
+
+    ``action``: the word after the subcommand, such as the name of a calibration procedure; any other word is ignored.
+    """
+    words = _words_of(_help(name))
+    return _words_of(_help(name, action)) if action in words and not action.startswith("-") else words
+
+
+def _words_of(text: str) -> list[str]:
+    choices = (choice for group in _CHOICES.findall(text) for choice in group.split(","))
+    arms = (arm for group in _INSTALLED.findall(" ".join(text.split())) for arm in group.split(", "))
+    return sorted({*_OPTION.findall(text), *choices, *arms})
+
+
+def _help(name: str, *arguments: str) -> str:
+    """Return the help of a subcommand."""
+    subcommand, before, output = SUBCOMMANDS[name], sys.argv, StringIO()
+    if not isinstance(subcommand.program, LazyProgram):
+        return ""
+    sys.argv = [name, *subcommand.arguments, *arguments, "--help"]
+    try:
+        with redirect_stdout(output), suppress(SystemExit):
+            import_module(subcommand.program.module).main()
+    finally:
+        sys.argv = before
+    return output.getvalue()
 
 
 SUBCOMMANDS = {
@@ -52,7 +101,9 @@ SUBCOMMANDS = {
     "check": Subcommand(calibrate, "check whether a calibration file still explains a bag", ("check",)),
     "budget": Subcommand(budget, "compute the error budget of a calibration file or an arm"),
     "design": Subcommand(design, "compute a part of a POSOR or of its structure from dimensions"),
-    "completion": Subcommand(_print_completion, 'complete subcommands in bash: eval "$(posor completion)"'),
+    "completion": Subcommand(
+        _print_completion, 'complete subcommands, options, arms, procedures in bash: eval "$(posor completion)"'
+    ),
 }
 
 

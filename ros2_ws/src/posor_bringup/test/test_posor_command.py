@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 from posor.lazy_program import LazyProgram
-from posor_bringup.posor_command import SUBCOMMANDS, main
+from posor_bringup.posor_command import SUBCOMMANDS, main, words_after
 
 ROOT = Path(__file__).resolve().parents[4]
 
@@ -55,13 +55,60 @@ def test_an_unknown_subcommand_is_one_sentence(name: str, expected: str, capsys:
     assert capsys.readouterr().err == f"posor: there is no subcommand '{name}'; expected {expected}.\n"
 
 
-def test_bash_completes_the_subcommands() -> None:
-    script = (
-        posor("completion").stdout
-        + 'COMP_CWORD=1; _posor ./posor re ./posor; echo "${COMPREPLY[*]}"; complete -p posor'
+@pytest.mark.parametrize(
+    ("words", "expected", "missing"),
+    [
+        (("bringup",), {"five_axis", "--layout", "--params-file", "composed"}, {"bundle"}),
+        (("arm",), {"new", "check", "--help"}, {"--joints"}),
+        (("arm", "new"), {"--joints", "--sensors"}, {"--params-file"}),
+        (("arm", "check"), {"test_rig", "--params-file"}, {"--joints"}),
+        (("calibrate",), {"bundle", "list", "diff"}, {"five_axis"}),
+        (("calibrate", "bundle"), {"--parameters", "--output"}, {"list"}),
+        (("bringup", "five_axis"), {"--layout"}, {"bundle"}),
+        (("design",), {"posor", "arm"}, {"five_axis"}),
+    ],
+)
+def test_options_arms_and_procedures_are_completed(
+    words: tuple[str, ...], expected: set[str], missing: set[str]
+) -> None:
+    found = set(words_after(*words))
+    assert expected <= found
+    assert not missing & found
+
+
+def test_bash_asks_for_the_words_of_a_subcommand_once(tmp_path: Path) -> None:
+    program = tmp_path / "posor"
+    program.write_text(f"#!/bin/sh\necho asked >> {tmp_path}/log\necho five_axis six_axis --layout\n", encoding="utf-8")
+    program.chmod(0o755)
+    script = posor("completion").stdout + (
+        f'complete_it() {{ COMP_WORDS=({program} "$@"); COMP_CWORD=$#; '
+        f'_posor {program} "${{!#}}" x; echo "${{COMPREPLY[*]}}"; }}\n'
+        "complete_it re; complete_it bringup six; complete_it bringup ''; complete_it bringup six_axis --; "
+        "complete -p posor"
     )
     done = subprocess.run(["/bin/bash", "-c", script], capture_output=True, text=True, check=True)
-    assert done.stdout.splitlines() == ["record reprocess recover", "complete -o default -F _posor posor"]
+    assert done.stdout.splitlines() == [
+        "record reprocess recover",
+        "six_axis",
+        "five_axis six_axis --layout",
+        "--layout",
+        "complete -o default -F _posor posor",
+    ]
+    assert (tmp_path / "log").read_text(encoding="utf-8") == 2 * "asked\n"
+
+
+def test_a_full_disk_of_standard_output_is_one_sentence() -> None:
+    with Path("/dev/full").open("w", encoding="utf-8") as full:
+        code = "from posor_bringup.bringup_programs import arm; import sys; sys.argv = ['arm', 'check', 'test_rig']; "
+        done = subprocess.run(
+            [sys.executable, "-c", f"{code}sys.exit(arm())"],
+            stdout=full,
+            stderr=subprocess.PIPE,
+            text=True,
+            check=False,
+        )
+    assert done.returncode == 1
+    assert done.stderr == "arm: standard output: no space left on device; expected free space on the disk.\n"
 
 
 def test_the_script_in_the_root_starts_posor() -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,8 +16,8 @@ from posor.calibration.yaml_document import read_text
 from posor.errors import OutputError, ParameterError
 from posor.reporting.command_line_parser import CommandLineParser
 from posor.reporting.program_errors import reports_errors
+from posor.reporting.progress import progress_display
 from rich.console import Console
-from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
 from posor_calibration.calibration_comparison import compare_calibrations
 from posor_calibration.calibration_fit import fit_recording, read_recording, to_track_sigmas
@@ -32,7 +31,7 @@ from posor_calibration.procedures.bundle import BundleOptions
 
 if TYPE_CHECKING:
     import argparse
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Sequence
 
     from posor.bags.recording import Recording
     from posor.calibration.calibration_file import Calibration
@@ -101,7 +100,8 @@ def _run_action(options: argparse.Namespace, console: Console) -> int:
     if options.action == "check":
         settings: Any = read_options(BundleOptions, options)
         calibration = load_calibration(options.calibration)
-        with _progress() as report:
+        with progress_display() as progress:
+            report = progress.begin
             recording, _ = _read_recording(options, calibration, report)
             given = [topic for topic, _ in _split("--uncertainty", options.uncertainty)]
             recording = _with_recorded_uncertainty(recording, calibration, settings.reference, given)
@@ -109,8 +109,8 @@ def _run_action(options: argparse.Namespace, console: Console) -> int:
             check = check_drift(recording, calibration, settings)
         print_drift_check(check, console, every=options.all)
         return 0 if check.explains else NOT_EXPLAINED
-    with _progress() as report:
-        result = calibrate(options, report)
+    with progress_display() as progress:
+        result = calibrate(options, progress.begin)
     write_result(result, options, console)
     return 0
 
@@ -180,23 +180,6 @@ def write_result(result: FitResult, options: argparse.Namespace, console: Consol
 def _report_files(output: Path) -> tuple[Path, Path]:
     """Return the page and the JSON file beside a calibration file."""
     return output.with_suffix(".html"), output.with_suffix(".json")
-
-
-@contextmanager
-def _progress() -> Iterator[Callable[[str], object]]:
-    """Show the current step from the first report on."""
-    columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
-    progress = Progress(*columns, console=Console(stderr=True), transient=True)
-
-    def report(step: str) -> None:
-        progress.start()
-        progress.add_task(step)
-
-    try:
-        yield report
-    finally:
-        if progress.live.is_started:
-            progress.stop()
 
 
 def _read_recording(

@@ -9,20 +9,20 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from posor.bags.result_folder import writing
 from posor.calibration.calibration_file import load_calibration
 from posor.chain.arm_file import load_arm_file
 from posor.errors import ParameterError
 from posor.estimation.posor import Posor
 from posor.reporting.command_line_parser import CommandLineParser
 from posor.reporting.program_errors import reports_errors
+from posor.reporting.progress import progress_display
 from posor.reporting.report_console import report_console
 from posor.uncertainty.budget_poses import middle_pose, pose_from_native, scan_at
 from posor.uncertainty.budget_quantities import NATIVE, PlatePoint
 from posor.uncertainty.first_order import error_budget
 from posor.uncertainty.protection_level import arm_reliability
 from posor.uncertainty.reliability import joint_reliability
-from rich.console import Console
-from rich.progress import Progress
 
 from posor_design.budget_report import BudgetReport, render_budget_page
 from posor_design.monte_carlo import BATCH, monte_carlo, validate
@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from posor.uncertainty.protection_level import ArmReliability
+    from rich.console import Console
 
 SEED = 1985
 OUTPUT_FILES = ("budget.csv", "budget.json", "budget.html")
@@ -149,11 +150,12 @@ def compute_budget(options: argparse.Namespace, progress: Callable[[int], None] 
 
 
 def write_budget(report: BudgetReport, folder: Path) -> None:
-    """Write table, figures and page into an existing folder."""
+    """Write table, figures and page into an existing folder. Raises OutputError: they cannot be written."""
     csv_file, json_file, page_file = (folder / name for name in OUTPUT_FILES)
-    report.write_csv(csv_file)
-    json_file.write_text(json.dumps(report.as_json(), indent=2) + "\n", encoding="utf-8")
-    page_file.write_text(render_budget_page(report), encoding="utf-8")
+    with writing(folder):
+        report.write_csv(csv_file)
+        json_file.write_text(json.dumps(report.as_json(), indent=2) + "\n", encoding="utf-8")
+        page_file.write_text(render_budget_page(report), encoding="utf-8")
 
 
 def print_budget(report: BudgetReport, console: Console) -> None:
@@ -175,10 +177,8 @@ def print_budget(report: BudgetReport, console: Console) -> None:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the program; exit code 0: the budget has been computed."""
     options = parse_options(arguments)
-    console = Console(stderr=True)
-    with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
-        task = progress.add_task("draws", total=options.draws)
-        report = compute_budget(options, lambda done: progress.update(task, completed=done))
+    with progress_display() as progress:
+        report = compute_budget(options, progress.add("draws", options.draws).set)
     write_budget(report, options.output)
     console = report_console(160)
     print_budget(report, console)

@@ -16,11 +16,10 @@ import numpy as np
 import pinocchio as pin
 from posor.errors import DesignError
 from posor.estimation.posor import Posor
+from posor.reporting.progress import progress_display
 from posor.uncertainty.budget_poses import scan_at
 from posor.uncertainty.budget_quantities import NATIVE
 from posor.uncertainty.first_order import error_budget
-from rich.console import Console
-from rich.progress import Progress
 
 from posor_design.layout_evaluation import evaluate, extreme_poses
 from posor_design.layout_geometry import arrange, layout_kinds
@@ -30,8 +29,6 @@ from posor_design.requirement import FREEDOMS, OPTIONS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
-
-    from rich.progress import TaskID
 
     from posor_design.layout_evaluation import Candidate
     from posor_design.layout_search import Preference, SearchResult
@@ -79,17 +76,13 @@ def search_layouts(
 
     Raises DesignError: a requirement cannot be met.
     """
-    errors, found = Console(stderr=True), {}
-    with Progress(console=errors, transient=True, disable=not errors.is_terminal) as progress:
+    found = {}
+    with progress_display() as progress:
         for name, requirement in requirements.items():
-            task = progress.add_task(name, total=1.0)
-
-            def show(share: float, task: TaskID = task) -> None:
-                progress.update(task, completed=share)
-
-            result = LayoutSearch(requirement, show).run(preference)
+            step = progress.add(name, 1.0)
+            result = LayoutSearch(requirement, step.set).run(preference)
             if result.chosen is None:
-                refuse(result, show)
+                refuse(result, step.set)
             found[name] = result, result.chosen
     return found
 

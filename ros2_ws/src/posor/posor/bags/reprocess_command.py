@@ -6,14 +6,12 @@ import os
 import signal
 import sys
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 from uuid import uuid4
 
 from rich.console import Console
 from rich.markup import escape
-from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
 from posor.bags.executors import dask_cluster, local_processes, run_tasks
@@ -25,6 +23,7 @@ from posor.errors import ParameterError
 from posor.lazy_program import EXIT_INTERRUPTED, handle_interrupts, interrupts_handled
 from posor.reporting.command_line_parser import CommandLineParser
 from posor.reporting.program_errors import reports_errors
+from posor.reporting.progress import progress_display
 
 if TYPE_CHECKING:
     import argparse
@@ -172,14 +171,14 @@ def _check(options: argparse.Namespace, tasks: Sequence[Task]) -> None:
 
 def _run_tasks(options: argparse.Namespace, tasks: Sequence[Task]) -> Iterator[Summary]:
     jobs = min(options.jobs, os.cpu_count() or 1, len(tasks))
-    with _progress() as progress:
+    with progress_display() as progress:
         if options.scheduler is None and jobs == 1:
             totals = [topics_of(task.bag, task.settings.joints).messages for task in tasks]
-            bars = [progress.add_task(task.bag.name, total=total) for task, total in zip(tasks, totals, strict=True)]
-            for bar, task in zip(bars, tasks, strict=True):
-                yield reprocess_bag(task, partial(progress.advance, bar))
+            steps = [progress.add(task.bag.name, total) for task, total in zip(tasks, totals, strict=True)]
+            for step, task in zip(steps, tasks, strict=True):
+                yield reprocess_bag(task, step.advance)
             return
-        bar = progress.add_task("bags", total=len(tasks))
+        step = progress.add("bags", len(tasks))
         if options.scheduler is None:
             parallel = local_processes(jobs)
         else:
@@ -187,7 +186,7 @@ def _run_tasks(options: argparse.Namespace, tasks: Sequence[Task]) -> Iterator[S
         with parallel as executor:
             at_once = jobs if options.scheduler is None else len(tasks)
             for summary in run_tasks(executor, reprocess_in_worker, tasks, at_once):
-                progress.advance(bar)
+                step.advance(1)
                 yield summary
 
 
@@ -197,18 +196,6 @@ def reprocess_in_worker(task: Task) -> Summary:
         return reprocess_bag(task)
     except KeyboardInterrupt:
         os._exit(EXIT_INTERRUPTED)
-
-
-def _progress() -> Progress:
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TaskProgressColumn(),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-    )
-    console = Console(stderr=True)
-    return Progress(*columns, console=console, transient=True, disable=not console.is_interactive)
 
 
 def print_summary(summary: Summary, console: Console) -> None:

@@ -1,0 +1,78 @@
+"""Sections of ROS parameter files: the same as rclpy finds for a node, and a refusal where there is none."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import rclpy
+from posor.errors import ParameterError
+from posor_lab.harness.case_tables import refusal
+from posor_ros.parameter_files import check_sections, load_parameter_file, parameter_files_of
+from posor_ros.ros_arguments import split_ros_arguments
+from rclpy.context import Context
+from rclpy.node import Node
+
+NODE = "/arm/joint1/some_node"
+
+
+def text_of(name: str) -> str:
+    """Return a file with a section of a name; spaces nest it."""
+    lines = [f"{' ' * n}{part}:\n" for n, part in enumerate(name.split())]
+    return "".join([*lines, f"{' ' * len(lines)}ros__parameters: {{number: 1, group: {{text: a}}}}\n"])
+
+
+@pytest.mark.usefixtures("ros_domain")
+@pytest.mark.parametrize(
+    "name",
+    [
+        *("/arm/joint1/some_node", "arm/joint1/some_node", "arm joint1 some_node", "/arm/joint1 some_node", "/**"),
+        *("/**/some_node", "/arm/**", "/arm/*/some_node", "/*/some_node", "/*", "/arm/joint1/**"),
+        *("some_node", "/some_node", "/arm/some_node", "/arm/joint1/some_nod", "/arm/joint1/some_node2", "/arm/*"),
+    ],
+)
+def test_a_section_is_for_the_nodes_to_which_rclpy_gives_it(name: str, tmp_path: Path) -> None:
+    file, context = tmp_path / "file.yaml", Context()
+    file.write_text(text_of(name), encoding="utf-8")
+    (section,) = load_parameter_file(file)
+    rclpy.init(args=["--ros-args", "--params-file", str(file)], context=context)
+    options = {"context": context, "namespace": "/arm/joint1", "automatically_declare_parameters_from_overrides": True}
+    node = Node("some_node", **options)
+    try:
+        assert section.is_for(NODE) == node.has_parameter("group.text") == node.has_parameter("number")
+        assert section.parameters == {"number": 1, "group.text": "a"}
+    finally:
+        node.destroy_node()
+        context.shutdown()
+
+
+def test_a_file_without_a_section_for_the_node_is_refused(tmp_path: Path) -> None:
+    file, empty = tmp_path / "file.yaml", tmp_path / "empty.yaml"
+    file.write_text(text_of("some_node") + text_of("/other"), encoding="utf-8")
+    assert str(refusal(ParameterError, check_sections, [file], [NODE])) == (
+        f"parameter file {file}: has no section for {NODE}, only for '/some_node', '/other'; "
+        f"expected '{NODE}' or '/**'."
+    )
+    check_sections([file], [NODE, "/other"])
+    empty.write_text("some_node: {number: 1}\n", encoding="utf-8")
+    assert "has no section" in refusal(ParameterError, check_sections, [empty], [NODE]).what
+
+
+def test_ros_arguments_are_split_from_others() -> None:
+    arguments = [
+        "arm",
+        "-p",
+        "loop:=true",
+        "--ros-args",
+        "--params-file",
+        "a",
+        "-r",
+        "b:=c",
+        "--",
+        "--layout",
+        "composed",
+    ]
+    own, of_ros = split_ros_arguments(arguments)
+    assert own == ["arm", "-p", "loop:=true", "--layout", "composed"]
+    assert of_ros == ["--params-file", "a", "-r", "b:=c"]
+    assert parameter_files_of(of_ros) == [Path("a")]
