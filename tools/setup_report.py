@@ -26,7 +26,7 @@ OFFLINE_SIGNS = (  # in pip's log if it has reached no index
     "ProxyError",
     "ReadTimeoutError",
 )
-TYPICAL_S = {
+TYPICAL = {
     "venv.log": "some 10 s",
     "pip.log": "one to three minutes",
     "colcon.log": "one to three minutes",
@@ -66,8 +66,8 @@ class SetupReport:
         self.log = self.workspace.logs / log_name
         self.log.write_bytes(b"")
         known = self.known_durations()
-        about = f"about {known[log_name]:.0f} s" if log_name in known else TYPICAL_S.get(log_name, "")
-        line = f"set-up: {what}{f' ({about})' if about else ''} ... "
+        expected = f"{known[what]:.0f} s" if what in known else TYPICAL.get(log_name, "some time")
+        line = f"set-up: {what}, expected {expected} ... "
         print(line, end="", flush=True)
         start = time.monotonic()
         ended = threading.Event()
@@ -85,11 +85,11 @@ class SetupReport:
         ended.set()
         seconds = time.monotonic() - start
         print(f"{seconds:.1f} s", flush=True)
-        text = json.dumps({**known, log_name: round(seconds, 1)}) + "\n"
+        text = json.dumps({**known, what: round(seconds, 1)}) + "\n"
         (self.workspace.logs / DURATIONS).write_text(text, encoding="utf-8")
 
     def known_durations(self) -> dict[str, float]:
-        """Return how long each step took last time [s], by the name of its log."""
+        """Return how long each step took last time [s], by its name."""
         try:
             found = json.loads((self.workspace.logs / DURATIONS).read_text(encoding="utf-8"))
             return {str(name): float(seconds) for name, seconds in found.items()}
