@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import resource
 import socket
 import struct
 from collections.abc import Callable, Sequence
@@ -24,6 +23,7 @@ from posor.messages.message_definitions import Definition
 from posor.model.fault import State
 from posor_bringup.arms import find_arm, load_checked_arm
 from posor_bringup.installed import calibration_path, urdf_path
+from posor_lab.harness.full_disk import file_size_limit
 from posor_lab.harness.message_conversion import pose_from_message
 from posor_msgs.msg import JointTransform
 from rclpy.serialization import deserialize_message
@@ -260,12 +260,8 @@ def test_a_full_disk_keeps_the_former_results(tmp_path: Path, capsys: pytest.Cap
     output = tmp_path / "out"
     assert main([YMO, *CALIBRATION, "--output", str(output)]) == 0
     former = {path.name: path.read_bytes() for path in output.iterdir()}
-    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, limits[1]))
-    try:
+    with file_size_limit(100_000):
         said = refused(capsys, str(BAG), *ARM, "--output", str(output), "--force")
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
     assert said == f"{output}: cannot be written, File too large."
     assert {path.name: path.read_bytes() for path in output.iterdir()} == former
     assert [path.name for path in tmp_path.iterdir()] == ["out"]

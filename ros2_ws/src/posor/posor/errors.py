@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Sequence
 
     from posor.model.fault import Fault
 
@@ -59,6 +59,7 @@ def _unpickle(kind: type[PosorError], sentence: str, attributes: dict[str, Any])
 
 
 ErrorT = TypeVar("ErrorT", bound=PosorError)
+ResultT = TypeVar("ResultT")
 
 
 def sum_up(errors: Sequence[ErrorT]) -> ErrorT:
@@ -99,6 +100,14 @@ class ErrorCollector:
             yield
         except PosorError as error:
             self.add(error)
+
+    def result_of(self, call: Callable[[], ResultT]) -> ResultT | None:
+        """Return the result of a function without arguments; None: its PosorError has been collected."""
+        try:
+            return call()
+        except PosorError as error:
+            self.add(error)
+            return None
 
     def add(self, error: PosorError) -> None:
         """Add the parts of an error that are not known yet."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import sys
 from collections import Counter
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
@@ -77,6 +78,10 @@ def _per_joint(option: str, text: str, count: int, parse: Callable[[str], T | No
     return values * (count // len(values))
 
 
+def _one_of(known: Sequence[T], text: str) -> T | None:
+    return next((each for each in known if each == text), None)
+
+
 def _make(options: Namespace) -> int:
     where, count = "arm new", options.joints
     if not NAME.fullmatch(options.name):
@@ -85,11 +90,10 @@ def _make(options: Namespace) -> int:
     if not 1 <= count <= MOST_JOINTS:
         raise ParameterError(f"--joints {count}", where=where, expected=f"1 to {MOST_JOINTS}")
     default = ",".join((COMMON_AXES * count)[:count])
-    axes = _per_joint("--axes", options.axes or default, count, dict(zip(AXES, AXES, strict=True)).get, ", ".join(AXES))
+    axes = _per_joint("--axes", options.axes or default, count, partial(_one_of, AXES), ", ".join(AXES))
     expected = f"lengths of {SHORTEST:g} to {LONGEST:g} m"
     lengths = _per_joint("--lengths", options.lengths, count, _length, expected)
-    kinds = dict(zip(SENSORS, SENSORS, strict=True))
-    sensors = _per_joint("--sensors", options.sensors, count, kinds.get, ", ".join(SENSORS))
+    sensors = _per_joint("--sensors", options.sensors, count, partial(_one_of, SENSORS), ", ".join(SENSORS))
     names = [f"joint{n + 1}" for n in range(count)] if options.names is None else options.names.split(",")
     if len(set(names)) != count or not all(map(NAME.fullmatch, names)):
         expected = f"{count} different names of letters, digits and underscores"

@@ -76,7 +76,8 @@ def arm_programs(
         programs.append(_arm_node("posor_estimator", POSOR_NODE, f"/{arm.name}/{joint}", posor))
     for joint in arm.calibrations if drivers else ():
         with errors.collecting():
-            driver = {**_driver_parameters(arm, joint), **common, **given}
+            source = str(given.get("source", arm.driver.source))
+            driver = {**_driver_parameters(arm, joint, source), **common, **given}
             programs.append(_arm_node("posor_drivers", DRIVER_NODE, f"/{arm.name}/{joint}", driver))
     names, places = [full_name(program) for program in programs], dict[tuple[str, str], str]()
     for path in parameter_files:
@@ -148,10 +149,10 @@ def _freshness(arm: ArmFile, driver_parameters: Mapping[str, Parameter]) -> Mapp
     return {}
 
 
-def _driver_parameters(arm: ArmFile, joint: str) -> dict[str, Parameter]:
-    """Return the driver parameters of the arm file with their placeholders filled in."""
-    parameters: dict[str, Parameter] = {"source": arm.driver.source}
-    if arm.driver.source == "simulated":
+def _driver_parameters(arm: ArmFile, joint: str, source: str) -> dict[str, Parameter]:
+    """Return the driver parameters of the arm file for a source, with their placeholders filled in."""
+    parameters: dict[str, Parameter] = {"source": source}
+    if source == "simulated":
         parameters |= {"simulated.arm": str(arm.path.resolve()), "simulated.joint": joint}
     known = {"arm": arm.name, "joint": joint, "folder": str(arm.path.resolve().parent)}
     for name, value in arm.driver.parameters.items():

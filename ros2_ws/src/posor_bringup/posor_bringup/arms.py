@@ -162,14 +162,11 @@ def _check_named_files(path: Path, errors: ErrorCollector) -> None:
 
 def _check_chain(arm: ArmFile, calibrations: Mapping[str, Calibration], errors: ErrorCollector) -> Chain | None:
     """Check URDF and beams by themselves and together, then against the calibrations; None: the chain is wrong."""
-    chain = plain = None
-    with errors.collecting():
-        plain = load_chain(arm.urdf, arm.endpoint_frame)
+    plain = errors.result_of(lambda: load_chain(arm.urdf, arm.endpoint_frame))
     if arm.beams is not None:
         with errors.collecting():
             load_beams(arm.beams)
-    with errors.collecting():
-        chain = arm.chain()
+    chain = errors.result_of(arm.chain)
     for joint in () if plain is None else plain.joints:
         calibration = calibrations.get(joint.name)
         if calibration is None:

@@ -115,10 +115,8 @@ def new_joints(
     names: Sequence[str], axes: Sequence[Axis], lengths: Sequence[float], sensors: Sequence[Sensors]
 ) -> list[NewJoint]:
     """Return the joints of an arm from the base on; all sequences have one entry for each joint."""
-    return [
-        NewJoint(*joint, after)
-        for *joint, after in zip(names, axes, lengths, sensors, [*axes[1:], "z"], strict=True)  # type: ignore[list-item]
-    ]
+    after: list[Axis] = [*axes[1:], "z"]
+    return [NewJoint(*joint) for joint in zip(names, axes, lengths, sensors, after, strict=True)]
 
 
 def arm_texts(name: str, joints: Sequence[NewJoint], folder: str) -> dict[str, str]:

@@ -15,19 +15,20 @@ from posor.estimation.posor import Posor
 from posor.model.fault import State
 from posor_bringup.arm_command import main
 from posor_bringup.arms import check_arm
-from posor_bringup.new_arm import SENSORS, Sensors, arm_texts, new_joints, write_arm
+from posor_bringup.new_arm import SENSORS, Axis, Sensors, arm_texts, new_joints, write_arm
 from posor_drivers.instruments.instruments_command import main as instruments
 from posor_drivers.simulator.arm_simulation import ArmSimulation
 from posor_lab.harness.case_tables import edited, refusal
+from posor_lab.harness.full_disk import file_size_limit
 
 MISTAKES = yaml.safe_load(Path(__file__).with_name("arm_mistakes.yaml").read_text(encoding="utf-8"))
 LENGTHS = (0.5, 0.3, 0.2)
 
 
 def make_arm(folder: Path, sensors: Sensors = "bumpy_ring", count: int = 3) -> Path:
-    joints = new_joints(
-        [f"joint{n + 1}" for n in range(count)], (["z", "y", "x"] * count)[:count], LENGTHS[:count], [sensors] * count
-    )
+    axes: list[Axis] = ["z", "y", "x"]
+    names = [f"joint{n + 1}" for n in range(count)]
+    joints = new_joints(names, axes[:count], LENGTHS[:count], [sensors] * count)
     write_arm(folder, arm_texts("own", joints, str(folder)))
     return folder
 
@@ -96,7 +97,10 @@ def test_wrong_options_of_a_new_arm_are_one_sentence(
     assert not any(tmp_path.iterdir())
 
 
-def test_a_folder_that_cannot_be_written_is_left_as_it_was(tmp_path: Path) -> None:
+def test_a_folder_that_cannot_be_written_is_left_as_it_was(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with file_size_limit(3000):
+        assert main(["new", "own", "--joints", "1", "--folder", str(tmp_path / "own")]) == 1
+    assert capsys.readouterr().err == f"{tmp_path / 'own'}: cannot be written, File too large.\n"
     (tmp_path / "file").touch()
     assert refusal(OutputError, write_arm, tmp_path / "file" / "own", {"arm.yaml": ""}).where == str(
         tmp_path / "file" / "own"

@@ -13,6 +13,7 @@ from posor.calibration.causes import FALSE_ALARM
 from posor.calibration.designs import design
 from posor_design.budget_command import OUTPUT_FILES, main
 from posor_design.budget_report import CSV_COLUMNS
+from posor_lab.harness.full_disk import file_size_limit
 from posor_lab.harness.report_page import ReportPage
 
 POSE = "--pose=0.00001,0,0.00075,0.0005,-0.001,0.02"
@@ -33,6 +34,12 @@ def made(calibration: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("budget") / "deep" / "er"
     assert main([str(calibration), POSE, POINT, "--draws", "20000", "--output", str(folder)]) == 0
     return folder
+
+
+def test_a_full_disk_names_the_folder(calibration: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with file_size_limit(1000):
+        assert main([str(calibration), POSE, "--draws", "20000", "--output", str(tmp_path)]) == 1
+    assert capsys.readouterr().err == f"{tmp_path}: cannot be written, File too large.\n"
 
 
 def test_all_files_agree(made: Path) -> None:

@@ -36,8 +36,9 @@ def test_a_section_is_for_the_nodes_to_which_rclpy_gives_it(name: str, tmp_path:
     file.write_text(text_of(name), encoding="utf-8")
     (section,) = load_parameter_file(file)
     rclpy.init(args=["--ros-args", "--params-file", str(file)], context=context)
-    options = {"context": context, "namespace": "/arm/joint1", "automatically_declare_parameters_from_overrides": True}
-    node = Node("some_node", **options)
+    node = Node(
+        "some_node", context=context, namespace="/arm/joint1", automatically_declare_parameters_from_overrides=True
+    )
     try:
         assert section.is_for(NODE) == node.has_parameter("group.text") == node.has_parameter("number")
         assert section.parameters == {"number": 1, "group.text": "a"}

@@ -216,8 +216,8 @@ def posor_parameters(arm: ArmFile, joint: str, *, checked: bool = True) -> dict[
     ``checked``: whether posor_node must accept them. Raises NodeError: the arm file gives posor_node an unknown
     parameter or an invalid value; names the line.
     """
-    parameters = {"calibration": str(arm.calibrations[joint]), "session": arm.sessions[joint]}
-    parameters |= arm.posor_parameters[joint]
+    own: dict[str, ParameterValue] = {"calibration": str(arm.calibrations[joint]), "session": arm.sessions[joint]}
+    parameters = {**own, **arm.posor_parameters[joint]}
     return _checked(arm, joint, PosorParameters, parameters) if checked else parameters
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import pytest
-from posor.reporting import progress
 from posor.reporting.progress import progress_display
 
 
@@ -11,7 +10,7 @@ def test_a_long_step_has_one_line_with_the_remaining_time(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     now = [0.0]
-    monkeypatch.setattr(progress.time, "monotonic", lambda: now[0])
+    monkeypatch.setattr("posor.reporting.progress.time.monotonic", lambda: now[0])
     with progress_display() as display:
         step = display.add("bag", 200.0)
         for _ in range(4):
