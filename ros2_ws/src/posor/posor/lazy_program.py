@@ -88,6 +88,16 @@ def _open_standard_streams() -> None:
             setattr(sys, name, os.fdopen(descriptor, "r" if name == "stdin" else "w", closefd=False))
 
 
+def _lost_output() -> str:
+    """Return 'standard output' if it cannot be written, and discard what is buffered; otherwise an empty text."""
+    try:
+        sys.stdout.flush()
+    except OSError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+        return "standard output"
+    return ""
+
+
 class LazyProgram:
     """A program that is imported when it is called."""
 
@@ -117,7 +127,8 @@ class LazyProgram:
         try:
             program = import_module(self.module).main
             handle_interrupts()
-            return self._with_flushed_output(int(program()))
+            code = int(program())
+            sys.stdout.flush()
         except KeyboardInterrupt:
             sys.stderr.write(self._message)
             return EXIT_INTERRUPTED
@@ -125,21 +136,13 @@ class LazyProgram:
             code = error.errno if isinstance(error, OSError) else errno.ENOMEM
             if code not in SHORTAGES:
                 raise
-            where = f"{error.filename}: " if isinstance(error, OSError) and error.filename else ""
+            name = (error.filename if isinstance(error, OSError) else "") or _lost_output()
+            where = f"{name}: " if name else ""
             return self._fail(f"{where}{os.strerror(code).lower()}; expected {SHORTAGES[code]}")
+        else:
+            return code
         finally:
             handle_interrupts(signal.SIG_IGN)
-
-    def _with_flushed_output(self, code: int) -> int:
-        """Return an exit code; before, write what is buffered: Python would report a full disk while it ends."""
-        try:
-            sys.stdout.flush()
-        except OSError as error:
-            if error.errno in SHORTAGES:
-                os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
-                error.filename = "standard output"
-            raise
-        return code
 
     def _fail(self, reason: str) -> int:
         sys.stderr.write(f"{self.name}: {reason}.\n")

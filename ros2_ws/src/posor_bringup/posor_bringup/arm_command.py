@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
     from posor_bringup.arms import CheckedArm
+    from posor_bringup.new_arm import Axis, Sensors
 
 T = TypeVar("T")
 MOST_JOINTS = 20
@@ -90,10 +91,12 @@ def _make(options: Namespace) -> int:
     if not 1 <= count <= MOST_JOINTS:
         raise ParameterError(f"--joints {count}", where=where, expected=f"1 to {MOST_JOINTS}")
     default = ",".join((COMMON_AXES * count)[:count])
-    axes = _per_joint("--axes", options.axes or default, count, partial(_one_of, AXES), ", ".join(AXES))
+    axes: list[Axis] = _per_joint("--axes", options.axes or default, count, partial(_one_of, AXES), ", ".join(AXES))
     expected = f"lengths of {SHORTEST:g} to {LONGEST:g} m"
     lengths = _per_joint("--lengths", options.lengths, count, _length, expected)
-    sensors = _per_joint("--sensors", options.sensors, count, partial(_one_of, SENSORS), ", ".join(SENSORS))
+    sensors: list[Sensors] = _per_joint(
+        "--sensors", options.sensors, count, partial(_one_of, SENSORS), ", ".join(SENSORS)
+    )
     names = [f"joint{n + 1}" for n in range(count)] if options.names is None else options.names.split(",")
     if len(set(names)) != count or not all(map(NAME.fullmatch, names)):
         expected = f"{count} different names of letters, digits and underscores"

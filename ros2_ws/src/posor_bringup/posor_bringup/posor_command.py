@@ -45,6 +45,7 @@ complete -o default -F _posor posor
 """
 """Asks this program for the words of a subcommand, once in a shell; without a match bash completes file names."""
 _OPTION = re.compile(r"(?<![\w-])--?[a-zA-Z][\w-]*")
+_LISTED = re.compile(r"^ {2,4}([a-z][\w-]*)(?: {2,}\S.*)?$", re.MULTILINE)
 _CHOICES = re.compile(r"\{([\w,]+)\}")
 _INSTALLED = re.compile(r"name of an installed arm: ((?:\w+, )*\w+)")
 
@@ -70,7 +71,7 @@ def words_after(name: str, action: str = "") -> list[str]:
 def _words_of(text: str) -> list[str]:
     choices = (choice for group in _CHOICES.findall(text) for choice in group.split(","))
     arms = (arm for group in _INSTALLED.findall(" ".join(text.split())) for arm in group.split(", "))
-    return sorted({*_OPTION.findall(text), *choices, *arms})
+    return sorted({*_OPTION.findall(text), *_LISTED.findall(text), *choices, *arms})
 
 
 def _help(name: str, *arguments: str) -> str:
