@@ -172,7 +172,7 @@ def test_missing_file_is_named(rig_copy: Path, file: str) -> None:
         load_checked_arm(str(rig_copy))
 
 
-NO_JOINT7 = r"arm\.yaml: joints joint7; expected joint1, the floating joints of .*urdf"
+NO_JOINT7 = r"arm\.yaml, line \d+, key joints: joints joint7; expected joint1, the floating joints of .*urdf"
 OTHER_JOINT = "measures 'joint1_target' in 'joint2_receiving'; expected 'joint1_target' in"
 
 

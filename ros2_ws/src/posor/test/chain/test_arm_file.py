@@ -49,6 +49,7 @@ def test_a_missing_arm_file_is_named(tmp_path: Path, name: str) -> None:
 
 def test_its_joints_are_the_floating_joints_of_the_urdf(path: Path) -> None:
     replace(path, "  elbow: {", "  wrist: {")
-    assert str(refusal(ChainError, load_arm_file(path).chain)) == (
-        f"{path}: joints shoulder, wrist; expected shoulder, elbow, the floating joints of {path.parent / 'two.urdf'}."
-    )
+    error = refusal(ChainError, load_arm_file(path).chain)
+    line = next(n for n, each in enumerate(path.read_text(encoding="utf-8").splitlines(), 1) if each == "joints:")
+    assert error.where == f"{path}, line {line}, key joints"
+    assert error.expected == f"shoulder, elbow, the floating joints of {path.parent / 'two.urdf'}"
