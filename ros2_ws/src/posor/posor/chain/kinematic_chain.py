@@ -19,7 +19,7 @@ from posor.chain.endpoint_estimator import EndpointEstimator
 from posor.chain.measuring_beam import MeasuringBeam, beam_faults
 from posor.chain.robot_model import FreeJoint, RobotModel
 from posor.chain.urdf_file import read_urdf
-from posor.errors import ChainError
+from posor.errors import ChainError, sum_up
 from posor.input_text import read_input_text
 
 if TYPE_CHECKING:
@@ -105,7 +105,8 @@ class Chain:
             what = "has no fixed joint '{}', which the beams file names"
             missing = [beam.joint for beam in entries if beam.joint not in fixed]
             faults = [ChainError(what.format(name), where=source, expected=expected) for name in missing]
-        _raise_faults(faults)
+        if faults:
+            raise sum_up(faults)
         self._robot = RobotModel(content, endpoint_frame, [beam.joint for beam in entries], source)
         self.left_out = content.left_out
         self.base_frame = self._robot.base_frame
@@ -116,7 +117,8 @@ class Chain:
         self.fixed_transforms = self._robot.fixed_transforms()
         for entry, joint in zip(entries, self.beam_joints, strict=True):
             faults += beam_faults(entry, joint.T_parent_joint, beams_source)
-        _raise_faults(faults)
+        if faults:
+            raise sum_up(faults)
         self.beams = tuple(
             MeasuringBeam(beam, joint.T_parent_joint, self.shared)
             for beam, joint in zip(entries, self.beam_joints, strict=True)
@@ -212,14 +214,6 @@ class Chain:
         """
         names = tuple(joint.name for joint in self.joints)
         return EndpointEstimator(self._geometry, names, acceleration_window, row_layouts, self.beams)
-
-
-def _raise_faults(faults: Sequence[ChainError]) -> None:
-    """Raise the first of several faults, with the number of further ones."""
-    if faults:
-        first, *others = faults
-        more = f" (and {len(others)} more)" if others else ""
-        raise ChainError(first.what + more, where=first.where, expected=first.expected)
 
 
 def load_chain(urdf: Path, endpoint_frame: str, beams: Path | None = None) -> Chain:
