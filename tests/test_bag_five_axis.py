@@ -53,7 +53,7 @@ WITHIN = 1e-12  # what another machine's arithmetic may differ by, in metres, ra
 def recorded_arm() -> ArmFile:
     """Return the arm with the probability of a false alarm that the poses of the bag were recorded with."""
     arm = load_checked_arm("five_axis")
-    stated = {joint: {**arm.posor_parameters.get(joint, {}), "false_alarm": 1e-3} for joint in JOINTS}
+    stated = {joint: {**arm.posor_parameters.get(joint, {}), "false_alarm": 0.1} for joint in JOINTS}
     return replace(arm, posor_parameters=stated)
 
 

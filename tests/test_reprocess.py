@@ -127,7 +127,7 @@ def test_home_is_the_first_pose(made: Path, tmp_path: Path) -> None:
 
 
 def test_the_summary_counts_lost_scans(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main([str(BAG), *ARM, "--false-alarm", "1e-3"]) == 0
+    assert main([str(BAG), *ARM, "--false-alarm", "0.1"]) == 0
     said = capsys.readouterr().out
     assert "│ elbow       │ 1,999 │    4 │       1 │           9 │ residual 4" in said
     assert "endpoint: 1,986 poses, 0 of them degraded; no pose at 10 complete stamps, and 4 incomplete ones" in said
@@ -358,7 +358,7 @@ def test_scans_of_one_log_time_in_chunks_that_overlap_are_taken_as_a_replay_take
     bag = write_chunks(tmp_path / "bag", topics, chunks)
     replayed = write_chunks(tmp_path / "replayed", topics, [raw_scans(bag)[1]])
     for each in (bag, replayed):
-        assert main([str(each), *ARM, "--false-alarm", "1e-3", "--output", str(tmp_path / "out" / each.name)]) == 0
+        assert main([str(each), *ARM, "--false-alarm", "0.1", "--output", str(tmp_path / "out" / each.name)]) == 0
     found, expected = (read_bag_messages(tmp_path / "out" / each.name) for each in (bag, replayed))
     assert len(expected["/five_axis/endpoint/pose"]) == len(read_bag_messages(BAG)["/five_axis/endpoint/pose"])
     assert found == expected

@@ -152,7 +152,8 @@ class PosorParameters(AlarmParameters):
     session: str = Field(default="", description="session whose zero shifts and maps apply; empty: none")
     false_alarm: Annotated[float, Field(gt=0.0, lt=1.0)] = Field(
         default=FALSE_ALARM,
-        description="probability that the chi-square test of the redundant readings rejects a sound scan",
+        description="probability that the chi-square test of the redundant readings rejects a sound scan; given their "
+        "calibration errors, one joint of 100 may have a larger one",
     )
     home_pose: tuple[float, ...] = Field(
         default=(),

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from posor.model.scan import Scan
 
 WHERE = "acknowledge"
-FALSE_ALARM = 1e-6  # probability that the residual test of the last scan refuses a release although it is sound
+FALSE_ALARM = 1e-4  # probability that the residual test of the last scan refuses a release although it is sound
 
 
 class EncoderReading(NamedTuple):

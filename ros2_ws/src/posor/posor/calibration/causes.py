@@ -22,7 +22,12 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
 FALSE_ALARM = 1e-4
-"""Default probability that the test of the redundant readings of a joint rejects a sound scan."""
+"""Default probability that the test of the redundant readings of a joint rejects a sound scan of one arm."""
+EXCEEDED = 1e-2
+"""Largest share of joints, over all calibrations, whose own rate of false alarms may exceed that probability.
+
+The errors of one calibration are the same in all of its scans, so joints differ in their rates. The test is therefore
+set to a mean rate of EXCEEDED times the probability: by Markov's inequality no more joints than that exceed it."""
 MAX_CAUSES = 64  # bound of the causes of ``posor_msgs/JointTransform``
 MAX_NAME = 64  # longest name of a cause [characters]
 

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from posor.calibration.calibration_file import Calibration, Environment, TiltAngle
-from posor.calibration.causes import FALSE_ALARM
+from posor.calibration.causes import EXCEEDED, FALSE_ALARM
 from posor.calibration.parameter_covariance import CovarianceSquareRoot, shared_effects, stated_correlation
 from posor.errors import ParameterError, ShapeError, check_probability, check_type
 from posor.estimation.estimate import ESTIMATE, Estimate, Estimates, estimate_of
@@ -74,8 +74,9 @@ class Posor:
 
         Args:
             calibration: The calibration of the POSOR, with its session already applied.
-            false_alarm: Probability that the chi-square test of the redundant readings rejects a sound scan; zero: the
-                test rejects no scan.
+            false_alarm: Probability that the chi-square test of the redundant readings rejects a sound scan; given its
+                calibration errors, a share ``EXCEEDED`` of joints may have a larger one. Zero: the test rejects no
+                scan.
 
         Raises:
             ParameterError: ``calibration`` is no Calibration, or ``false_alarm`` is not a probability below one.
@@ -112,7 +113,7 @@ class Posor:
         settings, motion = self.settings, self.calibration.motion
         settings["residual_limit"] = settings["noncentrality_root"] = math.inf
         if self.redundancy > 0 and self._false_alarm > 0.0:
-            settings["residual_limit"] = largest = float(chdtri(self.redundancy, self._false_alarm))
+            settings["residual_limit"] = largest = float(chdtri(self.redundancy, EXCEEDED * self._false_alarm))
             settings["noncentrality_root"] = math.sqrt(noncentrality(self.redundancy, largest, MISSED_DETECTION))
         acceleration = None if motion is None else motion.acceleration
         velocities, accelerations = _MOTION_LIMITS

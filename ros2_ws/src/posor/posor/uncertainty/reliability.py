@@ -24,6 +24,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.special import chdtrc
 
+from posor.calibration.causes import EXCEEDED
 from posor.chain.fault_bounds import SMALLEST
 from posor.estimation.fault_effects import MISSED_DETECTION, UNCHECKED, largest_of_pair
 from posor.estimation.fault_model import SECOND
@@ -56,7 +57,7 @@ class Reliability:
         biases: Minimal detectable bias of each reading [m], (m,); infinite: not detectable.
         gains: Change of the pose by one metre of bias, (m, 6), ROS order, axes of R [m/m, rad/m].
         shifts: Change of the pose by the minimal detectable bias, (m, 6) [m, rad]; infinite: not bounded.
-        false_alarm: Probability that the test rejects a sound scan.
+        false_alarm: Probability that the test rejects a sound scan, see ``Posor``.
         missed_detection: Probability that the test passes a bias of the minimal detectable size.
         hypotheses: The causes of faults, and what they move.
         effects: What each of the hypotheses may do to the pose unseen, (C, 7), see ``estimation.fault_effects``.
@@ -121,7 +122,7 @@ def joint_reliability(posor: Posor, scan: Scan, T_R_T: pin.SE3) -> Reliability:
     settings = posor.settings
     false_alarm, root = 0.0, float(settings["noncentrality_root"])
     if math.isfinite(posor.residual_limit):
-        false_alarm = float(chdtrc(posor.redundancy, posor.residual_limit))
+        false_alarm = float(chdtrc(posor.redundancy, posor.residual_limit)) / EXCEEDED
     gains, biases = sensitivity.gain.T, np.full(len(sensitivity.gain.T), math.inf)
     checked = sensitivity.redundancy_numbers > UNCHECKED
     biases[checked] = root / np.sqrt(sensitivity.chi_square[checked])

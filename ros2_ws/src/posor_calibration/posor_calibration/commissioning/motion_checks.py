@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from posor_calibration.commissioning.commissioning_recording import CommissioningRecording, RecordedStep
     from posor_calibration.commissioning.plan import CommissioningSettings
 
-FALSE_ALARM = 1e-6
+FALSE_ALARM = 1e-4
 """Probability that the test of the residuals rejects a sound scan; one such scan may cost the count of a bumpy ring."""
 LEAST_USABLE = 0.95  # share of the scans of a sweep that have a pose
 LEAST_RANGE = 0.9  # share of the stated range that a sweep covers
