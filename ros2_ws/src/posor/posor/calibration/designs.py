@@ -10,11 +10,12 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from scipy.constants import inch
 
 from posor.calibration.calibration_file import VERSION, Calibration, calibration_from
+from posor.calibration.causes import DEFAULT_CAUSES
 from posor.calibration.design_parts import (
     DiodeKind,
     Part,
@@ -30,6 +31,9 @@ from posor.calibration.design_parts import (
 )
 from posor.calibration.yaml_document import parse_yaml
 from posor.errors import CalibrationError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
 
 DesignName = Literal[
     "triad_diodes", "triad_light_ring", "triad_bumpy_ring", "quad_diodes", "quad_light_ring", "quad_bumpy_ring"
@@ -116,6 +120,18 @@ def environment_ranges(supply_spread: float) -> Part:
     }
 
 
+SHOWN_BY_FIVE_RING_PROBES = ("growth of ring", "supply channel")
+"""Default causes of kind ``always`` that the residuals of five ring probes show at their bounds."""
+
+
+def _shown_causes() -> list[Part]:
+    """Return these causes as faults: the test would reject scans of a joint in which one of them was always there."""
+    shown = "a fault, since residuals show one that is always there"
+    causes = [cause for cause in DEFAULT_CAUSES if cause.name in SHOWN_BY_FIVE_RING_PROBES]
+    changed = [each.model_copy(update={"kind": "fault", "source": f"{each.source}; {shown}"}) for each in causes]
+    return [each.model_dump(exclude_defaults=True) for each in changed]
+
+
 CONVERTER_BITS, LIGHT_RING_BITS = 16, 24
 """The noise of light spots on a ring is below a step of 16 bits; frozen diodes would look like a joint at rest."""
 
@@ -134,6 +150,7 @@ def design_calibration(
     environment: Part,
     converter: Part | None,
     sensors: list[Part],
+    causes: Sequence[Part] = (),
 ) -> Calibration:
     """Return the calibration of a design; the arguments are the parts of its file."""
     content: dict[str, Any] = {
@@ -146,6 +163,7 @@ def design_calibration(
         "environment": environment,
         "converter": converter,
         "sensors": sensors,
+        "causes": list(causes),
     }
     return calibration_from(content)
 
@@ -214,7 +232,7 @@ def sized_design(name: SizedDesignName, outside_diameter: float, *, frames: tupl
     if _with_fourth_probe(name):
         tips = [[-circle, 0.0, 0.0], [0.0, circle, 0.0], [circle, 0.0, 0.0], [0.0, -circle, 0.0]]
         notes.append("assumed: a fourth gap probe, so that the others check each of them")
-    checked = name.startswith("checked_")
+    checked, causes = name.startswith("checked_"), list[Part]()
     sensors = [gap_probes(SIZED_GAP_PROBE, tips, SIZED_TILT_SIGMA)]
     if checked:
         sensors[0]["reference"] = reference_voltage()
@@ -231,10 +249,11 @@ def sized_design(name: SizedDesignName, outside_diameter: float, *, frames: tupl
             sensors[1]["ambient"] = ambient_light()
             notes.append("assumed: ambient light removed by dark scans, its drift 1 nA in a second")
     else:
+        causes = _shown_causes() if checked else []
         sensors.append(bumpy_ring(SIZED_RING_PROBE, _sized_ring(outside_diameter), 5 if checked else 4))
         notes.append("assumed: bumps of 0.4 mm every 3.32 mm, ring probes of 1.5 times the range of the others")
     source = f"assumed design of {outside_diameter / inch:g} in outside diameter"
     environment = environment_ranges(SIZED_GAP_PROBE.supply_sigma)
     return design_calibration(
-        title, source, tuple(notes), frames, assumed_motion(0.02), environment, converter_steps(bits), sensors
+        title, source, tuple(notes), frames, assumed_motion(0.02), environment, converter_steps(bits), sensors, causes
     )
