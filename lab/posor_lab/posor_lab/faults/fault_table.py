@@ -112,7 +112,7 @@ def _allow_releases(path: Path) -> None:
 
 FaultKind = Literal["off", "stuck", "garbage", "wrong", "slow", "clock", "network"]
 """Failure types of PX4's fault injection, and faults of clock and network."""
-ArmName = Literal["six_axis", "five_axis", "test_rig", "quad_rig"]
+ArmName = Literal["six_axis", "five_axis", "five_axis_checked", "test_rig", "quad_rig"]
 """Installed arms: light rings and four gap probes; bumpy rings and three; fixed diodes and three; and with four."""
 ARMS: tuple[ArmName, ...] = get_args(ArmName)
 TIME_RUNS = ("times", "stamps", "offline_times")

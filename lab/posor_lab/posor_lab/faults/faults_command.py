@@ -21,6 +21,7 @@ from posor_drivers.simulator.arm_simulation import ArmSimulation
 from rich.table import Table
 from scipy.stats import betabinom
 
+from posor_lab.faults.availability import OK_SHARE, Availability, arm_availability
 from posor_lab.faults.cause_faults import SCANS, run_causes
 from posor_lab.faults.device_run import DeviceRun
 from posor_lab.faults.fault_table import (
@@ -32,7 +33,9 @@ from posor_lab.faults.fault_table import (
     write_fault_arm,
 )
 from posor_lab.faults.injection_run import ReadingRun
+from posor_lab.faults.levels_at_rest import AIMS, DEVIATION_K, RestingArm, levels_at_rest
 from posor_lab.faults.message_run import MessageRun
+from posor_lab.faults.motion_coverage import LEAST, LevelCoverage, motion_coverage
 from posor_lab.faults.node_storm import run_node_storm
 from posor_lab.faults.offline_faults import CASES, run_ambient, run_hidden, run_slips
 from posor_lab.faults.offline_time import run_offline_times
@@ -112,8 +115,8 @@ def run_without_faults(
     return AlarmFigures(arm, tuple(sorted(errors)), len(flags), alarms, (int(low), int(high)))
 
 
-SOUND_SHARE = 0.998  # least share of sound scans outside of a latched period that are OK
 SOUND_ARMS: tuple[ArmName, ...] = ("five_axis", "six_axis")
+DRAWN_ARMS: tuple[ArmName, ...] = ("six_axis", "five_axis_checked")
 QUICK_INJECTED, QUICK_CASES, QUICK_SCANS = 15_000, 50, 100
 OPTIONS = (
     Option("--seed", 1985, "of motion, noise and faults", least=0),
@@ -121,6 +124,8 @@ OPTIONS = (
     Option("--quick", default=False, text="a few rows and a short storm, for less than 40 s"),
     Option("--storm", 1_000_000, "faulty scans of the storm through the estimator, of all stacks together", least=0),
     Option("--node-storm", 100_000, "faulty scans of the storm through nodes", least=0),
+    Option("--arms", 100, "drawn arms of each design without faults, every one of which must be OK", least=0),
+    Option("--motion", 100_000, "scans of drawn arms of each design in fast motion", least=0),
     Option("--soak", 30.0, "duration of each run without faults [s]; 600 for the full test", least=0),
 )
 LIVE_RUNS: Mapping[str, type[InjectionRun]] = {  # live runs by section of the table
@@ -145,7 +150,7 @@ TITLES = {  # titles of the runs by section of the table; rows of the same title
 def shorten(options: Namespace) -> None:
     """Disable the parts that ``--rows`` and ``--quick`` do not run."""
     if options.quick or options.rows:
-        options.soak, options.node_storm = 0.0, 0
+        options.soak, options.node_storm, options.arms, options.motion = 0.0, 0, 0, 0
         options.storm = 0 if options.rows else min(options.storm, QUICK_INJECTED)
 
 
@@ -200,6 +205,18 @@ def run_soaks(trial: Trial) -> list[AlarmFigures]:
     return soaks
 
 
+def run_drawn_arms(trial: Trial) -> tuple[list[Availability], list[LevelCoverage]]:
+    """Return the figures of drawn arms: of sound scans, and of the level in fast motion."""
+    options, sound, moving = trial.options, list[Availability](), list[LevelCoverage]()
+    for arm in DRAWN_ARMS if options.arms else ():
+        with trial.progress.stage(f"drawn arms of {arm}", options.arms) as on_done:
+            sound.append(arm_availability(arm, options.arms, options.seed, on_done))
+    for arm in DRAWN_ARMS if options.motion else ():
+        with trial.progress.stage(f"{arm} in fast motion", options.motion) as on_done:
+            moving.append(motion_coverage(arm, options.motion, options.seed, trial.subfolder(f"motion {arm}"), on_done))
+    return sound, moving
+
+
 def run_storms(trial: Trial) -> dict[str, StormCount]:
     """Return the figures of the storm of each stack, through the estimator and through nodes.
 
@@ -220,14 +237,45 @@ def run_storms(trial: Trial) -> dict[str, StormCount]:
 def run_faults(trial: Trial) -> tuple[Findings, Mapping[str, Any]]:
     """Return the findings and the content of ``faults.json``."""
     results, soaks, storms = run_rows(trial), run_soaks(trial), run_storms(trial)
+    sound, moving = run_drawn_arms(trial)
     if trial.console.is_terminal:
         trial.console.print(rows_table(results))
     content = {
         "faults": [each.as_json() for each in results],
         "without_faults": [{**vars(each), "holds": each.holds} for each in soaks],
+        "drawn_arms": [vars(each) for each in sound],
+        "motion": [{**vars(each), "share": each.share} for each in moving],
         "storm": storm_json(storms),
     }
-    return fault_findings(results, soaks, storms), content
+    resting = [levels_at_rest(arm) for arm in DRAWN_ARMS] if trial.options.arms else []
+    found = fault_findings(results, soaks, storms)
+    arms = (*map(describe_arms, sound), *map(describe_motion, moving), *map(describe_rest, resting))
+    return Findings((*found.findings, *arms)), content
+
+
+def describe_rest(found: RestingArm) -> Finding:
+    """Return the levels of an arm at rest, judged where there is an aim."""
+    quantity = f"{found.arm} at rest, temperatures within {DEVIATION_K:g} K: largest protection level"
+    texts = {"quantity": quantity, "computed": found.describe(found.worst)}
+    remark = f"median {found.describe(found.median)}"
+    if found.arm not in AIMS:
+        return Finding(**texts, remark=remark)
+    aim = " and ".join(f"{1e6 * each:g} {unit}" for each, unit in zip(AIMS[found.arm], ("um", "urad"), strict=True))
+    return Finding.judged(**texts, limit=f"at most {aim}", holds=found.holds, remark=remark)
+
+
+def describe_arms(found: Availability) -> Finding:
+    """Return the verdict on drawn arms without faults."""
+    quantity, worst = f"{found.arm}: sound scans that are OK, worst arm", f"{100.0 * min(found.shares):.3f} %"
+    aim = f"at least {100.0 * OK_SHARE:g} %"
+    return Finding.judged(quantity, worst, aim, holds=found.holds, remark=found.describe())
+
+
+def describe_motion(found: LevelCoverage) -> Finding:
+    """Return the verdict on the level in fast motion."""
+    quantity, share = f"{found.arm} in fast motion: within the protection level", f"{100.0 * found.share:.3f} %"
+    aim = f"at least {100.0 * LEAST:g} %"
+    return Finding.judged(quantity, share, aim, holds=found.share >= LEAST, remark=found.describe())
 
 
 def fault_findings(
@@ -257,8 +305,8 @@ def fault_findings(
             Finding.judged(
                 f"storm of {name}: sound scans that are OK",
                 f"{100.0 * storm.sound_ok_share:.3f} %",
-                f"at least {100.0 * SOUND_SHARE:g} %",
-                holds=storm.sound_ok_share >= SOUND_SHARE,
+                f"at least {100.0 * OK_SHARE:g} %",
+                holds=storm.sound_ok_share >= OK_SHARE,
                 remark=f"of {storm.sound}; {storm.latched} more in latched periods",
             )
         )

@@ -27,9 +27,9 @@ from posor.uncertainty.reliability import joint_reliability
 from posor_bringup.arms import find_arm
 from posor_drivers.simulator.pose_array import PoseArray
 
+from posor_lab.faults.cause_injection import draw_sensors
 from posor_lab.faults.fault_table import RowResult
 from posor_lab.faults.pose_judge import SIGMAS, estimated_poses, small_errors, wrong_poses
-from posor_lab.faults.storm import draw_sensors
 from posor_lab.independent.true_arm import TrueArm
 from posor_lab.true_scans import TruePosor
 

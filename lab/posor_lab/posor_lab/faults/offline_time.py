@@ -70,6 +70,7 @@ DRAWN = {
 SWINGS: Mapping[ArmName, tuple[float, float]] = {
     "six_axis": (0.2, 1.0),
     "five_axis": (0.2, 1.0),
+    "five_axis_checked": (0.2, 1.0),
     "test_rig": (0.04, 0.25),
     "quad_rig": (0.04, 0.25),
 }

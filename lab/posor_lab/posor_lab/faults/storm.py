@@ -33,6 +33,7 @@ from posor_drivers.simulator.electronics import convert_to_digital
 from posor_drivers.simulator.pose_array import PoseArray
 from posor_drivers.simulator.simulated_scans import DIODE_FIELD
 
+from posor_lab.faults.cause_injection import draw_sensors
 from posor_lab.faults.pose_judge import estimated_poses, small_errors, wrong_poses
 from posor_lab.faults.storm_faults import RANGES, Episode, field_of, storm_faults
 from posor_lab.true_scans import TruePosor
@@ -65,13 +66,6 @@ def storm_calibrations() -> dict[str, Calibration]:
     }
 
 
-def draw_sensors(posor: Posor, random: np.random.Generator) -> Stack:
-    """Return the stack with true parameters that are drawn within their uncertainties."""
-    stack = posor.stack
-    errors = stack.parameter_sigmas * random.normal(size=stack.parameters)
-    return stack.with_parameter_values(stack.parameter_values + errors)
-
-
 @dataclass(frozen=True)
 class Storm:
     """Scans with faults, and the true poses."""
@@ -89,7 +83,7 @@ class StormMaker:
     def __init__(self, calibration: Calibration) -> None:
         """Compute the largest minimal detectable biases over the motion."""
         self.calibration, self.posor, self._truth = calibration, Posor(calibration), TruePosor(calibration)
-        self._faults = storm_faults(calibration)
+        self._faults = storm_faults(calibration, self.posor.hypotheses.causes)
         self.names = tuple(self._faults)
         poses = _motion(np.linspace(0.0, SWING_S / 2.0, PHASES), 0.0)
         scans = scans_at(self.posor.stack, poses.rotations, poses.translations, np.arange(PHASES))
@@ -101,7 +95,8 @@ class StormMaker:
         random = np.random.default_rng([seed, *self.calibration.name.encode()])
         times = np.arange(count) / RATE
         truth = _motion(times, random.uniform(0.0, 2.0 * np.pi))
-        arrays = self._sound_readings(truth, random)
+        stack = draw_sensors(self.posor, random)
+        arrays = self._sound_readings(truth, stack, random)
         faults = np.full(count, -1)
         begin, acknowledgements = START_SCANS, []
         while True:
@@ -111,7 +106,7 @@ class StormMaker:
                 break
             kind = int(random.integers(len(self.names)))
             part = slice(begin, begin + length)
-            self._faults[self.names[kind]](Episode(arrays, part, random, self._bias))
+            self._faults[self.names[kind]](Episode(arrays, part, random, self._bias, stack))
             faults[part] = kind
             begin += length
             acknowledgements.append(begin + OPERATOR_SCANS)
@@ -126,9 +121,9 @@ class StormMaker:
             acknowledgements=places[np.array(sound, dtype=np.int64)],
         )
 
-    def _sound_readings(self, truth: PoseArray, random: np.random.Generator) -> dict[str, Any]:
+    def _sound_readings(self, truth: PoseArray, stack: Stack, random: np.random.Generator) -> dict[str, Any]:
         """Return the fields of sound scans as arrays that may be changed, and which are sent."""
-        stack, count = draw_sensors(self.posor, random), len(truth)
+        count = len(truth)
         stamps = np.arange(1, count + 1, dtype=np.int64) * (NS // RATE)
         scans = self._truth.scans_at(stack, truth.rotations, truth.translations, stamps, noise=random)
         arrays: dict[str, Any] = {"stamps_ns": stamps, "numbers": np.arange(count, dtype=np.uint64)}

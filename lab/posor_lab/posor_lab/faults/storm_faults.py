@@ -1,6 +1,7 @@
 """The faults of the storm: the change that each makes to some scans of a block.
 
-Offsets are at least twice the minimal detectable bias of their probe.
+Offsets are at least twice the minimal detectable bias of their probe. Faults of a cause have any size within its bound,
+and one size, direction and choice of readings in an episode.
 """
 
 from __future__ import annotations
@@ -9,16 +10,20 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from posor.model.scan import DIODES_ESTIMATED, HOME_BUMP, PROBES_ESTIMATED, SATURATED
+import numpy as np
+from posor.model.scan import DIODES_ESTIMATED, HOME_BUMP, PROBES_ESTIMATED, SATURATED, Scans
 from posor.sensors.diodes import DiodesCalibration
 from posor.sensors.gap_probes import GapProbesCalibration
 from posor_drivers.simulator.simulated_scans import DIODE_FIELD
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+from posor_lab.faults.cause_injection import draw_sizes, inject
 
-    import numpy as np
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Mapping
+
     from posor.calibration.calibration_file import Calibration
+    from posor.calibration.causes import Cause
+    from posor.estimation.sensor_stack import Stack
 
 OBSERVABLE = 2.0  # least error of a wrong reading, in minimal detectable biases
 RANGES = {"gap_voltages": (-7.0, 7.0), "ring_voltages": (-7.0, 7.0), DIODE_FIELD: (0.0, 1.5e-4)}
@@ -28,12 +33,16 @@ FLAGS = {"SATURATED": SATURATED, "PROBES_ESTIMATED": PROBES_ESTIMATED, "DIODES_E
 
 @dataclass(frozen=True)
 class Episode:
-    """One fault of a block, in the scans ``part`` of its arrays; ``bias`` returns a minimal detectable bias [V]."""
+    """One fault of a block, in the scans ``part`` of its arrays; ``bias`` returns a minimal detectable bias [V].
+
+    ``stack``: the sensors that the readings come from.
+    """
 
     arrays: Mapping[str, Any]
     part: slice
     random: np.random.Generator
     bias: Callable[[str, int], float]
+    stack: Stack
 
     def channel(self, name: str) -> tuple[slice, int]:
         """Return the part of a random channel."""
@@ -52,6 +61,16 @@ class Episode:
         part, channel = self.channel(name)
         factor = math.exp(self.random.uniform(math.log(OBSERVABLE), math.log(100.0 * OBSERVABLE)))
         self.arrays[name][part, channel] += self.random.choice([-1.0, 1.0]) * factor * self.bias(name, channel)
+
+    def act(self, cause: Cause) -> None:
+        """Add a fault of a cause."""
+        changed = (*RANGES, "supply_voltages", "temperatures")
+        fields = (*changed, "stamps_ns", "lit_sources")
+        scans = Scans.from_fields(**{name: self.arrays[name][self.part] for name in fields})
+        size = self.random.choice(draw_sizes(cause, 1.0, 2, self.random))
+        scans = inject(cause, np.full(len(scans), size), scans, self.stack, self.random, alike=True)
+        for name in changed:
+            self.set_all(name, getattr(scans, name))
 
     def stick(self, name: str) -> None:
         """Repeat the first reading of a random channel."""
@@ -85,8 +104,8 @@ class Episode:
         self.set_flag(HOME_BUMP, part)
 
 
-def storm_faults(calibration: Calibration) -> dict[str, Callable[[Episode], None]]:
-    """Return the faults that a stack can have, by name."""
+def storm_faults(calibration: Calibration, causes: Iterable[Cause]) -> dict[str, Callable[[Episode], None]]:
+    """Return the faults that a stack can have, by name; ``causes``: of faults, of the calibration."""
     faults: dict[str, Callable[[Episode], None]] = {
         "no scans": lambda episode: episode.set_all("sent", value=False),
         "all readings frozen": Episode.freeze,
@@ -98,6 +117,7 @@ def storm_faults(calibration: Calibration) -> dict[str, Callable[[Episode], None
     for what, (name, values) in environment.items():
         unit = "V" if what == "supply" else "K"
         faults |= {f"{what} {value:g} {unit}": _call(Episode.set_all, name, value) for value in values}
+    faults |= {f"cause {cause.name}": _call(Episode.act, cause) for cause in causes}
     faults |= {f"flag {name}": _call(Episode.set_flag, flag) for name, flag in FLAGS.items()}
     for sensor in calibration.sensors:
         name = field_of(sensor)

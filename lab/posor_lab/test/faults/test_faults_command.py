@@ -14,14 +14,19 @@ from posor.errors import ParameterError
 from posor.model.fault import State
 from posor.uncertainty.protection_level import joint_protection_levels
 from posor_drivers.simulator.pose_array import PoseArray
+from posor_lab.faults.availability import OK_SHARE, START, arm_availability
+from posor_lab.faults.cause_injection import inject
 from posor_lab.faults.device_run import ACTIONS
 from posor_lab.faults.fault_table import FAULT_TABLE, NAMING_LIMITS_S, FaultRow, RowResult
-from posor_lab.faults.faults_command import PROGRAM, TITLES, main
+from posor_lab.faults.faults_command import PROGRAM, TITLES, describe_arms, describe_motion, describe_rest, main
+from posor_lab.faults.levels_at_rest import levels_at_rest
 from posor_lab.faults.message_run import change_message
+from posor_lab.faults.motion_coverage import LEAST, LevelCoverage, motion_coverage
 from posor_lab.faults.offline_faults import run_ambient, run_slips
 from posor_lab.faults.offline_time import OfflineArm, run_offline_times
 from posor_lab.faults.pose_judge import SIGMAS, wrong_poses
 from posor_lab.faults.storm import StormMaker, count_storm, estimate_storm, storm_calibrations
+from posor_lab.reports.findings import Verdict
 from posor_msgs.msg import JointTransform, RawScan
 
 pytestmark = pytest.mark.timeout(300)
@@ -77,7 +82,7 @@ def test_wrong_options_are_refused(arguments: list[str], tmp_path: Path, capsys:
 def test_quick_shortens_the_storm() -> None:
     options = PROGRAM.parse(["--quick"])
     assert 0 < options.storm < PROGRAM.parse([]).storm
-    assert options.node_storm == 0
+    assert (options.node_storm, options.arms, options.motion) == (0, 0, 0)
     with pytest.raises(ParameterError):
         PROGRAM.parse(["--everything"])
 
@@ -171,3 +176,38 @@ def test_a_pose_that_is_wrong_counts(storm_maker: StormMaker) -> None:
 def test_neither_a_slip_of_a_coded_ring_nor_ambient_light_gives_a_wrong_pose(run: str, of_row: Any) -> None:
     (row,) = (row for row in FAULT_TABLE if row.run == run)
     assert of_row(row, seed=1, positions=3).failures == []
+
+
+def test_each_drawn_arm_counts_by_itself() -> None:
+    found = arm_availability("six_axis", 2, 1985, lambda _: None, ticks=START + 100)
+    assert found.shares == (1.0, 1.0)
+    assert found.scans == 200  # the dark scan is among the first
+    assert describe_arms(found).verdict is Verdict.HOLDS
+    assert describe_arms(replace(found, shares=(1.0, OK_SHARE - 1e-3))).verdict is Verdict.FAILS
+
+
+def test_the_level_covers_bounded_errors_in_fast_motion(tmp_path: Path) -> None:
+    found = motion_coverage("five_axis_checked", 1, 1985, tmp_path, lambda _: None, cycle_s=4)
+    assert (found.scans, found.share) == (800, 1.0)
+    assert found.usable > 780
+    assert 0.2 < found.largest < 1.0  # errors are not small against the level
+    assert describe_motion(found).verdict is Verdict.HOLDS
+    assert describe_motion(LevelCoverage("x", 1000, 1000, round(1000 * LEAST) - 1)).verdict is Verdict.FAILS
+
+
+def test_a_fault_of_an_episode_has_one_size_direction_and_choice_of_readings(storm_maker: StormMaker) -> None:
+    stack, scans = storm_maker.posor.stack, storm_maker.draw(1).scans.part(0, 10)
+    for cause in storm_maker.posor.hypotheses.causes:
+        if cause.unit == "m":
+            moved = inject(cause, np.full(10, 1e-6), scans, stack, np.random.default_rng(2), alike=True)
+            shifts = stack.linearise(moved).values - stack.linearise(scans).values
+            np.testing.assert_allclose(shifts, np.tile(shifts[0], (10, 1)), rtol=0.0, atol=1e-12)
+            assert np.abs(shifts).max() > 5e-7
+
+
+def test_an_arm_at_rest_with_known_temperatures_has_small_levels() -> None:
+    found = levels_at_rest("six_axis", 3)
+    assert describe_rest(found).verdict is Verdict.HOLDS
+    assert np.all(found.worst >= found.median)
+    assert describe_rest(found._replace(worst=found.worst + 1e-4)).verdict is Verdict.FAILS
+    assert describe_rest(found._replace(arm="another")).verdict is Verdict.NOT_JUDGED

@@ -14,7 +14,7 @@ from posor.estimation.fault_effects import largest_of_pair
 from posor.estimation.posor import Posor
 from posor.model.scan import Scans
 from posor.uncertainty.budget_poses import scan_at
-from posor_lab.faults.cause_faults import inject, with_readings
+from posor_lab.faults.cause_injection import inject, with_readings
 from scipy.special import chndtr
 
 POSE = pin.SE3(
