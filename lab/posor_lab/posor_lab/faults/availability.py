@@ -7,6 +7,7 @@ the independent truth and follow one another as in the nodes.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -23,6 +24,8 @@ from posor_lab.independent.true_arm import TrueArm
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+
+    from posor_drivers.simulator.pose_array import PoseArray
 
     from posor_lab.faults.fault_table import ArmName
 
@@ -50,6 +53,11 @@ class Availability:
         return f"{len(self.shares)} arms, {self.scans} scans; {mean}; {below} arms below {100.0 * OK_SHARE:g} %"
 
 
+def _select(poses: PoseArray, _after_s: float) -> PoseArray:
+    """Return the poses at any time; without a multiplexer all readings are at their tick."""
+    return poses
+
+
 def arm_availability(
     name: ArmName, arms: int, seed: int, on_drawn: Callable[[int], None], ticks: int = TICKS
 ) -> Availability:
@@ -65,7 +73,7 @@ def arm_availability(
         are_lit, are_ok = np.tile(numbers >= START, (2, 1))
         for joint, posor in posors.items():
             electronics = JointElectronics(scenario, joint, posor.calibration, IMPERFECTIONS, name, model)
-            scans = electronics.scans(numbers, lambda _, joint=joint: poses[joint]).scans
+            scans = electronics.scans(numbers, partial(_select, poses[joint])).scans
             posor.reset()
             are_ok &= posor.estimate_all(scans).states == State.OK
             are_lit &= ~np.any(scans.lit_sources == NO_SOURCE, axis=1)

@@ -256,12 +256,11 @@ def run_faults(trial: Trial) -> tuple[Findings, Mapping[str, Any]]:
 def describe_rest(found: RestingArm) -> Finding:
     """Return the levels of an arm at rest, judged where there is an aim."""
     quantity = f"{found.arm} at rest, temperatures within {DEVIATION_K:g} K: largest protection level"
-    texts = {"quantity": quantity, "computed": found.describe(found.worst)}
-    remark = f"median {found.describe(found.median)}"
+    worst, remark = found.describe(found.worst), f"median {found.describe(found.median)}"
     if found.arm not in AIMS:
-        return Finding(**texts, remark=remark)
+        return Finding(quantity, worst, remark=remark)
     aim = " and ".join(f"{1e6 * each:g} {unit}" for each, unit in zip(AIMS[found.arm], ("um", "urad"), strict=True))
-    return Finding.judged(**texts, limit=f"at most {aim}", holds=found.holds, remark=remark)
+    return Finding.judged(quantity, worst, f"at most {aim}", holds=found.holds, remark=remark)
 
 
 def describe_arms(found: Availability) -> Finding:
