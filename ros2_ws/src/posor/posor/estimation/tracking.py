@@ -39,9 +39,10 @@ def copy_pose(source: Any, target: Any) -> None:
 
 @inlined
 def forget_pose(tracker: Any) -> None:
-    """Forget the previous pose and the count."""
+    """Forget the previous pose, the count, and the home marks that agreed with them."""
     tracker.initialised = 0
     tracker.counted = 0
+    tracker.marks = 0
 
 
 @inlined

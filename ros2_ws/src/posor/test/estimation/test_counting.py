@@ -76,6 +76,18 @@ def test_a_home_mark_that_disagrees_is_latched_and_never_counted() -> None:
     assert again.thetas[MARKS - 1 :] == pytest.approx(thetas[at_mark - 3 + MARKS - 1 : at_mark + 4], abs=1e-9)
 
 
+def test_home_marks_before_a_scan_without_a_solution_do_not_count_the_next_one() -> None:
+    """The next pose has no motion gate, so that one garbled scan could be counted and OK."""
+    posor = Posor(design("quad_bumpy_ring", motion=True))
+    scans = turning_scans(posor, np.linspace(0.0, 0.005, 30), marks=tuple(range(30)))
+    volts = scans.ring_voltages.copy()
+    volts[12] = [0.1, 4.5, -3.6, 4.5]
+    found = posor.estimate_all(scans.with_fields({"ring_voltages": volts}))
+    assert found.faults[12] == Fault.NOT_CONVERGED
+    assert (found.states[13 : 12 + MARKS] == State.UNCOUNTED).all()
+    assert (found.states[12 + MARKS :] == State.OK).all()
+
+
 @pytest.mark.parametrize("marks", [(150,), (150, 151), (120, 150, 152)])
 def test_spurious_home_marks_cost_their_own_scans_only(marks: tuple[int, ...]) -> None:
     posor = Posor(design("triad_bumpy_ring", motion=True))
