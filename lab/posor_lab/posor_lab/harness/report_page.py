@@ -21,8 +21,11 @@ class ReportPage(HTMLParser):
         self.texts: list[str] = []  # texts outside of scripts and styles
         # rows of the CSV data of each plot, by the name of the downloaded file
         self.data: dict[str, list[dict[str, str]]] = {}
+        self.links: set[str] = set()  # places of the page that its links name
+        self.anchors: set[str] = set()  # places of the page that can be named
         self._open: list[str] = []
         self.feed(page)
+        self.problems += [f"no place #{link}" for link in sorted(self.links - self.anchors)]
         self.close()
         size = len(page.encode())
         self.problems += [f"{tag} is open" for tag in self._open]
@@ -34,7 +37,9 @@ class ReportPage(HTMLParser):
             self._open.append(tag)
         given = {name: value or "" for name, value in attrs}
         addresses = [given[name] for name in ("src", "href", "srcset", "action") if name in given]
-        self.problems += [f"{tag}: {address}" for address in addresses if not address.startswith("data:")]
+        self.problems += [f"{tag}: {address}" for address in addresses if not address.startswith(("data:", "#"))]
+        self.links |= {address[1:] for address in addresses if address.startswith("#")}
+        self.anchors |= {given["id"]} if "id" in given else set()
         address = given.get("href", "")
         if address.startswith(CSV_LINK):
             text = unquote(address.removeprefix(CSV_LINK))

@@ -7,5 +7,7 @@ from posor.lazy_program import LazyProgram
 arm = LazyProgram("arm", "posor_bringup.arm_command")
 bringup = LazyProgram("bringup", "posor_bringup.bringup")
 view = LazyProgram("view", "posor_bringup.view_command")
+statement = LazyProgram("statement", "posor_bringup.statement_command")
+iso9283 = LazyProgram("iso9283", "posor_bringup.iso9283_command")
 commission = LazyProgram("commission", "posor_bringup.commission_command")
 posor = LazyProgram("posor", "posor_bringup.posor_command")

@@ -17,7 +17,7 @@ from posor_calibration.calibration_programs import calibrate
 from posor_design.design_programs import budget, design
 from posor_drivers.driver_programs import import_table, instruments, record
 
-from posor_bringup.bringup_programs import arm, bringup, commission, view
+from posor_bringup.bringup_programs import arm, bringup, commission, iso9283, statement, view
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -100,7 +100,9 @@ SUBCOMMANDS = {
     "recover": Subcommand(recover, "write what is whole in a damaged bag to a new bag"),
     "calibrate": Subcommand(calibrate, "fit a calibration file to a bag, list the procedures, compare files"),
     "check": Subcommand(calibrate, "check whether a calibration file still explains a bag", ("check",)),
-    "budget": Subcommand(budget, "compute the error budget of a calibration file or an arm"),
+    "statement": Subcommand(statement, "state the uncertainty of an arm's endpoint for a customer: page, PDF, JSON"),
+    "iso9283": Subcommand(iso9283, "accuracy and repeatability of poses, distances and paths from a bag (ISO 9283)"),
+    "budget": Subcommand(budget, "compute the error budget of a calibration file ('statement': of an arm's endpoint)"),
     "design": Subcommand(design, "compute a part of a POSOR or of its structure from dimensions"),
     "completion": Subcommand(
         _print_completion, 'complete subcommands, options, arms, procedures in bash: eval "$(posor completion)"'

@@ -200,13 +200,18 @@ class FileLocations:
     root: yaml.Node | None  # its root node, from ``parse_yaml``
 
     def describe(self, *location: str | int) -> str:
-        """Return ``file, line n, key a.b[0].c``.
+        """Return ``file, line n, key a.b[0].c``; ``location`` as for ``find``."""
+        line, key = self.find(*location)
+        return f"{self.source}, line {line}" + (f", key {key}" if key else "")
+
+    def find(self, *location: str | int) -> tuple[int, str]:
+        """Return line and key ``a.b[0].c`` of an entry.
 
         ``location``: keys and indices of the entry. Parts that are not in the file (a missing key, the tag of a union)
         are left out. A part with dots may be nested mappings in the file.
         """
         line, key, _ = self._find(location)
-        return f"{self.source}, line {line}" + (f", key {key.lstrip('.')}" if key else "")
+        return line, key
 
     def plain_scalar(self, *location: str | int) -> str | None:
         """Return the scalar at a location as it is written; None for anything else, and for a scalar in quotes."""
@@ -231,7 +236,7 @@ class FileLocations:
                 node = node.value[part]
                 line = node.start_mark.line + 1
                 key += f"[{part}]"
-        return line, key, node
+        return line, key.lstrip("."), node
 
 
 def _find_entry(node: yaml.MappingNode, key: str) -> tuple[yaml.Node, yaml.Node] | None:

@@ -69,6 +69,7 @@ class Chain:
     Attributes:
         base_frame: The URDF's root link.
         joints: The POSORs.
+        path_joints: Those between the base and the endpoint, in this order.
         beams: The measuring beams of the beams file, in its order.
         beam_joints: The joints of the URDF that they are, in the same order.
         fixed_transforms: The fixed joints of the URDF that are no beams of the beams file, and the places of inserted
@@ -111,6 +112,7 @@ class Chain:
         self.left_out = content.left_out
         self.base_frame = self._robot.base_frame
         self.joints = self._robot.joints
+        self.path_joints = tuple(joint for joint in self.joints if joint.index in self._robot.path())
         self.urdf = urdf
         self.beam_joints = self._robot.freed
         self.shared = {} if beams is None else beams.shared
@@ -166,9 +168,8 @@ class Chain:
         ``angles``: the angle of each joint [rad].
         """
         pose = self.links[0].T_nominal
-        names = [joint.name for joint in self.joints if joint.index in self._robot.path()]
-        for name, link in zip(names, self.links[1:], strict=True):
-            pose = pose * self.nominal_joint(name, angles[name]) * link.T_nominal
+        for joint, link in zip(self.path_joints, self.links[1:], strict=True):
+            pose = pose * self.nominal_joint(joint.name, angles[joint.name]) * link.T_nominal
         return pose
 
     def estimate(

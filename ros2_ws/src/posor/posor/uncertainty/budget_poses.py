@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
     from posor.calibration.calibration_file import Calibration
     from posor.chain.kinematic_chain import Chain
+    from posor.estimation.estimate import Estimates
     from posor.model.scan import Scan, Scans
     from posor.numerics.array_types import FloatArray, IntArray
 
@@ -158,16 +159,31 @@ def model_covariances(
     check_same_terms({"the beams file": chain.shared, **files})
     random, systematic, shared = {}, {}, {}
     for joint in chain.joints:
-        pose = chain.nominal_joint(joint.name, angles[joint.name])
-        posor = Posor(calibrations[joint.name])
-        scans = scans_at(posor.stack, pose.rotation[None], pose.translation[None], np.zeros(1, dtype=np.int64))
-        estimates = posor.estimate_each(scans, np.array([angles[joint.name]]))
-        if estimates.states[0] != State.OK:
-            fault = Fault(int(estimates.faults[0])).name or "no pose"
-            what = f"has no valid pose at {math.degrees(angles[joint.name]):g} degrees ({fault})"
-            raise ChainError(what, where=f"joint '{joint.name}'", expected="an angle in the range of its sensors")
+        angle = np.array([angles[joint.name]])
+        estimates = estimates_at(Posor(calibrations[joint.name]), chain, joint.name, angle)
+        require_poses(estimates, joint.name, angle)
         random[joint.name] = estimates.covariances_random[0]
         systematic[joint.name] = estimates.covariances_systematic[0]
         terms = calibrations[joint.name].shared
         shared[joint.name] = dict(zip(terms, estimates.shared_effects[0], strict=False))
     return ModelCovariances(random, systematic, shared)
+
+
+def estimates_at(posor: Posor, chain: Chain, joint: str, angles: FloatArray) -> Estimates:
+    """Return the estimates from the noiseless readings of a joint's POSOR at angles of the joint [rad], (n,)."""
+    poses = [chain.nominal_joint(joint, angle) for angle in angles]
+    rotations, translations = (
+        np.array([getattr(each, what) for each in poses]) for what in ("rotation", "translation")
+    )
+    scans = scans_at(posor.stack, rotations, translations, np.zeros(len(poses), dtype=np.int64))
+    return posor.estimate_each(scans, angles)
+
+
+def require_poses(estimates: Estimates, joint: str, angles: FloatArray) -> None:
+    """Raise ChainError if a POSOR has no valid pose at one of the angles [rad], (n,), of its joint."""
+    lost = np.flatnonzero(estimates.states != State.OK)
+    if lost.size:
+        n = lost[0]
+        fault = Fault(int(estimates.faults[n])).name or "no pose"
+        what = f"has no valid pose at {math.degrees(angles[n]):g} degrees ({fault})"
+        raise ChainError(what, where=f"joint '{joint}'", expected="an angle in the range of its sensors")

@@ -1,0 +1,121 @@
+"""Program ``statement``: the uncertainty of an arm's endpoint for a customer, as one page, PDF and JSON."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from posor.chain.arm_file import load_arm_file
+from posor.errors import ParameterError
+from posor.reporting.command_line_parser import CommandLineParser
+from posor.reporting.program_errors import reports_errors
+from posor.reporting.report_console import report_console
+from posor_design.arm_uncertainty import ArmUncertainty
+from posor_design.statement import make_statement
+from posor_design.statement_poses import bag_poses, given_pose, grid_poses, path_poses
+from posor_design.statement_records import Records
+from posor_design.statement_report import print_statement, write_statement
+
+from posor_bringup.arms import find_arm
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from posor.chain.arm_file import ArmFile
+    from posor_design.statement_poses import StatementPoses
+
+WIDTH = 160
+
+
+def _angles(text: str) -> list[float]:
+    try:
+        angles = [float(part) for part in text.split(",")]
+    except ValueError:
+        angles = [math.nan]
+    if not all(map(math.isfinite, angles)):
+        raise argparse.ArgumentTypeError(f"'{text}' is not a list of angles a,b,... in rad")
+    return angles
+
+
+def _count(text: str) -> int:
+    if not text.isdecimal() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"'{text}' is not a whole number of at least 1")
+    return int(text)
+
+
+def _deviation(text: str) -> float:
+    try:
+        number = float(text)
+    except ValueError:
+        number = math.nan
+    if not 0.0 <= number < math.inf:
+        raise argparse.ArgumentTypeError(f"'{text}' is not a temperature difference of 0 K or more")
+    return number
+
+
+def parse_options(arguments: Sequence[str] | None) -> argparse.Namespace:
+    """Return the options. Raises ParameterError: an option is unknown or invalid, or there is no pose."""
+    parser = CommandLineParser(
+        prog="posor statement", description="State the uncertainty of an arm's endpoint: page, PDF and JSON."
+    )
+    parser.add_argument("arm", metavar="ARM", help="arm file, its folder, or the name of an installed arm")
+    parser.add_argument(
+        "--angles",
+        type=_angles,
+        metavar="a,b,...",
+        help="of the joints from base to endpoint in rad, written --angles=...",
+    )
+    parser.add_argument("--path", type=Path, metavar="FILE.csv", help="poses: a column of angles in rad for each joint")
+    parser.add_argument("--grid", type=_count, metavar="N", help="poses of the workspace: N angles of each joint")
+    text = "recorded scans: their poses; with --angles, the scatter of the scans of the arm at rest there"
+    parser.add_argument("--bag", type=Path, help=text)
+    parser.add_argument(
+        "--average", type=_count, default=1, metavar="N", help="the result is the mean of N scans (default: 1)"
+    )
+    text = "the beams deviate by at most this from the temperature of the URDF (default: as the beams file states)"
+    parser.add_argument("--temperature-deviation", type=_deviation, metavar="K", help=text)
+    parser.add_argument("--output", type=Path, metavar="FOLDER", help="default: build/statement/<name of the arm>")
+    options = parser.parse_args(arguments)
+    given = [name for name in ("angles", "path", "grid", "bag") if getattr(options, name) is not None]
+    if not given:
+        parser.error("no pose is given: --angles, --path, --grid or --bag")
+    if len(given) > 1 and given != ["angles", "bag"]:
+        parser.error(f"--{given[0]} with --{given[1]}: only --angles and --bag go together")
+    return options
+
+
+def _poses(options: argparse.Namespace, model: ArmUncertainty, arm: ArmFile) -> StatementPoses:
+    if options.bag is not None:
+        return bag_poses(model, arm, options.bag, options.angles)
+    if options.path is not None:
+        return path_poses(model, options.path)
+    return given_pose(model, options.angles) if options.grid is None else grid_poses(model, options.grid)
+
+
+@reports_errors
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the program; exit code 0: the statement has been written."""
+    options = parse_options(arguments)
+    arm = load_arm_file(find_arm(options.arm))
+    model = ArmUncertainty(arm, deviation=options.temperature_deviation)
+    poses = _poses(options, model, arm)
+    records = Records(arm, options.bag, options.path)
+    statement = make_statement(arm, model, poses, records, options.average)
+    folder = options.output or Path("build/statement") / arm.name
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        write_statement(statement, folder)
+    except OSError as error:
+        what = f"cannot be written: {error.strerror}"
+        raise ParameterError(what, where=f"statement, --output, {folder}", expected="a writable folder") from error
+    console = report_console(WIDTH)
+    print_statement(statement, console)
+    console.print(f"page, PDF and JSON: {folder}", soft_wrap=True, markup=False)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,127 @@
+"""posor statement: the three files agree, every origin leads to its line, and what it refuses."""
+
+from __future__ import annotations
+
+import json
+import math
+import shlex
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from posor_bringup.statement_command import main
+from posor_design.statement_report import OUTPUT_FILES
+from posor_lab.harness.report_page import ReportPage
+from scipy.stats import t
+
+ROOT = Path(__file__).resolve().parents[4]
+ARMS = ROOT / "ros2_ws" / "src" / "posor_bringup" / "arms"
+BAG = ROOT / "bags" / "five_axis"
+PATH = "base_swivel,shoulder,elbow,wrist_roll,wrist_yaw\n0.4,-0.6,0.9,0.3,-0.5\n0.0,0.0,0.0,0.0,0.0\n0.1,-1.2,1.9,0.0,0.5\n"
+REFUSALS = yaml.safe_load(Path(__file__).with_name("statement_refusals.yaml").read_text(encoding="utf-8"))
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("statement")
+    path = folder / "poses.csv"
+    path.write_text(PATH, encoding="utf-8")
+    assert main(["five_axis", "--path", str(path), "--output", str(folder / "deep" / "er")]) == 0
+    return folder / "deep" / "er"
+
+
+def test_the_worst_pose_of_a_path_is_stated_and_its_shares_add_up(made: Path) -> None:
+    assert sorted(path.name for path in made.iterdir()) == sorted(OUTPUT_FILES)
+    content = json.loads((made / "statement.json").read_text(encoding="utf-8"))
+    sizes = {each["name"]: each["largest"] for each in content["map"]}
+    assert len(sizes) == 3
+    assert content["pose"]["name"] == max(sizes, key=sizes.__getitem__) == "line 3 of poses.csv"
+    for group in content["shares"].values():
+        assert sum(group.values()) == pytest.approx(1.0, rel=1e-12)
+    parts = content["components"]
+    assert sum(part["share_of_position"] for part in parts) == pytest.approx(1.0, rel=1e-12)
+    np.testing.assert_allclose(np.sum([part["shares"] for part in parts], axis=0), 1.0, rtol=1e-12)
+    for n, axis in enumerate(content["uncertainty"].values()):
+        squares = sum(part["standard_uncertainty"][n] ** 2 for part in parts)
+        assert axis["standard"] == pytest.approx(math.sqrt(squares), rel=1e-12)
+        assert axis["expanded"] == pytest.approx(axis["coverage_factor"] * axis["standard"], rel=1e-12)
+        assert axis["degrees_of_freedom"] is None
+        assert axis["coverage_factor"] == pytest.approx(1.959964)
+    assert content["position"]["largest"] < content["position"]["semi_axes"][0]
+
+
+def test_every_origin_leads_to_the_line_that_states_the_number(made: Path) -> None:
+    content = json.loads((made / "statement.json").read_text(encoding="utf-8"))
+    files = {each["role"]: Path(each["path"]) for each in content["records"]}
+    page = ReportPage((made / "statement.html").read_text(encoding="utf-8"))
+    assert page.problems == []
+    origins = [part["origin"] for part in content["components"]]
+    origins += [each["origin"] for each in content["largest_quantities"].values()]
+    assert {origin["record"] for origin in origins} >= {"beams file", "calibration of elbow"}
+    for origin in origins:
+        key = origin["key"].rpartition(".")[2].partition("[")[0]
+        line = files[origin["record"]].read_text(encoding="utf-8").splitlines()[origin["line"] - 1]
+        assert f"{key}:" in line or line.lstrip().startswith("- ")
+        record = list(files).index(origin["record"])
+        assert f"record-{record}-{origin['line']}" in page.anchors
+    assert len(page.links) >= len({(origin["record"], origin["line"]) for origin in origins[:8]})
+
+
+def test_page_and_pdf_hold_the_sentences(made: Path) -> None:
+    content = json.loads((made / "statement.json").read_text(encoding="utf-8"))
+    page = (made / "statement.html").read_text(encoding="utf-8")
+    for sentence in (*content["sentences"], *content["reservations"]):
+        assert sentence in page
+    assert "coverage factor k = 1.96" in page
+    assert "<svg" in page
+    for record in content["records"]:
+        assert record["sha256"] in page
+    pdf = (made / "statement.pdf").read_bytes()
+    assert pdf.startswith(b"%PDF")
+    assert pdf.count(b"/Type /Page\n") + pdf.count(b"/Type /Page /") + pdf.count(b"/Type/Page/") <= 1
+
+
+def test_the_scatter_of_an_arm_at_rest_gives_finite_degrees_of_freedom(tmp_path: Path) -> None:
+    assert main(["five_axis", "--bag", str(BAG), "--angles=0,0,0,0,0", "--output", str(tmp_path)]) == 0
+    content = json.loads((tmp_path / "statement.json").read_text(encoding="utf-8"))
+    about_z = content["uncertainty"]["about Z"]
+    assert about_z["coverage_factor"] == pytest.approx(t.ppf(0.975, about_z["degrees_of_freedom"]), rel=1e-9)
+    random = {part["source"]: part for part in content["components"] if part["kind"] == "random"}
+    assert {part["origin"]["record"] for part in random.values()} == {"bag"}
+    assert all(50 < part["degrees_of_freedom"] < 1000 for part in random.values())
+    lost = [each for each in content["reservations"] if "no usable pose" in each]
+    assert len(lost) == len(random)
+    assert content["records"][-1]["role"] == "bag"
+
+
+def test_an_arm_whose_beams_have_no_uncertainty_says_so(tmp_path: Path) -> None:
+    arm = yaml.safe_load((ARMS / "five_axis" / "arm.yaml").read_text(encoding="utf-8"))
+    del arm["beams"], arm["scenario"]
+    arm["driver"] = {"source": "bag"}
+    arm["urdf"] = str(ARMS / "five_axis" / arm["urdf"])
+    for joint in arm["joints"].values():
+        joint["calibration"] = str(ARMS / "five_axis" / joint["calibration"])
+    path = tmp_path / "bare.yaml"
+    path.write_text(yaml.safe_dump(arm), encoding="utf-8")
+    assert main([str(path), "--angles=0,0,0,0,0", "--output", str(tmp_path)]) == 0
+    content = json.loads((tmp_path / "statement.json").read_text(encoding="utf-8"))
+    sentence = "bare.yaml names no beams file: the beams are straight and exact, so U does not contain them."
+    assert sentence in content["reservations"]
+    counts = [each for each in content["reservations"] if each.startswith("No encoder confirms the count of")]
+    assert len(counts) == 1
+
+
+@pytest.mark.parametrize(("options", "code", "message"), REFUSALS)
+def test_refusals(options: str, code: int, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    tables = {"COLUMN": "elbow\n0\n", "CELL": "joint1\n0\nx\n", "DEGREES": "joint1\n30\n", "EMPTY": "joint1\n"}
+    names = {"FIVE": str(BAG), "NONE": str(tmp_path / "NONE")}
+    for name, text in tables.items():
+        names[name] = str(tmp_path / f"{name}.csv")
+        Path(names[name]).write_text(text, encoding="utf-8")
+    given = [names.get(word, word) for word in shlex.split(options)]
+    assert main([*given, "--output", str(tmp_path / "out")]) == code
+    for name, text in names.items():
+        message = message.replace(name, text)
+    assert capsys.readouterr().err.startswith(message)
+    assert not (tmp_path / "out").exists()

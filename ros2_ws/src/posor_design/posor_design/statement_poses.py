@@ -1,0 +1,193 @@
+"""The poses that a statement covers: given angles, a grid of the workspace, a path, or a recorded bag."""
+
+from __future__ import annotations
+
+import csv
+import math
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+from posor.bags.offline_pipeline import Arm
+from posor.errors import BagError, ChainError, DataFileError, ParameterError
+from posor.model.fault import USABLE_STATES, Fault, State
+from scipy.spatial.transform import Rotation
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+    from pathlib import Path
+
+    from posor.chain.arm_file import ArmFile
+    from posor.numerics.array_types import FloatArray, IntArray
+
+    from posor_design.arm_uncertainty import ArmUncertainty
+
+MOST_POSES = 20_000  # of a grid or a path
+BAG_POSES = 100  # of a bag without dwell
+REACH_STEPS = 360  # angles of a turn at which the reach of a joint is tried
+TURN = 2.0 * math.pi
+NEAR = 1e-3  # an arm whose joints are within this of the given angles may stand there [rad]
+STILL = 1e-4  # it stands there while its joints stay within this of their median [rad]
+LEAST_SCANS = 10  # of a dwell
+
+
+@dataclass(frozen=True)
+class StatementPoses:
+    """Poses of an arm, and what is known of the measurement there."""
+
+    angles: FloatArray  # of the joints between base and endpoint [rad], (n, j)
+    names: Sequence[str]  # what each pose is, such as ``line 3 of path.csv``
+    notes: Sequence[str] = ()  # sentences on poses and scans that are left out
+    # Observed covariance of each joint's transform in one scan, (6, 6), and its degrees of freedom; empty: as stated
+    observed: Mapping[str, tuple[FloatArray, float]] = field(default_factory=dict)
+    stamp_shifts: FloatArray | None = None  # largest errors of the endpoint by errors of the stamps, (n, 6)
+
+
+def check_angles(angles: Sequence[float], joints: Sequence[str], where: str) -> None:
+    """Raise ParameterError: the number of angles is wrong, or an angle is not in radians."""
+    if len(angles) != len(joints):
+        expected = f"{len(joints)}: {','.join(joints)}"
+        raise ParameterError(f"{len(angles)} angles", where=where, expected=expected)
+    for joint, angle in zip(joints, angles, strict=True):
+        if abs(angle) > TURN:
+            what = f"{joint} {angle:g} rad is more than one turn"
+            expected = f"radians ({angle:g} degrees are {math.radians(angle):.4f})"
+            raise ParameterError(what, where=where, expected=expected)
+
+
+def given_pose(model: ArmUncertainty, angles: Sequence[float]) -> StatementPoses:
+    """Return one pose. Raises ParameterError: see ``check_angles``."""
+    check_angles(angles, model.joints, "statement, --angles")
+    return StatementPoses(np.array([angles], dtype=float), ["given"])
+
+
+def path_poses(model: ArmUncertainty, path: Path) -> StatementPoses:
+    """Return the poses of a table (CSV): a column of angles [rad] for each joint, named by it.
+
+    Raises DataFileError: the file cannot be read, lacks a joint, or has an invalid angle.
+    """
+    try:
+        with path.open(encoding="utf-8", newline="") as file:
+            reader = csv.DictReader(file)
+            rows = list(reader)
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        reason = error.strerror if isinstance(error, OSError) else error
+        raise DataFileError(f"cannot be read: {reason}", where=str(path), expected="a table (CSV)") from error
+    columns = [name.strip() for name in reader.fieldnames or ()]
+    if sorted(columns) != sorted(model.joints):
+        named = ", ".join(columns) or "none"
+        expected = f"one column for each joint: {','.join(model.joints)}"
+        raise DataFileError(f"columns {named}", where=f"{path}, line 1", expected=expected)
+    if not 0 < len(rows) <= MOST_POSES:
+        raise DataFileError(f"{len(rows)} poses", where=str(path), expected=f"1 to {MOST_POSES}")
+    angles = np.full((len(rows), len(model.joints)), np.nan)
+    for n, row in enumerate(rows):
+        where = f"{path}, line {n + 2}"
+        stripped = {str(name).strip(): cell for name, cell in row.items()}
+        for j, joint in enumerate(model.joints):
+            try:
+                angles[n, j] = float(stripped[joint])
+            except (TypeError, ValueError):
+                angles[n, j] = math.nan
+            if not math.isfinite(angles[n, j]) or None in row:
+                what = f"angle of {joint} is '{stripped[joint] or ''}'" if None not in row else "too many cells"
+                raise DataFileError(what, where=where, expected=f"{len(model.joints)} angles in rad")
+        check_angles(angles[n].tolist(), model.joints, where)
+    return StatementPoses(angles, [f"line {n + 2} of {path.name}" for n in range(len(rows))])
+
+
+def grid_poses(model: ArmUncertainty, count: int) -> StatementPoses:
+    """Return a grid over the workspace: ``count`` angles of each joint over the range in which its POSOR has a pose.
+
+    Raises ParameterError: there are too many poses. Raises ChainError: a POSOR has no pose at any angle.
+    """
+    if count ** len(model.joints) > MOST_POSES:
+        most = math.floor(MOST_POSES ** (1.0 / len(model.joints)))
+        what = f"{count} angles of {len(model.joints)} joints are {count ** len(model.joints)} poses"
+        raise ParameterError(what, where="statement, --grid", expected=f"1 to {most}")
+    axes = [_grid_axis(model, j, count) for j in range(len(model.joints))]
+    angles = np.stack([each.ravel() for each in np.meshgrid(*axes, indexing="ij")], axis=1)
+    within = model.reachable(angles)
+    left_out = int(np.count_nonzero(~within))
+    notes = (
+        [f"{left_out} of {len(angles)} poses of the grid are left out: a POSOR has no pose there."] if left_out else []
+    )
+    return StatementPoses(angles[within], [f"grid {n + 1}" for n in np.flatnonzero(within)], notes)
+
+
+def _grid_axis(model: ArmUncertainty, joint: int, count: int) -> FloatArray:
+    tried = np.zeros((REACH_STEPS, len(model.joints)))
+    tried[:, joint] = np.linspace(-math.pi, math.pi, REACH_STEPS, endpoint=False)
+    valid = tried[model.reachable(tried), joint]
+    if not valid.size:
+        raise ChainError("has no valid pose at any angle", where=f"joint '{model.joints[joint]}'")
+    whole = valid.size == REACH_STEPS
+    return np.linspace(valid[0], math.pi if whole else valid[-1], count, endpoint=not whole)
+
+
+def bag_poses(model: ArmUncertainty, arm: ArmFile, bag: Path, angles: Sequence[float] | None) -> StatementPoses:
+    """Return the poses of a recorded bag.
+
+    With ``angles`` the pose is that of the scans during which the arm stood there; their scatter is the noise.
+    Without, the poses are spread evenly over the bag.
+
+    Raises BagError: no scan has a pose, or the arm does not stand at the angles. Raises PosorError: the bag or a file
+    cannot be used.
+    """
+    if angles is not None:
+        check_angles(angles, model.joints, "statement, --angles")
+    estimates = Arm(**vars(arm)).estimate(bag)
+    end, order = estimates.endpoint, [estimates.chain.index(joint) for joint in model.joints]
+    notes = []
+    for joint, own in estimates.joints.items():
+        lost = ~np.isin(own.states, USABLE_STATES)
+        if lost.any():
+            first = int(np.argmax(lost))
+            why = Fault(int(own.faults[first])).name if own.faults[first] else State(int(own.states[first])).name
+            notes.append(
+                f"{np.count_nonzero(lost)} of {len(own)} scans of {joint} have no usable pose and are left out, the "
+                f"first at {own.stamps_ns[first]} ns: {why}."
+            )
+    if not len(end):
+        raise BagError(" ".join(["no scan has an endpoint;", *notes]).rstrip("."), where=str(bag))
+    recorded = end.angles[:, order]
+    if angles is None:
+        selected = np.unique(np.linspace(0, len(end) - 1, BAG_POSES).round().astype(int))
+        names = [f"{stamp} ns of {bag.name}" for stamp in end.stamps_ns[selected]]
+        shifts = end.stamp_shifts[selected]
+        return StatementPoses(recorded[selected], names, notes, stamp_shifts=shifts if shifts.any() else None)
+    away = np.abs(recorded - np.asarray(angles)).max(axis=1)
+    there = away <= NEAR
+    if there.any():
+        there &= np.abs(recorded - np.median(recorded[there], axis=0)).max(axis=1) <= STILL
+    if np.count_nonzero(there) < LEAST_SCANS:
+        nearest = ", ".join(f"{angle:.4f}" for angle in recorded[int(np.argmin(away))])
+        what = f"the arm stands at --angles in {np.count_nonzero(there)} scans; the nearest has {nearest} rad"
+        raise BagError(what, where=str(bag), expected=f"at least {LEAST_SCANS} scans, within {NEAR:g} rad")
+    stamps = end.stamps_ns[there]
+    observed = {}
+    for joint in model.joints:
+        own = estimates.joints[joint]
+        during = np.isin(own.stamps_ns, stamps)
+        observed[joint] = _scatter(own.poses[during], own.stamps_ns[during])
+    largest = end.stamp_shifts[there].max(axis=0, keepdims=True)
+    return StatementPoses(
+        recorded[there].mean(axis=0, keepdims=True),
+        [f"{len(stamps)} scans of {bag.name} from {stamps[0]} to {stamps[-1]} ns"],
+        notes,
+        observed,
+        largest if largest.any() else None,
+    )
+
+
+def _scatter(poses: FloatArray, stamps_ns: IntArray) -> tuple[FloatArray, float]:
+    """Return covariance, (6, 6), and degrees of freedom of the scatter of poses, (n, 7): ROS order, axes of the parent.
+
+    From the differences of successive scans, so that a slow motion is no scatter. Source: J. von Neumann et al., *The
+    mean square successive difference*, Annals of Mathematical Statistics 12(2), 1941.
+    """
+    steps = np.diff(stamps_ns)
+    successive = steps <= 1.5 * np.median(steps)
+    turns = Rotation.from_quat(poses[:, 3:])
+    moved = np.hstack([np.diff(poses[:, :3], axis=0), (turns[1:] * turns[:-1].inv()).as_rotvec()])[successive]
+    return 0.5 * moved.T @ moved / len(moved), 2.0 * len(moved) ** 2 / (3.0 * len(moved) - 1.0)
