@@ -202,24 +202,24 @@ def _track(kind: str, messages: Sequence[tuple[int, Mapping[str, Value]]], refer
         frames = sorted({f"{message['header.frame_id']} to {message['child_frame_id']}" for _, message in messages})
         if len(frames) > 1:
             raise TrackError(f"transforms between {', '.join(frames)}", where=where, expected="two frames only")
-    if kind == POSE_STAMPED:
-        frames = sorted({str(message["header.frame_id"]) for _, message in messages})
-        if len(frames) > 1:
-            raise TrackError(f"poses in {', '.join(frames)}", where=where, expected="one frame only")
+    stated = sorted({str(message.get("header.frame_id", "")) for _, message in messages})
+    if kind == POSE_STAMPED and len(stated) > 1:
+        raise TrackError(f"poses in {', '.join(stated)}", where=where, expected="one frame only")
     values = np.array([[message[path] for path in REFERENCE_FIELDS[kind]] for _, message in messages], dtype=float)
     if values.shape[1] == POSE:
         values = with_continuous_signs(values, where)
     sigmas = np.array(reference.sigmas, dtype=float)
     if kind == REFERENCE_READING:
-        stated = _stated_uncertainty([message for _, message in messages], where)
-        sigmas = sigmas if sigmas.any() else np.array([stated])
+        largest = _stated_uncertainty([message for _, message in messages], where)
+        sigmas = sigmas if sigmas.any() else np.array([largest])
     if sigmas.size not in (1, values.shape[1]) or not np.all(np.isfinite(sigmas)) or np.any(sigmas < 0.0):
         raise TrackError(
             f"standard uncertainty {', '.join(f'{sigma:g}' for sigma in sigmas)}",
             where=where,
             expected=f"one number, or {values.shape[1]}, of zero or more",
         )
-    return Track(np.array(stamps, dtype=np.int64), values, np.broadcast_to(sigmas, values.shape[1]).copy(), where)
+    own = np.broadcast_to(sigmas, values.shape[1]).copy()
+    return Track(np.array(stamps, dtype=np.int64), values, own, where, stated[0] if len(stated) == 1 else "")
 
 
 def _stated_uncertainty(readings: Sequence[Mapping[str, Value]], where: str) -> float:

@@ -38,6 +38,7 @@ class Track:
     values: FloatArray  # (n, k), see SCALAR, POINT, POSE; NaN where single quantities are missing
     sigmas: FloatArray  # standard uncertainty of each quantity, (k,)
     source: str  # bag and topic, for error messages
+    frame: str = ""  # in which points and poses are; empty: not stated
 
     def __post_init__(self) -> None:
         if not len(self.stamps_ns):

@@ -1,0 +1,232 @@
+"""Program ``iso9283``: accuracy and repeatability of poses, distances and paths of a recorded arm (ISO 9283:1998)."""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import json
+import math
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from posor.bags.calibration_recording import Reference, bag_sha256, load_recording
+from posor.bags.offline_pipeline import load_arm, topics_of
+from posor.bags.recording import POINT, POSE
+from posor.bags.reprocess_task import Settings
+from posor.errors import BagError, DataFileError, ParameterError
+from posor.numerics.stamps import NS
+from posor.reporting.command_line_parser import CommandLineParser
+from posor.reporting.program_errors import reports_errors
+from posor.reporting.report_console import report_console
+from posor.reporting.report_table import ReportTable
+from posor_calibration.dwells import find_dwells
+from posor_design.iso9283 import COMPONENTS, LEAST_CYCLES, PATH_CYCLES, POSE_CYCLES
+from posor_design.iso9283_cycles import distance_pairs, motion_of, path_cycles, pose_cycles
+
+from posor_bringup.arms import find_arm
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Mapping, Sequence
+
+    from posor.bags.recording import Track
+    from posor_design.iso9283 import Figures
+    from posor_design.iso9283_cycles import Motion, PathCycles, PoseCycles
+    from rich.console import Console
+
+WIDTH = 160
+LONGEST_GAP_S = 0.1  # between two readings of the reference, for a value between them
+OUTPUT_FILES = ("iso9283.json", "points.csv")
+
+
+def _positive(unit: str) -> Callable[[str], float]:
+    def parse(text: str) -> float:
+        try:
+            number = float(text)
+        except ValueError:
+            number = math.nan
+        if not 0.0 < number < math.inf:
+            raise argparse.ArgumentTypeError(f"'{text}' is not a number of more than 0 {unit}")
+        return number
+
+    return parse
+
+
+def parse_options(arguments: Sequence[str] | None) -> argparse.Namespace:
+    """Return the options. Raises ParameterError: an option is unknown or invalid."""
+    parser = CommandLineParser(
+        prog="posor iso9283", description="Accuracy and repeatability of poses, distances and paths (ISO 9283:1998)."
+    )
+    parser.add_argument("arm", metavar="ARM", help="arm file, its folder, or the name of an installed arm")
+    parser.add_argument("--bag", type=Path, required=True, help="raw scans of the arm, and the reference")
+    text = "topic of the commanded or measured poses or points of the endpoint, in the base of the arm"
+    parser.add_argument("--reference", required=True, metavar="TOPIC", help=text)
+    text = "the reference stands still within this [m] (default: %(default)g)"
+    parser.add_argument("--still", type=_positive("m"), default=1e-5, metavar="M", help=text)
+    text = "shortest time that it stands still [s] (default: %(default)g)"
+    parser.add_argument("--least", type=_positive("s"), default=0.2, metavar="S", help=text)
+    text = "dwells whose references differ by less are cycles of one pose [m] (default: %(default)g)"
+    parser.add_argument("--same", type=_positive("m"), default=1e-3, metavar="M", help=text)
+    text = "dwells, in place of those that are found: a table with the columns begin_ns and end_ns"
+    parser.add_argument("--dwells", type=Path, metavar="FILE.csv", help=text)
+    parser.add_argument("--output", type=Path, metavar="FOLDER", help="default: build/iso9283/<name of the bag>")
+    options = parser.parse_args(arguments)
+    options.output = options.output or Path("build/iso9283") / options.bag.stem
+    return options
+
+
+def _stated_dwells(path: Path) -> list[tuple[int, int]]:
+    """Return the dwells of a table. Raises DataFileError: it cannot be read, or a dwell is invalid."""
+    try:
+        with path.open(encoding="utf-8", newline="") as file:
+            rows = list(csv.DictReader(file))
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        reason = error.strerror if isinstance(error, OSError) else error
+        raise DataFileError(f"cannot be read: {reason}", where=str(path), expected="a table (CSV)") from error
+    dwells = []
+    for number, row in enumerate(rows, start=2):
+        try:
+            begin, end = int(row["begin_ns"]), int(row["end_ns"])
+        except (KeyError, TypeError, ValueError):
+            begin = end = 0
+        if not (dwells[-1][1] if dwells else 0) < begin < end:
+            what, expected = (
+                f"dwell from {row.get('begin_ns')} to {row.get('end_ns')}",
+                "begin_ns before end_ns, in order",
+            )
+            raise DataFileError(what, where=f"{path}, line {number}", expected=expected)
+        dwells.append((begin, end))
+    if not dwells:
+        raise DataFileError("no dwell", where=str(path), expected="the columns begin_ns and end_ns, and a row for each")
+    return dwells
+
+
+def _read(options: argparse.Namespace) -> tuple[Motion, Track, list[str]]:
+    """Return the motion, the reference, and sentences on what is left out."""
+    arm = load_arm(find_arm(options.arm))
+    topics = topics_of(options.bag, Settings.of_arm(arm).joints).raw
+    recording = load_recording(
+        options.bag, topic=next(iter(topics.values())), references=[Reference(options.reference)]
+    )
+    track = recording.tracks[options.reference]
+    columns = track.values.shape[1]
+    if columns not in (POINT, POSE):
+        raise BagError(
+            f"topic {options.reference} holds {columns} numbers", where=str(options.bag), expected="poses or points"
+        )
+    base = arm.chain().base_frame
+    if track.frame not in ("", base):
+        what = f"topic {options.reference} is in the frame '{track.frame}'"
+        raise BagError(what, where=str(options.bag), expected=f"'{base}', the base of {arm.path}")
+    end = arm.estimate(options.bag).endpoint
+    references = track.interpolate(end.stamps_ns, int(LONGEST_GAP_S * NS))
+    motion = motion_of(end.stamps_ns, end.poses, references)
+    if not len(motion.stamps_ns):
+        raise BagError(
+            "no endpoint at a time of the reference", where=str(options.bag), expected="both at the same time"
+        )
+    missing = len(end) - len(motion.stamps_ns)
+    notes = [f"{missing} of {len(end)} endpoints have no reference and are left out."] if missing else []
+    return motion, track, notes
+
+
+def _notes(poses: Sequence[PoseCycles], paths: Sequence[PathCycles]) -> list[str]:
+    notes = []
+    single = [each.name for each in poses if len(each.attained) < LEAST_CYCLES]
+    if single:
+        notes.append(f"One cycle only, so without figures: {', '.join(single)}.")
+    few = sorted({len(each.attained) for each in poses if LEAST_CYCLES <= len(each.attained) < POSE_CYCLES})
+    if few:
+        notes.append(f"{', '.join(map(str, few))} cycles of a pose; ISO 9283 asks for {POSE_CYCLES}.")
+    short = sorted({each.attained.shape[1] for each in paths if each.attained.shape[1] < PATH_CYCLES})
+    if short:
+        notes.append(f"{', '.join(map(str, short))} cycles of a path; ISO 9283 asks for {PATH_CYCLES}.")
+    return notes
+
+
+def _table(title: str, rows: Mapping[str, Figures]) -> ReportTable:
+    """Return figures in µm and µrad; NaN: no orientation is known."""
+    names = [name for name in next(iter(rows.values())) if any(math.isfinite(row[name]) for row in rows.values())]
+    header = ("", *(f"{name} [{'µrad' if name[-1] in COMPONENTS[3:] else 'µm'}]" for name in names))
+    cells = [[label, *(f"{1e6 * row[name]:.2f}" for name in names)] for label, row in rows.items()]
+    return ReportTable(title, header, cells, left=1)
+
+
+def _json(figures: Figures) -> dict[str, float | None]:
+    return {name: number if math.isfinite(number) else None for name, number in figures.items()}
+
+
+def _write_points(path: Path, poses: Iterable[PoseCycles], paths: Iterable[PathCycles]) -> None:
+    """Write all points with all digits: cycle 0 is the commanded one."""
+    with path.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(("what", "name", "point", "cycle", *COMPONENTS))
+        for pose in poses:
+            for cycle, row in enumerate([pose.commanded, *pose.attained]):
+                writer.writerow(("pose", pose.name, 0, cycle, *map(repr, map(float, row))))
+        for each in paths:
+            for point, (commanded, attained) in enumerate(zip(each.commanded, each.attained, strict=True)):
+                for cycle, row in enumerate([commanded, *attained]):
+                    writer.writerow(("path", each.name, point, cycle, *map(repr, map(float, row))))
+
+
+def _print(console: Console, tables: Iterable[tuple[str, Mapping[str, Figures]]], notes: Iterable[str]) -> None:
+    for title, rows in tables:
+        if rows:
+            _table(title, rows).print(console)
+    for note in notes:
+        console.print(note, markup=False)
+
+
+@reports_errors
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the program; exit code 0: the figures have been written."""
+    options = parse_options(arguments)
+    stated = None if options.dwells is None else _stated_dwells(options.dwells)
+    motion, track, notes = _read(options)
+    dwells = stated or [
+        (each.begin_ns, each.end_ns) for each in find_dwells(track, options.still, int(options.least * NS))
+    ]
+    poses, numbers = pose_cycles(motion, dwells, options.same)
+    paths = path_cycles(motion, dwells, numbers)
+    usable = [each for each in poses if len(each.attained) >= LEAST_CYCLES]
+    if not usable:
+        what = f"{len(dwells)} dwells of the reference, none of them at the same pose as another"
+        raise BagError(
+            what,
+            where=f"{options.bag}, topic {options.reference}",
+            expected=f"at least {LEAST_CYCLES} cycles of a pose",
+        )
+    of_poses = {f"{each.name}, {len(each.attained)} cycles": each.figures() for each in usable}
+    of_distances = {f"{first} to {second}": figures for (first, second), figures in distance_pairs(usable).items()}
+    of_paths = {f"{each.name}, {each.attained.shape[1]} cycles": each.figures() for each in paths}
+    notes += _notes(poses, paths)
+    content: dict[str, Any] = {
+        "format": "posor_iso9283",
+        "version": 1,
+        "bag": {"path": str(options.bag), "sha256": bag_sha256(options.bag), "reference": options.reference},
+        "dwells": dwells,
+        "poses": {name: _json(figures) for name, figures in of_poses.items()},
+        "distances": {name: _json(figures) for name, figures in of_distances.items()},
+        "paths": {name: _json(figures) for name, figures in of_paths.items()},
+        "notes": notes,
+    }
+    try:
+        options.output.mkdir(parents=True, exist_ok=True)
+        json_file, points_file = (options.output / name for name in OUTPUT_FILES)
+        json_file.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+        _write_points(points_file, usable, paths)
+    except OSError as error:
+        what = f"cannot be written: {error.strerror}"
+        raise ParameterError(
+            what, where=f"iso9283, --output, {options.output}", expected="a writable folder"
+        ) from error
+    console = report_console(WIDTH)
+    tables = ("Poses", of_poses), ("Distances", of_distances), ("Paths", of_paths)
+    _print(console, tables, notes)
+    console.print(f"figures and points: {options.output}", soft_wrap=True, markup=False)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,146 @@
+"""posor iso9283: figures of a simulated motion against an independent script on the same points, and refusals."""
+
+from __future__ import annotations
+
+import csv
+import json
+import shlex
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from bags.make_arm_bag import ArmBag
+from posor.bags.bag_writer import replace_bag
+from posor.chain.arm_file import load_arm_file
+from posor.messages.message_definitions import MessageTypes
+from posor.ros_names import POSE_STAMPED
+from posor_bringup.iso9283_command import OUTPUT_FILES, main
+from posor_lab.harness.iso9283_by_hand import figures_of
+from posor_ros.qos import RELIABLE_QOS
+
+RIG = Path(__file__).resolve().parents[1] / "ros2_ws" / "src" / "posor_bringup" / "arms" / "test_rig"
+REFERENCE = "/test_rig/truth/endpoint"
+CYCLES, ANGLES = 3, (0.02, -0.01, 0.0)
+REST_S, MOVE_S, RATE_HZ = 0.3, 0.25, 100
+
+
+def motion() -> list[dict[str, object]]:
+    """Rest at zero, then in turn at each angle."""
+    still = {"kind": "rest", "duration": {"value": REST_S, "unit": "s"}}
+    phases: list[dict[str, object]] = [still]
+    for angle in ANGLES * CYCLES:
+        through = {"value": [[angle]], "unit": "rad"}
+        move = {"kind": "spline", "duration": {"value": MOVE_S, "unit": "s"}, "joints": ["joint1"], "through": through}
+        phases += [move, still]
+    return phases
+
+
+@pytest.fixture(scope="module")
+def arm(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("rig")
+    scenario = yaml.safe_load((RIG / "scenario.yaml").read_text(encoding="utf-8"))
+    duration = REST_S + len(ANGLES) * CYCLES * (REST_S + MOVE_S)
+    scenario |= {"motion": motion(), "duration": {"value": round(duration, 6), "unit": "s"}}
+    scenario["rate"]["value"] = RATE_HZ
+    del scenario["electronics"]["zero_drift"], scenario["electronics"]["dropouts"]
+    del scenario["electronics"]["supply"]
+    (folder / "scenario.yaml").write_text(yaml.safe_dump(scenario), encoding="utf-8")
+    content = yaml.safe_load((RIG / "arm.yaml").read_text(encoding="utf-8"))
+    content |= {"urdf": str(RIG / content["urdf"]), "beams": str(RIG / content["beams"])}
+    for joint in content["joints"].values():
+        joint["calibration"] = str(RIG / joint["calibration"])
+    path = folder / "arm.yaml"
+    path.write_text(yaml.safe_dump(content), encoding="utf-8")
+    return path
+
+
+@pytest.fixture(scope="module")
+def bag(arm: Path) -> Path:
+    types, folder = MessageTypes(), arm.parent / "bag"
+    made = ArmBag(load_arm_file(arm), types)
+    with replace_bag(folder) as writer:
+        for topic in made.topics():
+            writer.add_topic(topic.name, topic.type_name, types.definition(topic.type_name), [RELIABLE_QOS])
+        for message in made.messages():
+            writer.write(message.topic, message.time_ns, message.data)
+        assert (REFERENCE, POSE_STAMPED) in [(topic.name, topic.type_name) for topic in made.topics()]
+    return folder
+
+
+@pytest.fixture(scope="module")
+def made(arm: Path, bag: Path) -> Path:
+    folder = arm.parent / "figures"
+    assert main([str(arm), "--bag", str(bag), "--reference", REFERENCE, "--output", str(folder)]) == 0
+    return folder
+
+
+def test_the_figures_are_those_of_an_independent_script_on_the_same_points(made: Path) -> None:
+    assert sorted(path.name for path in made.iterdir()) == sorted(OUTPUT_FILES)
+    found = json.loads((made / "iso9283.json").read_text(encoding="utf-8"))
+    expected = figures_of(made / "points.csv")
+    for what in ("poses", "distances", "paths"):
+        own = {name.split(",")[0]: figures for name, figures in found[what].items()}
+        assert set(own) == set(expected[what])
+        for name, figures in expected[what].items():
+            assert own[name] == pytest.approx(figures, rel=1e-12, abs=1e-12), f"{what} {name}"
+            assert set(own[name]) == set(figures)
+
+
+def test_poses_distances_and_paths_are_found_with_all_their_cycles(made: Path) -> None:
+    found = json.loads((made / "iso9283.json").read_text(encoding="utf-8"))
+    assert list(found["poses"]) == ["P1, 4 cycles", "P2, 3 cycles", "P3, 3 cycles"]
+    assert list(found["distances"]) == ["P2 to P3"]
+    assert list(found["paths"]) == [f"{name}, 3 cycles" for name in ("P1 to P2", "P2 to P3", "P3 to P1")]
+    for figures in (*found["poses"].values(), *found["paths"].values()):
+        accuracy = figures.get("AP_p", figures.get("AT_p"))
+        assert 0.0 < accuracy < 300e-6
+
+
+def test_stated_dwells_replace_those_that_are_found(made: Path, arm: Path, bag: Path, tmp_path: Path) -> None:
+    with (made / "points.csv").open(encoding="utf-8", newline="") as file:
+        first = next(row for row in csv.DictReader(file) if row["cycle"] == "1")
+    dwells = json.loads((made / "iso9283.json").read_text(encoding="utf-8"))["dwells"]
+    table = tmp_path / "dwells.csv"
+    table.write_text(
+        "begin_ns,end_ns\n" + "".join(f"{begin},{end}\n" for begin, end in (dwells[0], dwells[3])), encoding="utf-8"
+    )
+    options = [str(arm), "--bag", str(bag), "--reference", REFERENCE, "--dwells", str(table), "--output", str(tmp_path)]
+    assert main(options) == 0
+    found = json.loads((tmp_path / "iso9283.json").read_text(encoding="utf-8"))
+    assert list(found["poses"]) == ["P1, 2 cycles"]
+    with (tmp_path / "points.csv").open(encoding="utf-8", newline="") as file:
+        again = next(row for row in csv.DictReader(file) if row["cycle"] == "1")
+    np.testing.assert_allclose([float(again[k]) for k in "xyz"], [float(first[k]) for k in "xyz"], atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("options", "code", "message"),
+    [
+        ("--reference /none", 1, "BAG: there is no topic /none"),
+        ("--reference /test_rig/joint1/raw", 1, "BAG: topic /test_rig/joint1/raw is of type posor_msgs/msg/RawScan"),
+        ("--reference REF --still 0", 2, "iso9283: argument --still: '0' is not a number of more than 0 m; expected"),
+        (
+            "--reference REF --dwells NONE",
+            1,
+            "NONE: cannot be read: No such file or directory; expected a table (CSV).",
+        ),
+        (
+            "--reference REF --dwells BACK",
+            1,
+            "BACK, line 3: dwell from 5 to 6; expected begin_ns before end_ns, in order.",
+        ),
+        ("--reference REF --least 60", 1, "BAG, topic REF: 0 dwells of the reference, none of them at the same pose"),
+    ],
+)
+def test_refusals(
+    options: str, code: int, message: str, arm: Path, bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    back = tmp_path / "back.csv"
+    back.write_text("begin_ns,end_ns\n1,9\n5,6\n", encoding="utf-8")
+    names = {"REF": REFERENCE, "NONE": str(tmp_path / "none.csv"), "BACK": str(back), "BAG": str(bag)}
+    given = [names.get(word, word) for word in shlex.split(options)]
+    assert main([str(arm), "--bag", str(bag), *given, "--output", str(tmp_path / "out")]) == code
+    for name, text in names.items():
+        message = message.replace(name, text)
+    assert capsys.readouterr().err.startswith(message)
