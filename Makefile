@@ -1,7 +1,7 @@
 # POSOR for ROS 2. Every target sets the workspace up first; this takes a fraction of a second if nothing has changed.
 
 .DEFAULT_GOAL := help
-.PHONY: help setup environment audit bounds demo arm calibrate-demo faults commissioning time mutations fuzz foreign-bags instruments soak test test-long coverage accuracy budgets thesis bench bench-core data docs lint words lines rooms lock clean
+.PHONY: help setup environment audit bounds demo arm calibrate-demo faults commissioning time mutations fuzz foreign-bags instruments soak statement-truth test test-long coverage accuracy budgets thesis bench bench-core data docs lint words lines rooms lock clean
 
 BAG ?= ymo
 CAL ?= printed
@@ -94,6 +94,9 @@ instruments:
 
 soak:
 	@./run posor_lab soak $(SOAK)
+
+statement-truth:
+	@./run posor_lab statement_truth $(STATEMENT)
 
 test: environment  # tools/run_tests.py builds
 	@.venv/bin/python -E tools/run_tests.py $(TESTS)

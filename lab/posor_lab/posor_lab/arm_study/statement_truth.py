@@ -1,0 +1,196 @@
+"""Statements against the independent truth: arms drawn within their files, measured by the estimator.
+
+Of each drawn arm the parameters of all POSORs, the noise of their readings, supply voltage and temperature of their
+electronics, the placement, the sag and the temperature of the beams, and shared terms are drawn. Geometry, sag and
+readings are those of the independent truth. Poses and endpoint are estimated as by the nodes from the files alone.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pinocchio as pin
+from posor.calibration.document_text import document_text
+from posor.calibration.parameter_covariance import shared_effects
+from posor.chain.arm_file import ArmFile, load_arm_file
+from posor.chain.beams_file import load_beams
+from posor.errors import ChainError
+from posor.estimation.forward import empty_scans
+from posor.estimation.posor import Posor
+from posor.model.fault import USABLE_STATES
+from posor.numerics.stamps import NS
+from posor.numerics.vector import thetas_of
+from posor.sensors.base import RowSensor
+from posor_design.arm_uncertainty import ArmUncertainty, EndpointUncertainty
+
+from posor_lab.arm_study.arm_coverage import FALSE_ALARM
+from posor_lab.arm_study.arm_record import pose_array, pose_errors
+from posor_lab.arm_study.shared_arm import write_shared_arm
+from posor_lab.independent.true_arm import TrueArm
+from posor_lab.output_files import write_files
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+
+    from posor.numerics.array_types import FloatArray
+
+THETA_SIGMA = 1e-4  # with which the count of each POSOR is confirmed [rad]
+STEP_NS = NS // 200  # between drawn POSORs, so short that the count is kept
+REACH = 1.0  # joint angles are drawn within this of zero [rad]
+LEFT_OUT, ITS_BEAM = "wrist_roll", "wrist"
+
+
+def write_four_joint_arm(arm: ArmFile, folder: Path) -> Path:
+    """Write five_axis without its wrist roll, whose errors of one laboratory are shared; return its arm file."""
+    path = write_shared_arm(arm, folder)
+    urdf = arm.urdf.read_text(encoding="utf-8").replace(
+        f'name="{LEFT_OUT}" type="floating"', f'name="{LEFT_OUT}" type="fixed"'
+    )
+    beams = load_beams(folder / "beams.yaml").model_dump(mode="json")
+    beams["beams"] = [beam for beam in beams["beams"] if beam["joint"] != ITS_BEAM]
+    for term in beams["shared"].values():
+        term["relative"] = {key: value for key, value in term["relative"].items() if not key.startswith(f"{ITS_BEAM}.")}
+    lines = path.read_text(encoding="utf-8").splitlines()
+    content = "\n".join(line for line in lines if LEFT_OUT not in line).replace(
+        str(arm.urdf.absolute()), "four_joint.urdf"
+    )
+    write_files(
+        folder,
+        {"four_joint.urdf": urdf, "beams.yaml": document_text(beams, "Four joints."), "arm.yaml": content + "\n"},
+    )
+    return path
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """Stated uncertainties at p poses, and the errors of n drawn arms there."""
+
+    stated: list[EndpointUncertainty]
+    errors: FloatArray  # ROS order, axes of the base, (n, p, 6)
+
+    def ratios(self) -> FloatArray:
+        """Return drawn over stated standard uncertainty along and about each axis, (p, 6)."""
+        drawn = np.sqrt(np.mean(np.square(self.errors), axis=0))
+        return np.asarray(drawn / [each.standard for each in self.stated])
+
+    def largest_ratios(self) -> FloatArray:
+        """Return drawn over stated U along the direction in which it is largest, (p,)."""
+        positions = self.errors[..., :3]
+        covariances = np.einsum("npi,npj->pij", positions, positions) / len(positions)
+        drawn = np.sqrt(np.linalg.eigvalsh(covariances)[:, -1])
+        return np.asarray(
+            [each.factors[:3].max() * sigma / each.largest for each, sigma in zip(self.stated, drawn, strict=True)]
+        )
+
+    def coverage(self) -> FloatArray:
+        """Return the share of errors within U along and about each axis, (p, 6)."""
+        return np.asarray(np.mean(np.abs(self.errors) <= [each.expanded for each in self.stated], axis=0))
+
+
+class StatementTruth:
+    """An arm at p poses by its files, and drawn arms there."""
+
+    def __init__(self, path: Path, poses: int, seed: int, *, deviation: float | None = None) -> None:
+        """Read the files and draw the poses; ``deviation``: of the beams' temperature [K], see ``ArmUncertainty``."""
+        self._model = ArmUncertainty(load_arm_file(path), deviation=deviation)
+        joints = self._model.joints
+        self._angles = np.random.default_rng([seed, 0]).uniform(-REACH, REACH, (poses, len(joints)))
+        self.stated = self._model.at(self._angles)
+        self._truth = TrueArm(path)
+        self._posors = {name: Posor(self._model.calibrations[name], false_alarm=FALSE_ALARM) for name in joints}
+        transforms = [
+            [self._model.chain.nominal_joint(name, angle) for name, angle in zip(joints, row, strict=True)]
+            for row in self._angles
+        ]
+        self._rotations, self._translations = (
+            np.array([[getattr(each, what) for each in row] for row in transforms])
+            for what in ("rotation", "translation")
+        )
+
+    def errors(self, draws: range) -> FloatArray:
+        """Return the errors of the drawn arms of these numbers, (n, p, 6)."""
+        randoms = [np.random.default_rng([draw, 1]) for draw in draws]
+        terms = [{name: random.normal() for name in self._term_names()} for random in randoms]
+        shape = len(draws), len(self._angles), len(self._model.joints)
+        measured, zero = np.empty((*shape, 7)), np.zeros((shape[0] * shape[1], shape[2], 6, 6))
+        for j, name in enumerate(self._model.joints):
+            measured[:, :, j] = self._estimate(name, j, randoms, terms)
+        endpoints = self._model.chain.estimate_all(measured.reshape(-1, *shape[2:], 7), zero, zero).poses
+        errors = np.empty((*shape[:2], 6))
+        for n, (random, common) in enumerate(zip(randoms, terms, strict=True)):
+            true = self._drawn_arm(random, common).endpoints(self._rotations, self._translations)
+            at = pose_array([pin.SE3(rotation, translation) for rotation, translation in zip(*true, strict=True)])
+            found = [pin.XYZQUATToSE3(pose) for pose in endpoints[n * shape[1] : (n + 1) * shape[1]]]
+            errors[n] = pose_errors(pose_array(found), at)
+        return errors
+
+    def _term_names(self) -> list[str]:
+        shared = [self._model.chain.shared, *(each.shared for each in self._model.calibrations.values())]
+        return list(dict.fromkeys(name for terms in shared for name in terms))
+
+    def _estimate(
+        self, joint: str, j: int, randoms: list[np.random.Generator], terms: list[dict[str, float]]
+    ) -> FloatArray:
+        """Return the estimated poses of a joint, (n, p, 7): at each place, the drawn POSORs one after the other."""
+        calibration, posor = self._model.calibrations[joint], self._posors[joint]
+        stack, places = posor.stack, (self._rotations[:, j], self._translations[:, j])
+        fields: dict[str, list[FloatArray]] = {}
+        for random, common in zip(randoms, terms, strict=True):
+            wrong = stack.parameter_sigmas * random.normal(size=stack.parameters)
+            if calibration.shared:
+                wrong += shared_effects(calibration, calibration.session) @ [
+                    common[name] for name in calibration.shared
+                ]
+            true = self._truth.joint(joint, dict(zip(stack.parameter_names, wrong.tolist(), strict=True)))
+            surroundings = (self._surroundings(joint, what, random) for what in ("supply", "temperature"))
+            for name, values in true.readings(*places, *surroundings).items():
+                fields.setdefault(name, []).append(values)
+        count, size = len(randoms), len(self._angles)
+        stamps_ns = np.repeat(np.arange(1, count + 1) * STEP_NS, size)
+        scans = empty_scans(stamps_ns).with_fields({name: np.concatenate(values) for name, values in fields.items()})
+        for sensor in stack.sensors:
+            if isinstance(sensor, RowSensor):
+                scans = scans.with_fields(sensor.disturbed(scans, randoms[0]))
+        poses = np.empty((count, size, 7))
+        for k in range(size):
+            posor.reset()
+            posor.confirm_theta(thetas_of(self._rotations[k : k + 1, j])[0], THETA_SIGMA)
+            estimates = posor.estimate_all(scans.select(slice(k, None, size)))
+            if not np.isin(estimates.states, USABLE_STATES).all():
+                raise ChainError(f"a drawn POSOR has no pose: {estimates.lost_reasons()}", where=f"joint '{joint}'")
+            poses[:, k] = estimates.poses
+        return poses
+
+    def _surroundings(self, joint: str, what: str, random: np.random.Generator) -> FloatArray | None:
+        """Return what the probes of a joint have, which its scans do not measure, (p,); None: at the reference."""
+        environment = self._model.calibrations[joint].environment
+        spread = getattr(environment, what, None)
+        probes = [p for sensor in self._model.calibrations[joint].sensors for p in getattr(sensor, "probes", ())]
+        references = {getattr(probe, what).reference.number for probe in probes if getattr(probe, what) is not None}
+        if spread is None or len(references) != 1:
+            return None
+        return np.full(len(self._angles), references.pop() + spread.spread.number * random.normal())
+
+    def _drawn_arm(self, random: np.random.Generator, terms: Mapping[str, float]) -> TrueArm:
+        """Return the truth with errors of its beams."""
+        warm = random.uniform(-1.0, 1.0)
+        drawn, links = object.__new__(TrueArm), []
+        for link, known in zip(self._truth.links, self._model.chain.links, strict=True):
+            beam = known.beam
+            if beam is None:
+                links.append(link)
+                continue
+            error = np.sqrt(np.diagonal(beam.covariance)) * random.normal(size=6)
+            factor = 1.0 + beam.sag_sigma * random.normal()
+            for name, effect in beam.shared_effects.items():
+                error += terms[name] * effect
+                factor += terms[name] * beam.shared_sags[name]
+            error[:3] += warm * beam.expansion
+            end = pin.SE3(pin.exp3(error[3:]) @ link.end.rotation, link.end.translation + error[:3])
+            gains = {"start_gain": factor * link.start_gain, "end_gain": factor * link.end_gain}
+            links.append(replace(link, end=end, **gains))
+        drawn.__dict__.update({**self._truth.__dict__, "links": tuple(links)})
+        return drawn

@@ -1,0 +1,104 @@
+"""statement_truth: U of ``posor statement`` against arms drawn with the independent truth.
+
+``make statement-truth`` draws five_axis, six_axis and an arm of four joints, each at 20 poses.
+"""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+from functools import cache, partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from posor.chain.arm_file import load_arm_file
+from posor.reporting.command_line_parser import CommandLineParser
+from posor.reporting.program_errors import reports_errors
+from posor.reporting.report_console import report_console
+from posor.reporting.report_table import ReportTable
+from posor_bringup.arms import find_arm
+
+from posor_lab.arm_study.statement_truth import Drawn, StatementTruth, write_four_joint_arm
+from posor_lab.output_files import check_writable, write_json
+from posor_lab.reports.process_pool import ordered_map
+
+if TYPE_CHECKING:
+    import argparse
+    from collections.abc import Sequence
+
+    from posor.numerics.array_types import FloatArray
+
+ARMS, FOUR_JOINTS = ("five_axis", "six_axis"), "four_joint"
+POSES, DRAWS, SEED, BATCH = 20, 3000, 1985, 50
+DEVIATION = 0.5  # of the temperature of the beams [K], so that it does not hide the other causes
+TOLERANCE = 0.05  # of U
+
+
+@cache  # each worker reads the files once
+def _truth(path: Path, poses: int, seed: int, deviation: float) -> StatementTruth:
+    return StatementTruth(path, poses, seed, deviation=deviation)
+
+
+def _errors(path: Path, poses: int, seed: int, deviation: float, draws: range) -> FloatArray:
+    return _truth(path, poses, seed, deviation).errors(draws)
+
+
+def draw_arm(path: Path, poses: int, draws: int, seed: int, deviation: float, *, workers: int = 0) -> Drawn:
+    """Draw arms with the files of an arm; ``workers``: number of processes, 0: one for each processor."""
+    batches = [range(begin, min(begin + BATCH, seed + draws)) for begin in range(seed, seed + draws, BATCH)]
+    task = partial(_errors, path, poses, seed, deviation)
+    errors = np.concatenate(ordered_map(task, batches, workers, lambda _: None))
+    return Drawn(_truth(path, poses, seed, deviation).stated, errors)
+
+
+def figures(drawn: Drawn) -> dict[str, Any]:
+    """Return what is compared, for one arm."""
+    ratios, largest, coverage = drawn.ratios(), drawn.largest_ratios(), drawn.coverage()
+    return {
+        "draws": len(drawn.errors),
+        "poses": len(drawn.stated),
+        "largest_U_m": max(each.largest for each in drawn.stated),
+        "U_drawn_over_stated": [float(largest.min()), float(largest.max())],
+        "u_of_axes_drawn_over_stated": [float(ratios.min()), float(ratios.max())],
+        "coverage_of_U": [float(coverage.min()), float(coverage.max())],
+        "confirmed": bool(np.abs(np.append(largest, ratios) - 1.0).max() <= TOLERANCE),
+    }
+
+
+@reports_errors
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the program; exit code 0: U is confirmed to 5 % for all arms."""
+    parser = CommandLineParser(prog="statement_truth", description="U of statements against the independent truth.")
+    parser.add_argument("--draws", type=int, default=DRAWS, help="arms drawn of each (default: %(default)s)")
+    parser.add_argument("--poses", type=int, default=POSES, help="poses of each arm (default: %(default)s)")
+    parser.add_argument("--output", type=Path, default=Path("build/statement_truth.json"))
+    options: argparse.Namespace = parser.parse_args(arguments)
+    check_writable(options.output)
+    found: dict[str, Any] = {}
+    with tempfile.TemporaryDirectory() as folder:
+        paths = {name: find_arm(name) for name in ARMS}
+        paths[FOUR_JOINTS] = write_four_joint_arm(load_arm_file(paths[ARMS[0]]), Path(folder))
+        for name, path in paths.items():
+            found[name] = figures(draw_arm(path, options.poses, options.draws, SEED, DEVIATION))
+    rows = [
+        [
+            name,
+            f"{1e6 * each['largest_U_m']:.1f}",
+            *(
+                "{:.3f} to {:.3f}".format(*each[key])
+                for key in ("U_drawn_over_stated", "u_of_axes_drawn_over_stated", "coverage_of_U")
+            ),
+            "yes" if each["confirmed"] else "no",
+        ]
+        for name, each in found.items()
+    ]
+    header = ("arm", "largest U [µm]", "U: drawn / stated", "u of each axis: drawn / stated", "coverage", "within 5 %")
+    title = f"Simulated: {options.draws} arms of each at {options.poses} poses, beams within {DEVIATION:g} K"
+    ReportTable(title, header, rows, left=1).print(report_console(140))
+    write_json(options.output, found)
+    return 0 if all(each["confirmed"] for each in found.values()) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
