@@ -6,11 +6,11 @@ import csv
 import json
 import shlex
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import yaml
-from bags.make_arm_bag import ArmBag
 from posor.bags.bag_writer import replace_bag
 from posor.chain.arm_file import load_arm_file
 from posor.messages.message_definitions import MessageTypes
@@ -19,16 +19,18 @@ from posor_bringup.iso9283_command import OUTPUT_FILES, main
 from posor_lab.harness.iso9283_by_hand import figures_of
 from posor_ros.qos import RELIABLE_QOS
 
+from bags.make_arm_bag import ArmBag
+
 RIG = Path(__file__).resolve().parents[1] / "ros2_ws" / "src" / "posor_bringup" / "arms" / "test_rig"
 REFERENCE = "/test_rig/truth/endpoint"
 CYCLES, ANGLES = 3, (0.02, -0.01, 0.0)
 REST_S, MOVE_S, RATE_HZ = 0.3, 0.25, 100
 
 
-def motion() -> list[dict[str, object]]:
+def motion() -> list[Any]:
     """Rest at zero, then in turn at each angle."""
     still = {"kind": "rest", "duration": {"value": REST_S, "unit": "s"}}
-    phases: list[dict[str, object]] = [still]
+    phases: list[Any] = [still]
     for angle in ANGLES * CYCLES:
         through = {"value": [[angle]], "unit": "rad"}
         move = {"kind": "spline", "duration": {"value": MOVE_S, "unit": "s"}, "joints": ["joint1"], "through": through}

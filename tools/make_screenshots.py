@@ -2,7 +2,8 @@
 
 ``tools/in_workspace.py tools/make_screenshots.py [PICTURE...]`` makes all of them, or those named: ``ymo_printed`` and
 ``five_axis`` (plots of the pages that ``demo`` and ``arm`` write), ``view`` (the simulated five-axis arm, sound and
-with a killed driver; prints the processor time of ``view``, too). The tests use its parts.
+with a killed driver; prints the processor time of ``view``, too), ``statement`` (page and PDF of ``posor statement``).
+The tests use its parts.
 """
 
 from __future__ import annotations
@@ -23,6 +24,8 @@ from playwright.sync_api import sync_playwright
 from posor.errors import PosorError
 from posor.reporting.program_errors import reports_errors
 from posor_bringup.arm_programs import arm_programs, group_programs
+from posor_bringup.statement_command import compute_statement, parse_options
+from posor_design.statement_report import render_sheet, render_statement_page
 from posor_lab.faults.fault_table import write_fault_arm
 from posor_lab.harness.program import Program, installed
 
@@ -56,6 +59,7 @@ REPORTS = {
     ),
 }
 """Pictures of reports: program, its page below the output folder, and the beginnings of the titles of the plots."""
+STATEMENT = ("six_axis", "--grid", "4", "--temperature-deviation", "0.5")
 REPORT_SIZE = (1280, 800)
 REPORT_SCALE = 1.4
 KEEP_PLOTS = """titles => {
@@ -176,16 +180,33 @@ def _draw_view() -> None:
         print(f"view at rest: {processor_share(view.process.pid, REST_S):.1f} % of a core")
 
 
+def _draw_statement() -> None:
+    statement = compute_statement(parse_options(STATEMENT))
+    with tempfile.TemporaryDirectory() as folder, opened_browser(1000, 1250) as page:
+        page_file = Path(folder, "statement.html")
+        page_file.write_text(render_statement_page(statement), encoding="utf-8")
+        page.goto(page_file.as_uri())
+        page.screenshot(path=IMAGES / "statement_page.png")
+    (IMAGES / "statement_sheet.png").write_bytes(render_sheet(statement, "png"))
+
+
+OTHER_PICTURES = {"view": _draw_view, "statement": _draw_statement}
+
+
 @reports_errors
 def main() -> int:
     """Make the pictures."""
     parser = argparse.ArgumentParser(description=str(__doc__).splitlines()[0])
     parser.add_argument(
-        "pictures", nargs="*", choices=[*REPORTS, "view"], default=[*REPORTS, "view"], metavar="PICTURE"
+        "pictures",
+        nargs="*",
+        choices=[*REPORTS, *OTHER_PICTURES],
+        default=[*REPORTS, *OTHER_PICTURES],
+        metavar="PICTURE",
     )
     for name in parser.parse_args().pictures:
-        if name == "view":
-            _draw_view()
+        if name in OTHER_PICTURES:
+            OTHER_PICTURES[name]()
             continue
         (program, *options), page_name, titles = REPORTS[name]
         with tempfile.TemporaryDirectory() as folder:

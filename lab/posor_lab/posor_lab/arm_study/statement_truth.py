@@ -145,8 +145,8 @@ class StatementTruth:
                     common[name] for name in calibration.shared
                 ]
             true = self._truth.joint(joint, dict(zip(stack.parameter_names, wrong.tolist(), strict=True)))
-            surroundings = (self._surroundings(joint, what, random) for what in ("supply", "temperature"))
-            for name, values in true.readings(*places, *surroundings).items():
+            supply, warmth = (self._surroundings(joint, what, random) for what in ("supply", "temperature"))
+            for name, values in true.readings(*places, supply, warmth).items():
                 fields.setdefault(name, []).append(values)
         count, size = len(randoms), len(self._angles)
         stamps_ns = np.repeat(np.arange(1, count + 1) * STEP_NS, size)

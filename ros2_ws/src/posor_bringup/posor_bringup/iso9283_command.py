@@ -83,7 +83,7 @@ def _stated_dwells(path: Path) -> list[tuple[int, int]]:
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         reason = error.strerror if isinstance(error, OSError) else error
         raise DataFileError(f"cannot be read: {reason}", where=str(path), expected="a table (CSV)") from error
-    dwells = []
+    dwells: list[tuple[int, int]] = []
     for number, row in enumerate(rows, start=2):
         try:
             begin, end = int(row["begin_ns"]), int(row["end_ns"])

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from posor.chain.arm_file import ArmFile
+    from posor_design.statement import Statement
     from posor_design.statement_poses import StatementPoses
 
 WIDTH = 160
@@ -95,16 +96,23 @@ def _poses(options: argparse.Namespace, model: ArmUncertainty, arm: ArmFile) -> 
     return given_pose(model, options.angles) if options.grid is None else grid_poses(model, options.grid)
 
 
+def compute_statement(options: argparse.Namespace) -> Statement:
+    """Return the statement for options as ``parse_options`` returns them.
+
+    Raises PosorError: a file of the arm, the bag or the path is invalid, or a POSOR has no valid pose.
+    """
+    arm = load_arm_file(find_arm(options.arm))
+    model = ArmUncertainty(arm, deviation=options.temperature_deviation)
+    poses = _poses(options, model, arm)
+    return make_statement(arm, model, poses, Records(arm, options.bag, options.path), options.average)
+
+
 @reports_errors
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the program; exit code 0: the statement has been written."""
     options = parse_options(arguments)
-    arm = load_arm_file(find_arm(options.arm))
-    model = ArmUncertainty(arm, deviation=options.temperature_deviation)
-    poses = _poses(options, model, arm)
-    records = Records(arm, options.bag, options.path)
-    statement = make_statement(arm, model, poses, records, options.average)
-    folder = options.output or Path("build/statement") / arm.name
+    statement = compute_statement(options)
+    folder = options.output or Path("build/statement") / statement.arm.name
     try:
         folder.mkdir(parents=True, exist_ok=True)
         write_statement(statement, folder)

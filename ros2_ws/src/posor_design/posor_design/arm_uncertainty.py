@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from GTC import dof, reporting, ureal
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from posor.calibration.calibration_file import Calibration
     from posor.chain.arm_file import ArmFile
     from posor.estimation.estimate import Estimates
-    from posor.numerics.array_types import BoolArray, FloatArray
+    from posor.numerics.array_types import BoolArray, FloatArray, IntArray
 
 COVERAGE = 0.95
 DIMENSIONS = 3  # of the position
@@ -84,8 +84,9 @@ class EndpointUncertainty:
 
 def _effective_freedoms(components: Sequence[Component], axis: int) -> float:
     parts = [(math.sqrt(each.covariance[axis, axis]), each.freedoms) for each in components]
-    inputs = [ureal(0.0, sigma, df=freedoms) for sigma, freedoms in parts if sigma > 0.0]
-    return float(dof(sum(inputs[1:], inputs[0]))) if inputs else math.inf
+    if all(math.isinf(freedoms) or sigma == 0.0 for sigma, freedoms in parts):
+        return math.inf
+    return float(dof(sum(ureal(0.0, sigma, df=freedoms) for sigma, freedoms in parts if sigma > 0.0)))
 
 
 def region_factor(freedoms: float) -> float:
@@ -100,6 +101,14 @@ def region_factor(freedoms: float) -> float:
     if left <= 0.0:
         return math.inf
     return math.sqrt(DIMENSIONS * freedoms / left * fdtri(DIMENSIONS, left, COVERAGE))
+
+
+class _JointEstimates(NamedTuple):
+    """Estimates of a joint at m different angles [rad], and which of them each of n poses has."""
+
+    angles: FloatArray  # (m,)
+    estimates: Estimates  # (m,)
+    places: IntArray  # (n,)
 
 
 class ArmUncertainty:
@@ -136,13 +145,16 @@ class ArmUncertainty:
 
     def reachable(self, angles: FloatArray) -> BoolArray:
         """Return at which of n sets of angles (n, j) [rad] all POSORs have a valid pose, (n,)."""
-        return np.all([each.states == State.OK for each in self._estimates(angles).values()], axis=0)
+        reached = [(each.estimates.states == State.OK)[each.places] for each in self._estimates(angles).values()]
+        return np.asarray(np.all(reached, axis=0))
 
-    def _estimates(self, angles: FloatArray) -> dict[str, Estimates]:
-        return {
-            name: estimates_at(self.posors[name], self.chain, name, own)
-            for name, own in zip(self.joints, np.ascontiguousarray(angles.T), strict=True)
-        }
+    def _estimates(self, angles: FloatArray) -> dict[str, _JointEstimates]:
+        """Return the estimates at the different angles of each joint: a grid repeats them."""
+        found = {}
+        for name, own in zip(self.joints, angles.T, strict=True):
+            values, places = np.unique(own, return_inverse=True)
+            found[name] = _JointEstimates(values, estimates_at(self.posors[name], self.chain, name, values), places)
+        return found
 
     def at(
         self,
@@ -161,17 +173,18 @@ class ArmUncertainty:
         pose at its angle.
         """
         estimates = self._estimates(angles)
-        for name, own in zip(self.joints, angles.T, strict=True):
-            require_poses(estimates[name], name, own)
+        for name, own in estimates.items():
+            require_poses(own.estimates, name, own.angles)
         freedoms = {name: calibration_freedoms(self.calibrations[name]) for name in self.joints}
         found = []
         for n, row in enumerate(angles):
             given = dict(zip(self.joints, map(float, row), strict=True))
             measured = {}
-            for name, own in estimates.items():
-                random, of_random = (observed or {}).get(name, (own.covariances_random[n], math.inf))
-                shared = dict(zip(self.calibrations[name].shared, own.shared_effects[n], strict=False))
-                parts = random / scans, own.covariances_systematic[n], shared
+            for name, (_, own, places) in estimates.items():
+                k = int(places[n])
+                random, of_random = (observed or {}).get(name, (own.covariances_random[k], math.inf))
+                shared = dict(zip(self.calibrations[name].shared, own.shared_effects[k], strict=False))
+                parts = random / scans, own.covariances_systematic[k], shared
                 measured[name] = JointCovariance(*parts, of_random, freedoms[name])
             arm = ArmPropagation(
                 self.chain, {name: self.chain.nominal_joint(name, given[name]) for name in self.joints}

@@ -34,6 +34,9 @@ if TYPE_CHECKING:
     from rich.console import Console
 
 SEED = 1985
+DESCRIPTION = (
+    "Error budget of a POSOR from its calibration file. 'posor statement' states the uncertainty of an arm's endpoint."
+)
 OUTPUT_FILES = ("budget.csv", "budget.json", "budget.html")
 
 
@@ -65,8 +68,8 @@ def _count(least: int, name: str) -> Callable[[str], int]:
 
 def parse_options(arguments: Sequence[str] | None) -> argparse.Namespace:
     """Return the options. Raises ParameterError: an option is unknown, or its value is invalid."""
-    parser = CommandLineParser(prog="posor budget", description="Error budget of a POSOR from its calibration file.")
-    parser.add_argument("calibration", type=Path, metavar="CALIBRATION.yaml")
+    parser = CommandLineParser(prog="posor budget", description=DESCRIPTION)
+    parser.add_argument("calibration", type=Path, nargs="?", metavar="CALIBRATION.yaml")
     parser.add_argument("--session", default="", help="session of the calibration file to apply")
     names = [name for name, _ in NATIVE]
     parser.add_argument(
@@ -92,6 +95,8 @@ def parse_options(arguments: Sequence[str] | None) -> argparse.Namespace:
         "--angles", type=_angles, metavar="a,b,...", help="of the arm's joints in rad, written --angles=...; default: 0"
     )
     options = parser.parse_args(arguments)
+    if options.calibration is None:
+        parser.error("no calibration file is given; the endpoint of an arm has 'posor statement ARM --angles=...'")
     if options.angles is not None and options.arm is None:
         parser.error("--angles without --arm")
     options.output = options.output or Path("build/budget") / options.calibration.stem

@@ -13,10 +13,12 @@ import numpy as np
 import pinocchio as pin
 from posor.chain.joint_measurements import MeasuredJoint
 
+from posor_design.endpoint_components import ArmPropagation, JointCovariance, Kind
+
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from posor.chain.kinematic_chain import Chain, Endpoint
+    from posor.chain.kinematic_chain import Chain
     from posor.numerics.array_types import FloatArray
 
     SharedEffects = Mapping[str, Mapping[str, FloatArray]]
@@ -73,38 +75,23 @@ def endpoint_budget(
     ``covariances``: covariance of each POSOR's transform without shared terms, (6, 6) in ROS order, by name.
     ``shared``: effects of shared terms on each POSOR's transform, by joint and term, (6,); None: none.
     """
-    exact = dict.fromkeys(covariances, np.zeros((6, 6)))
-    still = _estimate(chain, angles, exact, {})
-    whole = _estimate(chain, angles, covariances, shared or {})
-    beams = still.covariance() - _squares(still)
-    parts = [
-        Contribution(joint.name, Spread.of(alone.covariance() - still.covariance()))
-        for joint in chain.joints
-        for alone in (_estimate(chain, angles, {**exact, joint.name: covariances[joint.name]}, {}),)
-    ]
-    if any(beam.covariance.any() or beam.sag_sigma for beam in chain.beams):
-        parts.append(Contribution(BEAMS, Spread.of(beams)))
-    parts += [Contribution(f"{SHARED}{name}", Spread.of(np.outer(e, e))) for name, e in whole.shared_effects.items()]
+    joints = {}
+    for name, own in covariances.items():
+        effects = (shared or {}).get(name, {})
+        systematic = own + sum(np.outer(each, each) for each in effects.values())
+        joints[name] = JointCovariance(np.zeros((6, 6)), systematic, effects)
+    arm = ArmPropagation(chain, {name: chain.nominal_joint(name, angles[name]) for name in joints})
+    sums: dict[str, FloatArray] = {}
+    for each in arm.components(joints):
+        if each.kind not in {Kind.RANDOM, Kind.TEMPERATURE}:
+            name = f"{SHARED}{each.source}" if each.kind is Kind.SHARED else each.source
+            name = name if each.kind is Kind.SHARED or name in joints else BEAMS
+            sums[name] = sums.get(name, np.zeros((6, 6))) + each.covariance
+    if not any(beam.covariance.any() or beam.sag_sigma for beam in chain.beams):
+        sums.pop(BEAMS, None)
+    parts = [Contribution(name, Spread.of(covariance)) for name, covariance in sums.items()]
     parts.sort(key=lambda part: part.spread.total, reverse=True)
-    return EndpointBudget(Spread.of(whole.covariance()), tuple(parts))
-
-
-def _squares(endpoint: Endpoint) -> FloatArray:
-    """Return the covariance of all shared terms, (6, 6)."""
-    squares = [np.outer(effect, effect) for effect in endpoint.shared_effects.values()]
-    return np.asarray(np.sum(squares, axis=0, initial=0.0))
-
-
-def _estimate(
-    chain: Chain, angles: Mapping[str, float], covariances: Mapping[str, FloatArray], shared: SharedEffects
-) -> Endpoint:
-    measured = {}
-    for joint in chain.joints:
-        effects = shared.get(joint.name, {})
-        systematic = covariances[joint.name] + sum(np.outer(each, each) for each in effects.values())
-        pose = chain.nominal_joint(joint.name, angles[joint.name])
-        measured[joint.name] = MeasuredJoint(pose, covariance_systematic=systematic, shared_effects=effects)
-    return chain.estimate(measured)
+    return EndpointBudget(Spread.of(np.sum(list(sums.values()), axis=0)), tuple(parts))
 
 
 def monte_carlo(

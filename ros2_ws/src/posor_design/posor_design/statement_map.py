@@ -7,9 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from posor.numerics.array_types import FloatArray
+    from posor.numerics.array_types import FloatArray, IntArray
 
     from posor_design.statement import Statement
 
@@ -27,7 +25,7 @@ def draw_map(statement: Statement) -> str:
     worst = int(np.argmax(sizes))
     total = 2.0 * WIDTH + GAP
     size = f"{total:g} {HEIGHT + LEGEND:g}"
-    parts = [f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {size}" font-size="11" font-family="sans-serif">']
+    parts = [f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {size}" font-size="13" font-family="sans-serif">']
     parts.append(f'<rect width="{total:g}" height="{HEIGHT + LEGEND:g}" fill="#ffffff"/>')
     for number, (across, up, x_name, y_name) in enumerate(VIEWS):
         offset = number * (WIDTH + GAP)
@@ -40,7 +38,7 @@ def draw_map(statement: Statement) -> str:
     return "\n".join([*parts, "</svg>"])
 
 
-def _view(points: FloatArray, classes: Sequence[int], worst: int, offset: float, names: tuple[str, str]) -> list[str]:
+def _view(points: FloatArray, classes: IntArray, worst: int, offset: float, names: tuple[str, str]) -> list[str]:
     """Return one view: both axes have the same scale."""
     low, high = points.min(axis=0), points.max(axis=0)
     middle, extent = 0.5 * (low + high), np.maximum(high - low, 1e-3)

@@ -112,7 +112,7 @@ def grid_poses(model: ArmUncertainty, count: int) -> StatementPoses:
     notes = (
         [f"{left_out} of {len(angles)} poses of the grid are left out: a POSOR has no pose there."] if left_out else []
     )
-    return StatementPoses(angles[within], [f"grid {n + 1}" for n in np.flatnonzero(within)], notes)
+    return StatementPoses(angles[within], [f"pose {n + 1} of the grid" for n in np.flatnonzero(within)], notes)
 
 
 def _grid_axis(model: ArmUncertainty, joint: int, count: int) -> FloatArray:

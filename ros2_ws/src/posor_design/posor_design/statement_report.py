@@ -6,7 +6,7 @@ import json
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import pinocchio as pin
@@ -33,6 +33,7 @@ FORMAT, VERSION = "posor_statement", 1
 OUTPUT_FILES = ("statement.json", "statement.html", "statement.pdf")
 TEMPLATE = Path(__file__).with_name("statement.typ")
 LEAST_SHARE = 5e-4  # smaller shares have no digit
+PIXELS_PER_INCH = 110.0  # of a picture
 MOST_FREEDOMS = 1e4  # more make no difference
 _UNITS = ("µm",) * 3 + ("µrad",) * 3
 
@@ -120,7 +121,7 @@ def _uncertainty(statement: Statement) -> StatementTable:
 def _ellipsoid(statement: Statement) -> StatementTable:
     worst = statement.worst
     rows = [
-        [f"semi-axis {n + 1}", f"{micro(length)} µm", ", ".join(f"{part:.3f}" for part in direction)]
+        [f"semi-axis {n + 1}", f"{micro(length)} µm", ", ".join(f"{round(part, 3) + 0.0:.3f}" for part in direction)]
         for n, (length, direction) in enumerate(zip(worst.ellipsoid, worst.ellipsoid_axes.T, strict=True))
     ]
     note = f"Coverage factor {worst.ellipsoid_factor:.2f} for three dimensions."
@@ -205,7 +206,7 @@ def _conditions(statement: Statement) -> StatementTable:
 
 
 def _records(statement: Statement) -> StatementTable:
-    rows = [
+    rows: list[list[Cell]] = [
         [each.role, Origin(each.role, each.path.name), each.source, each.date, each.sha256]
         for each in statement.records.all.values()
     ]
@@ -361,8 +362,8 @@ def map_note(statement: Statement) -> str:
     return f"{len(statement.poses)} poses, U from {span}; the worst is {statement.name}, which the statement is about."
 
 
-def render_pdf(statement: Statement) -> bytes:
-    """Return the page as PDF, with the fonts that typst brings."""
+def render_sheet(statement: Statement, kind: Literal["pdf", "png"] = "pdf") -> bytes | list[bytes]:
+    """Return the statement on paper, with the fonts that typst brings; a list if a picture has several pages."""
     content = {
         "title": f"Uncertainty of the endpoint of {statement.arm.name}",
         "issued": f"issued {statement.issued} by {statement.software}",
@@ -389,8 +390,11 @@ def render_pdf(statement: Statement) -> bytes:
             for each in tables(statement)
         ],
     }
-    pdf: bytes = typst.compile(TEMPLATE, sys_inputs={"statement": json.dumps(content)}, ignore_system_fonts=True)
-    return pdf
+    inputs = {"statement": json.dumps(content)}
+    sheet: bytes | list[bytes] = typst.compile(
+        TEMPLATE, format=kind, ppi=PIXELS_PER_INCH, sys_inputs=inputs, ignore_system_fonts=True
+    )
+    return sheet
 
 
 def write_statement(statement: Statement, folder: Path) -> None:
@@ -398,7 +402,7 @@ def write_statement(statement: Statement, folder: Path) -> None:
     json_file, page_file, pdf_file = (folder / name for name in OUTPUT_FILES)
     json_file.write_text(json.dumps(as_json(statement), indent=2) + "\n", encoding="utf-8")
     page_file.write_text(render_statement_page(statement), encoding="utf-8")
-    pdf_file.write_bytes(render_pdf(statement))
+    pdf_file.write_bytes(b"".join([render_sheet(statement)]))
 
 
 def print_statement(statement: Statement, console: Console) -> None:

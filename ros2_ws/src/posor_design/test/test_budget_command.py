@@ -164,6 +164,12 @@ def test_wrong_options_are_refused(
     assert not list(tmp_path.iterdir())
 
 
+def test_an_arm_without_calibration_leads_to_the_statement(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--arm", str(SIX_AXIS)]) == 2
+    sentence = "budget: no calibration file is given; the endpoint of an arm has 'posor statement ARM --angles=...'; "
+    assert capsys.readouterr().err.startswith(sentence)
+
+
 def test_a_missing_file_and_an_unwritable_folder_are_named(
     calibration: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
