@@ -187,7 +187,7 @@ def _draw_statement() -> None:
         page_file.write_text(render_statement_page(statement), encoding="utf-8")
         page.goto(page_file.as_uri())
         page.screenshot(path=IMAGES / "statement_page.png")
-    (IMAGES / "statement_sheet.png").write_bytes(render_sheet(statement, "png"))
+    (IMAGES / "statement_sheet.png").write_bytes(render_sheet(statement, "png")[0])
 
 
 OTHER_PICTURES = {"view": _draw_view, "statement": _draw_statement}

@@ -173,8 +173,8 @@ class ArmUncertainty:
         pose at its angle.
         """
         estimates = self._estimates(angles)
-        for name, own in estimates.items():
-            require_poses(own.estimates, name, own.angles)
+        for name, (values, found_there, _) in estimates.items():
+            require_poses(found_there, name, values)
         freedoms = {name: calibration_freedoms(self.calibrations[name]) for name in self.joints}
         found = []
         for n, row in enumerate(angles):

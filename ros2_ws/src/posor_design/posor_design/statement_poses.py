@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from posor.bags.offline_pipeline import Arm
+from posor.bags.provenance import custom_data, differences
+from posor.bags.reprocess_task import Settings
 from posor.errors import BagError, ChainError, DataFileError, ParameterError
 from posor.model.fault import USABLE_STATES, Fault, State
 from scipy.spatial.transform import Rotation
@@ -137,8 +139,8 @@ def bag_poses(model: ArmUncertainty, arm: ArmFile, bag: Path, angles: Sequence[f
     if angles is not None:
         check_angles(angles, model.joints, "statement, --angles")
     estimates = Arm(**vars(arm)).estimate(bag)
+    notes = [f"{each}." for each in differences(custom_data(bag), Settings.of_arm(arm))]
     end, order = estimates.endpoint, [estimates.chain.index(joint) for joint in model.joints]
-    notes = []
     for joint, own in estimates.joints.items():
         lost = ~np.isin(own.states, USABLE_STATES)
         if lost.any():

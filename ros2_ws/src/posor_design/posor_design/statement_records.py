@@ -6,7 +6,6 @@ import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-import yaml
 from posor.bags.calibration_recording import bag_sha256
 from posor.calibration.yaml_document import FileLocations, parse_yaml
 from posor.chain.identity import file_sha256
@@ -61,14 +60,22 @@ class Records:
         if arm.commissioning is not None and arm.commissioning.exists():
             files[RECORD] = arm.commissioning
         files[PATH] = path
-        self.all = {role: _read(role, file) for role, file in files.items() if file is not None}
+        self.all: dict[str, Record] = {}
+        self._locations: dict[str, FileLocations] = {}
+        for role, file in files.items():
+            if file is not None:
+                self._read(role, file)
         if bag is not None:
             self.all[BAG] = Record(BAG, bag, bag_sha256(bag), "")
-        self._locations = {
-            role: FileLocations(str(each.path), parse_yaml(each.text, str(each.path))[0])
-            for role, each in self.all.items()
-            if each.path.suffix in {".yaml", ".yml"} and each.text
-        }
+
+    def _read(self, role: str, path: Path) -> None:
+        sha256, text = file_sha256(path), read_input_text(path)
+        root, content = parse_yaml(text, str(path)) if path.suffix in {".yaml", ".yml"} else (None, {})
+        if root is not None:
+            self._locations[role] = FileLocations(str(path), root)
+        stated = content.get("provenance", content) if isinstance(content, dict) else {}
+        source, date = (str(stated.get(key, "")) for key in ("source", "date"))
+        self.all[role] = Record(role, path, sha256, text, source, date)
 
     def origin(self, role: str, *location: str | int) -> Origin:
         """Return the place of an entry of a file, or of the nearest entry around it; without location the file."""
@@ -84,10 +91,3 @@ class Records:
 
     def __contains__(self, role: object) -> bool:
         return role in self.all
-
-
-def _read(role: str, path: Path) -> Record:
-    sha256, text = file_sha256(path), read_input_text(path)
-    content = yaml.safe_load(text) if path.suffix in {".yaml", ".yml"} and role != RECORD else {}
-    provenance = content.get("provenance", {}) if isinstance(content, dict) else {}
-    return Record(role, path, sha256, text, str(provenance.get("source", "")), str(provenance.get("date", "")))

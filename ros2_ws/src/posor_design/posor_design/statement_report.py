@@ -362,8 +362,8 @@ def map_note(statement: Statement) -> str:
     return f"{len(statement.poses)} poses, U from {span}; the worst is {statement.name}, which the statement is about."
 
 
-def render_sheet(statement: Statement, kind: Literal["pdf", "png"] = "pdf") -> bytes | list[bytes]:
-    """Return the statement on paper, with the fonts that typst brings; a list if a picture has several pages."""
+def render_sheet(statement: Statement, kind: Literal["pdf", "png"] = "pdf") -> list[bytes]:
+    """Return the statement on paper, with the fonts that typst brings: a PDF, or a picture of each page."""
     content = {
         "title": f"Uncertainty of the endpoint of {statement.arm.name}",
         "issued": f"issued {statement.issued} by {statement.software}",
@@ -394,7 +394,7 @@ def render_sheet(statement: Statement, kind: Literal["pdf", "png"] = "pdf") -> b
     sheet: bytes | list[bytes] = typst.compile(
         TEMPLATE, format=kind, ppi=PIXELS_PER_INCH, sys_inputs=inputs, ignore_system_fonts=True
     )
-    return sheet
+    return sheet if isinstance(sheet, list) else [sheet]
 
 
 def write_statement(statement: Statement, folder: Path) -> None:
@@ -402,7 +402,7 @@ def write_statement(statement: Statement, folder: Path) -> None:
     json_file, page_file, pdf_file = (folder / name for name in OUTPUT_FILES)
     json_file.write_text(json.dumps(as_json(statement), indent=2) + "\n", encoding="utf-8")
     page_file.write_text(render_statement_page(statement), encoding="utf-8")
-    pdf_file.write_bytes(b"".join([render_sheet(statement)]))
+    pdf_file.write_bytes(render_sheet(statement)[0])
 
 
 def print_statement(statement: Statement, console: Console) -> None:

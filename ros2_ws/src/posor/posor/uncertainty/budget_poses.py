@@ -49,11 +49,7 @@ def scan_at(posor: Posor, T_R_T: pin.SE3) -> Scan:
 
     Raises ParameterError: a sensor has no forward model, or is out of range at this pose.
     """
-    for sensor in posor.stack.sensors:
-        if not isinstance(sensor, RowSensor):
-            what = f"{type(sensor).__name__} has no forward model"
-            expected = "sensors with a forward model (RowSensor)"
-            raise ParameterError(what, where=f"calibration '{posor.calibration.name}'", expected=expected)
+    require_forward_model(posor)
     scans = scans_at(posor.stack, T_R_T.rotation[None], T_R_T.translation[None], np.zeros(1, dtype=np.int64))
     scan = scans[0]
     for kind, readings in (
@@ -68,6 +64,15 @@ def scan_at(posor: Posor, T_R_T: pin.SE3) -> Scan:
             raise ParameterError(what, where=f"calibration '{posor.calibration.name}'", expected=expected)
     supply, temperature = _references(posor)
     return replace(scan, supply_voltage=supply, temperature=temperature)
+
+
+def require_forward_model(posor: Posor) -> None:
+    """Raise ParameterError if a sensor has no forward model, such as one in plain Python."""
+    for sensor in posor.stack.sensors:
+        if not isinstance(sensor, RowSensor):
+            what = f"{type(sensor).__name__} has no forward model"
+            expected = "sensors with a forward model (RowSensor)"
+            raise ParameterError(what, where=f"calibration '{posor.calibration.name}'", expected=expected)
 
 
 def _references(posor: Posor) -> tuple[float, float]:
@@ -170,7 +175,11 @@ def model_covariances(
 
 
 def estimates_at(posor: Posor, chain: Chain, joint: str, angles: FloatArray) -> Estimates:
-    """Return the estimates from the noiseless readings of a joint's POSOR at angles of the joint [rad], (n,)."""
+    """Return the estimates from the noiseless readings of a joint's POSOR at angles of the joint [rad], (n,).
+
+    Raises ParameterError: a sensor has no forward model.
+    """
+    require_forward_model(posor)
     poses = [chain.nominal_joint(joint, angle) for angle in angles]
     rotations, translations = (
         np.array([getattr(each, what) for each in poses]) for what in ("rotation", "translation")
