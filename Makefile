@@ -28,6 +28,7 @@ help:
 	@echo "make foreign-bags [BAGS='--bags 500 ...']              generate bags of other writers, count how each is read"
 	@echo "make fuzz [FUZZ='--scans 10000 ...']                   damage messages and files, count wrong poses"
 	@echo "make instruments [INSTRUMENTS='--trials TEXT ...']      try every kind of device against a server"
+	@echo "make statement-truth [STATEMENT='--draws 500 ...']     U of posor statement against drawn arms"
 	@echo "make soak [SOAK='--seconds 120 ...']                   run an arm for an hour, find losses and growth"
 	@echo "make test [TESTS='path ...']                           linters and all tests, or only the tests of TESTS"
 	@echo "make test-long [TESTS='path ...']                      the tests that take long: many draws, whole campaigns, benchmarks"

@@ -1,4 +1,4 @@
-"""The statement of an endpoint's uncertainty: everything that a customer is told, and where each number comes from."""
+"""The statement of an endpoint's uncertainty: all that a customer needs, and where each number comes from."""
 
 from __future__ import annotations
 
