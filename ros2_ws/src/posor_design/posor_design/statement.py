@@ -207,9 +207,8 @@ def _quantities(
     if not exact:
         return found, []
     more = f" and {len(exact) - SHORT} more" if len(exact) > SHORT else ""
-    return found, [
-        f"{len(exact)} calibrated quantities without a stated uncertainty are exact: {', '.join(exact[:SHORT])}{more}."
-    ]
+    listed = ", ".join(exact[:SHORT])
+    return found, [f"Calibrated quantities without a stated uncertainty are taken as exact: {listed}{more}."]
 
 
 def _identity(arm: ArmFile, calibrations: Mapping[str, Calibration]) -> tuple[str, list[str]]:
