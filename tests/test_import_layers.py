@@ -17,14 +17,14 @@ WITHOUT_ROS = {"posor", "posor_calibration", "posor_design"}
 ROS_LIBRARIES = {"posor_msgs", "rclpy", "ament_index_python", "launch", "rosidl_parser", "tf2_msgs"}
 LAYERS_OF_POSOR = (  # lowest first; parts of one line may import each other
     ("errors", "input_text", "lazy_program", "library_programs", "reporting", "ros_names"),
-    ("numerics", "compilation"),
+    ("numerics",),
     ("model",),
     ("calibration", "sensors", "node_parameters", "parameter_model"),
     ("estimation",),
     ("chain",),
     ("uncertainty",),
     ("messages",),
-    ("bags", "tables", "warm_up"),
+    ("bags", "tables", "kernel_build", "kernel_examples"),
     ("",),  # posor itself: the public Python API
 )
 LAYER = {f"posor.{part}".rstrip("."): layer for layer, parts in enumerate(LAYERS_OF_POSOR) for part in parts}

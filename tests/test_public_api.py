@@ -24,7 +24,6 @@ from posor.calibration.designs import design
 from posor.chain.arm_file import ParameterValue
 from posor.model.fault import State
 from posor.model.native_coordinates import rotation_from_native
-from posor.numerics import compiled
 from posor_bringup.arms import find_arm
 from rclpy.serialization import deserialize_message
 
@@ -86,10 +85,9 @@ def python(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def plain_environment() -> dict[str, str]:
-    """Return the environment without ROS and without the workspace, except the machine code of the same kernels."""
+    """Return the environment without ROS and without the workspace."""
     foreign = ("PYTHON", "AMENT_", "ROS_", "COLCON_", "CMAKE_", "LD_LIBRARY_PATH", "VIRTUAL_ENV")
-    plain = {name: value for name, value in os.environ.items() if not name.startswith(foreign)}
-    return plain | {"NUMBA_CACHE_DIR": str(Path(compiled.cache_folder()).parent)}
+    return {name: value for name, value in os.environ.items() if not name.startswith(foreign)}
 
 
 def run(python: Path, code: str) -> subprocess.CompletedProcess[str]:

@@ -68,7 +68,7 @@ def run_pytest(
 
 def run_test_file(file: Path, environ: dict[str, str]) -> bool:
     """Run a test file without, or where that takes too long also with compiled kernels; return whether none failed."""
-    uncompiled = environ | {"POSOR_COMPILE": "0"}
+    uncompiled = environ | {"POSOR_KERNELS": "python"}
     code, output = run_pytest(file, uncompiled, FILE_LIMIT_S, (f"--timeout={TEST_LIMIT_S}", "--timeout-method=signal"))
     if code not in {0, NO_TESTS}:
         code, output = run_pytest(file, environ)

@@ -37,8 +37,8 @@ def environment_inputs(workspace: Workspace, *, official: bool) -> str:
 def build_inputs(workspace: Workspace, *, official: bool) -> str:
     """Return a hash of everything that determines the installed workspace.
 
-    Python modules and data files are installed as links into the source tree: only their names count. Kernels are
-    compiled once after the build, so that no node has to wait for the compiler: their content counts.
+    Python modules and data files are installed as links into the source tree: only their names count. The build
+    makes the library of the kernels: the content of their files counts.
     """
     digest = hashlib.sha256(f"{SETUP_VERSION}".encode())
     packages = source_packages(workspace, official=official)

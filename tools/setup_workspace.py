@@ -1,4 +1,4 @@
-"""Set the workspace up: virtual environment, libraries, ROS 2 Jazzy, colcon build, compiled kernels.
+"""Set the workspace up: virtual environment, libraries, ROS 2 Jazzy, colcon build with the library of kernels.
 
 Only missing or outdated parts are made, so that every ``make`` target and ``./run`` can call the set-up first. A step
 removes its stamp before it begins and writes it after success: after any interruption the next call repeats the step.
@@ -31,7 +31,6 @@ from environment import (
     is_official_ros_sourced,
     read_stamp,
     ros_environment,
-    with_variables,
     write_stamp,
 )
 from machine_checks import check_machine
@@ -44,7 +43,6 @@ from setup_state import (
     build_inputs,
     environment_inputs,
     interpreter_identity,
-    kernel_files,
     reasons_to_set_up,
     source_packages,
 )
@@ -135,7 +133,7 @@ class Setup:
             list_missing()
 
     def build(self, reason: str) -> None:
-        """Build and install the packages with colcon, compile the kernels and record the resulting environment.
+        """Build and install the packages with colcon, and record the resulting environment.
 
         Unless only sources have changed, earlier results belong to another environment or to an interrupted build and
         are removed first.
@@ -166,11 +164,6 @@ class Setup:
             environ["MAKEFLAGS"] = f"-j{os.cpu_count()}"  # colcon's own flags let the linters of make test slow it down
             self.report.run(command, environ=environ, failure="colcon could not build ros2_ws")
             variables = self.read_added_variables()
-        if kernel_files(workspace):
-            with self.report.step("compile the kernels of the measurement model", "kernels.log"):
-                command = [str(workspace.python), "-m", "posor.warm_up"]
-                environ = with_variables(self.environ, variables)
-                self.report.run(command, environ=environ, failure="the kernels cannot be compiled")
         environment = read_stamp(workspace.environment_stamp)["inputs"]
         write_stamp(workspace.build_stamp, {"environment": environment, "inputs": inputs, **variables})
 

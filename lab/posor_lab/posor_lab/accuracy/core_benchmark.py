@@ -21,7 +21,7 @@ from posor.estimation.posor import Posor
 from posor.model.fault import State
 from posor.model.native_coordinates import rotation_from_native
 from posor.model.scan import STATED_HOME
-from posor.numerics.compiled import COMPILING
+from posor.numerics.compiled import MODE
 from posor.reporting.program_errors import reports_errors
 from rich.console import Console
 from rich.table import Table
@@ -80,8 +80,7 @@ def main(arguments: list[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     check_writable(options.output)
     figures = {stack: _measure_stack(stack, 2_000, 20_000) for stack in STACKS}
-    kernels = "compiled" if COMPILING else "not compiled"
-    title = f"Speed of the core, kernels {kernels}; processor time, medians of {ROUNDS} rounds"
+    title = f"Speed of the core, kernels by {MODE}; processor time, medians of {ROUNDS} rounds"
     columns = ("stack", "one scan, us", "many scans, scans/s")
     table = Table(*columns, title=title, title_justify="left")
     for stack, row in figures.items():

@@ -58,8 +58,7 @@ class FigureTable:
 def host_lines(host: Mapping[str, Any]) -> list[str]:
     """Return sentences on the host."""
     system = f"Linux {host['kernel']}, Python {host['python']}, {host['rmw']}"
-    kernels = "compiled" if host["compiled"] else "not compiled"
-    lines = [f"{host['cores']} cores ({host['processor']}), {system}, kernels {kernels}."]
+    lines = [f"{host['cores']} cores ({host['processor']}), {system}, kernels by {host['kernels']}."]
     if host["load"] > IDLE_LOAD:
         lines.append(f"The host was not idle: load average {host['load']:.2f}.")
     return lines

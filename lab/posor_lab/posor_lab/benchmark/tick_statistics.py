@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from posor.errors import PosorError
-from posor.numerics.compiled import COMPILING
+from posor.numerics.compiled import MODE
 from posor.numerics.stamps import first_tick_after, tick_stamp_ns
 from rclpy.utilities import get_rmw_implementation_identifier
 
@@ -30,7 +30,7 @@ def host_description() -> dict[str, Any]:
         "kernel": platform.release(),
         "python": platform.python_version(),
         "rmw": get_rmw_implementation_identifier(),
-        "compiled": COMPILING,
+        "kernels": MODE,
         "load": os.getloadavg()[0],
     }
 

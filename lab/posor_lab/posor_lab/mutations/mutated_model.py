@@ -73,8 +73,8 @@ class MutatingFinder(MetaPathFinder):
 
 def main() -> int:
     """Run the checks with one mutation; print their results."""
-    if os.environ.get("POSOR_COMPILE") != "0":
-        sys.exit("the kernels are compiled; expected POSOR_COMPILE=0")
+    if os.environ.get("POSOR_KERNELS") != "python":
+        sys.exit("the kernels are compiled; expected POSOR_KERNELS=python")
     mutation = Mutation(**json.load(sys.stdin))
     sys.meta_path.insert(0, MutatingFinder(mutation))
     from posor_lab.mutations.model_checks import run_checks  # noqa: PLC0415  imports the product

@@ -69,7 +69,7 @@ def run_mutation(mutation: Mutation) -> dict[str, CheckResult]:
     process = subprocess.run(
         [sys.executable, "-m", "posor_lab.mutations.mutated_model"],
         input=json.dumps(mutation._asdict()),
-        env=os.environ | {"POSOR_COMPILE": "0"},
+        env=os.environ | {"POSOR_KERNELS": "python"},
         capture_output=True,
         text=True,
         check=False,

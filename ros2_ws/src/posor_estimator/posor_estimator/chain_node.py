@@ -74,7 +74,6 @@ class ChainNode(PosorNode[ChainParameters]):
 
     NAME = CHAIN_NODE
     Parameters = ChainParameters
-    USES_KERNELS = True
 
     _estimator: EndpointEstimator
     _synchroniser: TimeSynchroniser[bytes]

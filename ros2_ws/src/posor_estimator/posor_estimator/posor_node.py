@@ -67,7 +67,6 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
 
     NAME = "posor_node"
     Parameters = PosorParameters
-    USES_KERNELS = True
 
     _calibration: Calibration
     _posor: Posor

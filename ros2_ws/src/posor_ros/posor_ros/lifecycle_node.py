@@ -61,7 +61,6 @@ class PosorNode(LifecycleNode, Generic[ParametersT]):
     Attributes:
         NAME: Default node name.
         Parameters: Model of the node's parameters.
-        USES_KERNELS: Whether the program compiles the kernels, if they are not compiled, before it starts its nodes.
         diagnostics: Diagnostics of the node.
         timing: Records the stamps of published scans, for the status line ``timing``.
         exit_requested: Whether the node wants its program to end.
@@ -73,7 +72,6 @@ class PosorNode(LifecycleNode, Generic[ParametersT]):
 
     NAME: ClassVar[str]
     Parameters: ClassVar[type[Any]]
-    USES_KERNELS: ClassVar[bool] = False
 
     def __init__(self, *, parameter_files: Sequence[Path] = (), **options: Any) -> None:
         """Create the node and declare its parameters; rclpy receives the options: ``context``, ``namespace``...

@@ -10,7 +10,6 @@ from time import monotonic
 from typing import TYPE_CHECKING, Any, Self
 
 import rclpy
-from posor.compilation import compile_kernels
 from posor.errors import NodeError, ParameterError, PosorError
 from posor.lazy_program import heeded_signals
 from posor.node_parameters import RealtimeParameters
@@ -179,9 +178,6 @@ class NodeGroup:
         """
         several = len(self._locations) > 1
         manager = ServiceManager()
-        user = next((node for node in self._locations if node.USES_KERNELS), None)
-        if user is not None:
-            compile_kernels(user.get_logger().info, stop)
         self._report_process_health()
         with node_executor(list(self._locations)) as executor, closing(manager):
             for node, location in self._locations.items():

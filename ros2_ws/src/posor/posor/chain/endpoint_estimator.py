@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
@@ -20,7 +20,7 @@ from posor.chain.forward_kinematics import (
 from posor.chain.joint_measurements import FAULT_TEXTS, JointMeasurements, JointRows
 from posor.errors import ChainError
 from posor.estimation.fault_model import EFFECT, JointCauses
-from posor.numerics.compiled import compile_for
+from posor.numerics.compiled import bind
 from posor.numerics.vector import rotation_of_pose
 
 if TYPE_CHECKING:
@@ -118,9 +118,6 @@ class EndpointEstimator:
         self._prepare_arguments()
         if any(beam.shared_effects for beam in beams):
             self._set_terms(self._joint_terms)
-        self._estimate = compile_for(estimate_endpoints, self._arguments)
-        self._estimate_rows = compile_for(estimate_endpoint_of_rows, self._row_arguments)
-        self._bound = compile_for(bound_endpoints, self._bound_arguments[0])
 
     def use_terms(self, of_joints: list[tuple[str, ...]]) -> None:
         """Take the names of each joint's shared terms, in the order of its effects, from the next scan on."""
@@ -158,7 +155,7 @@ class EndpointEstimator:
         ``relative``: in the axes at home, of the last ``estimate_relative_to``. Both names are empty where nothing sets
         the level.
         """
-        self._bound(*self._bound_arguments[relative])
+        self._bound_errors[relative]()
         return self.set_by(self._bounds, 0)
 
     def bound_all(
@@ -181,7 +178,7 @@ class EndpointEstimator:
         )
         axes = self._axes if home is None else np.array(rotation_of_pose(home))
         own = Endpoints._make(np.require(array, requirements=["C", "A", "W"]) for array in endpoints)
-        self._bound(self._arm, self._arm_causes, measurements, own, axes, bounds)
+        bound_endpoints(self._arm, self._arm_causes, measurements, own, axes, bounds)
         return bounds
 
     def set_by(self, bounds: EndpointBounds, n: int) -> tuple[tuple[str, str], ...]:
@@ -219,14 +216,14 @@ class EndpointEstimator:
         ``stamp_ns``: time of the scan, for the accelerations of the beams. If time goes back, their history is emptied.
         """
         self._stamp_ns[0] = stamp_ns
-        while self._estimate(*self._arguments) == 0:
+        while self._estimate(0) == 0:
             self._enlarge_history()
         return not math.isnan(self.pose[0])
 
     def estimate_rows(self, stamp_ns: int) -> int:
         """Estimate the endpoint from ``rows``; return the worst state of the joints, negative without an endpoint."""
         self._stamp_ns[0] = stamp_ns
-        while (worst := self._estimate_rows(*self._row_arguments)) == HISTORY_FULL:
+        while (worst := self._estimate_rows()) == HISTORY_FULL:
             self._enlarge_history()
         return worst
 
@@ -280,7 +277,7 @@ class EndpointEstimator:
             )
         )
         endpoints, done = Endpoints.allocate(count, joints, len(self.shared_terms)), 0
-        while (done := self._estimate(self._arm, self._history, measurements, endpoints, done)) < count:
+        while (done := estimate_endpoints(self._arm, self._history, measurements, endpoints, done)) < count:
             self._enlarge_history()
         return endpoints
 
@@ -310,11 +307,11 @@ class EndpointEstimator:
         self._prepare_arguments()
 
     def _prepare_arguments(self) -> None:
-        """Keep the arguments of the kernels, so that a call allocates next to nothing."""
+        """Bind the kernels to the arrays, so that a call allocates next to nothing."""
         workspace = self._arm, self._history, self._measurements, self._endpoints
-        self._arguments: tuple[Any, ...] = (*workspace, 0)
-        self._row_arguments: tuple[Any, ...] = (*workspace, self._rows)
-        self._bound_arguments: tuple[tuple[Any, ...], ...] = tuple(
-            (self._arm, self._arm_causes, self._measurements, endpoints, axes, self._bounds)
+        self._estimate = bind(estimate_endpoints, workspace)
+        self._estimate_rows = bind(estimate_endpoint_of_rows, (*workspace, self._rows))
+        self._bound_errors = tuple(
+            bind(bound_endpoints, (self._arm, self._arm_causes, self._measurements, endpoints, axes, self._bounds))
             for endpoints, axes in ((self._endpoints, self._axes), (self._relative, self._home_axes))
         )

@@ -31,7 +31,7 @@ from posor.model.fault import Fault
 from posor.model.native_coordinates import native_from_rotation
 from posor.model.readings import DIODE_CURRENTS, PYTHON
 from posor.model.scan import CONTACTS, Scan, ScanBuffer, Scans
-from posor.numerics.compiled import compile_for, record_view
+from posor.numerics.compiled import bind, record_view
 from posor.numerics.vector import wrapped
 from posor.sensors.diodes import DiodesCalibration
 from posor.sensors.gap_probes import GapProbesCalibration
@@ -549,7 +549,7 @@ class _OneScan:
             self._posor.estimate_records(self._buffer.records, self._estimates)
             return
         if self._compiled is None:
-            self._compiled = compile_for(estimate_scans, self._arguments)
-        _, left = self._compiled(*self._arguments)
+            self._compiled = bind(estimate_scans, self._arguments)
+        _, left = self._compiled()
         if left != DONE:
             self._posor.finish_scan(*self._arguments[1:5], left)

@@ -23,7 +23,7 @@ from posor.messages.message_table import LEAD, MessageRows, TableLayout
 from posor.messages.raw_scan import raw_scan_layout, scan_of, unpack_scan
 from posor.model.fault import Fault, State
 from posor.model.scan import STATED_HOME
-from posor.numerics.compiled import compile_for, in_place, inlined, record_view
+from posor.numerics.compiled import bind, in_place, inlined, record_view
 from posor.numerics.stamps import NO_TIME, NS, accepted_in_kernel
 from posor.ros_names import JOINT_TRANSFORM, RAW_SCAN
 
@@ -202,7 +202,7 @@ class MessageEstimator:
         self._count = len(stream.raw.octets)
         self._estimate = self._estimate_in_python
         if not posor.has_plain_sensors:
-            self._estimate = compile_for(estimate_messages, (posor.model, stream, 0, self._count, UNCHECKED))
+            self._estimate = bind(estimate_messages, (posor.model, stream))
 
     def estimate_rows(self, now_ns: int = UNCHECKED) -> bool:
         """Estimate all rows; return False where a row has another layout and the rest has not been estimated.
@@ -211,7 +211,7 @@ class MessageEstimator:
         """
         done = 0
         while done < self._count:
-            done, left = self._estimate(self._posor.model, self._stream, done, self._count, now_ns)
+            done, left = self._estimate(done, self._count, now_ns)
             if left >= OTHER_LAYOUT:
                 return False
             if left != DONE:
@@ -221,10 +221,9 @@ class MessageEstimator:
                 done += 1
         return True
 
-    def _estimate_in_python(
-        self, model: Model, stream: MessageStream, begin: int, end: int, now_ns: int
-    ) -> tuple[int, int]:
+    def _estimate_in_python(self, begin: int, end: int, now_ns: int) -> tuple[int, int]:
         """Do the same as ``estimate_messages`` by a POSOR with sensors written in plain Python."""
+        model, stream = self._posor.model, self._stream
         for n in range(begin, end):
             begun = begin_message(model, stream, n, now_ns)
             if begun >= OTHER_LAYOUT:

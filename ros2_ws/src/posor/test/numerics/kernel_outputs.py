@@ -1,6 +1,6 @@
 """Run every kind of kernel on the same random inputs and save what comes out: ``kernel_outputs.py FILE.npz``.
 
-A program of its own, since whether kernels are compiled is decided when they are imported (POSOR_COMPILE).
+A program of its own, since the way of the kernels is chosen when they are imported (POSOR_KERNELS).
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from posor.estimation import solver
 from posor.estimation.fault_model import ALWAYS, EFFECT, SECOND, SHARED, JointCauses
 from posor.estimation.posor import Posor
 from posor.estimation.workspace import WORKSPACE
+from posor.kernel_examples import example_stream
 from posor.messages.message_stream import MessageEstimator
 from posor.model.reading_rows import GAP, RING, SPOT_X, SPOT_Y, differentiate_rows, evaluate_rows
 from posor.numerics import compiled, vector
@@ -29,7 +30,6 @@ from posor.numerics import matrix as matrices
 from posor.numerics.array_types import FloatArray
 from posor.numerics.compiled import in_place, record_view
 from posor.numerics.summary_statistics import FIGURES, figures_of
-from posor.warm_up import example_stream
 from posor_lab.harness.random_poses import turning_scans
 from posor_lab.harness.row_builder import make_rows
 
@@ -193,11 +193,11 @@ def main(file: Path) -> None:
         "rows": [kernel_values(rng) for _ in range(CASES)],
         "scans": [solved_scan(rng) for _ in range(CASES)],
         "arms": [arm(rng) for _ in range(CASES)],
-        "raw": [raw_scans(name) for name in get_args(DesignName)],
+        "raw": np.concatenate([raw_scans(name).ravel() for name in get_args(DesignName)]),
         "messages": [messages(name) for name in get_args(DesignName)],
     }
     arrays = {name: np.array(values) for name, values in outputs.items()}
-    np.savez(file, allow_pickle=False, compiling=np.array(compiled.COMPILING), **arrays)
+    np.savez(file, allow_pickle=False, mode=np.array(compiled.MODE), **arrays)
 
 
 if __name__ == "__main__":

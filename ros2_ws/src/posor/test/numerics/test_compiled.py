@@ -1,6 +1,8 @@
+"""Kernels of the library, of numba and in plain Python give the same bits; a library that does not fit is refused."""
+
 from __future__ import annotations
 
-import importlib.util
+import importlib
 import os
 import shutil
 import subprocess
@@ -9,49 +11,82 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from posor import kernel_build
 from posor.estimation import solver as solve
+from posor.model.reading_rows import prepare_rows
 from posor.numerics.array_types import FloatArray
-from posor.numerics.compiled import PACKAGE, cache_folder
+from posor.numerics.compiled import MODE
+from posor.numerics.kernel_library import FILE_NAME, PACKAGE, LibraryKernel
+from posor.numerics.summary_statistics import FIGURES, figures_of
 
 PROGRAM = Path(__file__).resolve().parent / "kernel_outputs.py"
-NUMBA = importlib.util.find_spec("numba") is not None
+OUTPUTS = ["rows", "scans", "arms", "raw", "messages"]
 
 
-def run(folder: Path, *, compiled: bool) -> dict[str, FloatArray]:
-    file = folder / f"compiled_{compiled}.npz"
-    environ = os.environ | {"POSOR_COMPILE": str(int(compiled))}
-    subprocess.run([sys.executable, "-W", "error", str(PROGRAM), str(file)], env=environ, check=True, timeout=110)
+def run(folder: Path, mode: str) -> dict[str, FloatArray]:
+    file = folder / f"{mode}.npz"
+    environ = os.environ | {"POSOR_KERNELS": mode}
+    subprocess.run([sys.executable, "-W", "error", str(PROGRAM), str(file)], env=environ, check=True, timeout=600)
     with np.load(file) as saved:
         return dict(saved)
 
 
 @pytest.fixture(scope="module")
 def plain(tmp_path_factory: pytest.TempPathFactory) -> dict[str, FloatArray]:
-    return run(tmp_path_factory.mktemp("plain"), compiled=False)
+    return run(tmp_path_factory.mktemp("plain"), "python")
 
 
-@pytest.fixture(scope="module")
-def fast(tmp_path_factory: pytest.TempPathFactory) -> dict[str, FloatArray]:
-    return run(tmp_path_factory.mktemp("fast"), compiled=True)
+@pytest.fixture(scope="module", params=["library", "numba"])
+def fast(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> dict[str, FloatArray]:
+    found = run(tmp_path_factory.mktemp("fast"), request.param)
+    assert found["mode"] == request.param
+    return found
+
+
+def test_the_library_is_used_and_has_every_kernel_that_python_calls() -> None:
+    assert MODE == "library"
+    for module, names in kernel_build.ENTRIES.items():
+        for name in names:
+            assert isinstance(getattr(importlib.import_module(f"posor.{module}"), name), LibraryKernel), name
 
 
 @pytest.mark.long
-def test_the_environment_variable_leaves_kernels_uncompiled(plain: dict[str, FloatArray]) -> None:
-    assert not plain["compiling"]
-
-
-@pytest.mark.long
-def test_kernels_are_compiled_where_numba_is_installed(fast: dict[str, FloatArray]) -> None:
-    assert bool(fast["compiling"]) == NUMBA
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("which", ["rows", "scans", "arms", "raw", "messages"])
-def test_compiled_or_not_the_kernels_give_the_same_bits(
+@pytest.mark.timeout(900)
+@pytest.mark.parametrize("which", OUTPUTS)
+def test_in_every_mode_the_kernels_give_the_same_bits(
     which: str, plain: dict[str, FloatArray], fast: dict[str, FloatArray]
 ) -> None:
     assert plain[which].shape[0] > 0
     np.testing.assert_array_equal(plain[which].view(np.uint64), fast[which].view(np.uint64))
+
+
+@pytest.mark.long
+@pytest.mark.timeout(900)
+def test_a_library_that_fuses_operations_gives_other_bits(plain: dict[str, FloatArray], tmp_path: Path) -> None:
+    """The control of the test above: LLVM may contract products and sums, as compilers of C do by default."""
+    copy = tmp_path / "posor"
+    shutil.copytree(PACKAGE, copy, ignore=shutil.ignore_patterns("__pycache__"))
+    build = tmp_path / "build.py"
+    build.write_text(FUSING_BUILD, encoding="utf-8")
+    subprocess.run([sys.executable, str(build), str(copy / FILE_NAME)], check=True, timeout=600)
+    output, path = tmp_path / "fused.npz", f"{tmp_path}{os.pathsep}{os.environ.get('PYTHONPATH', '')}"
+    environ = os.environ | {"PYTHONPATH": path, "POSOR_KERNELS": "library"}
+    subprocess.run([sys.executable, str(PROGRAM), str(output)], env=environ, check=True, timeout=600)
+    with np.load(output) as fused:
+        assert any(not np.array_equal(plain[which].view(np.uint64), fused[which].view(np.uint64)) for which in OUTPUTS)
+
+
+FUSING_BUILD = """
+import re, sys
+from posor import kernel_build
+kernel_build.PROCESSOR = "x86-64-v3"
+compile_entry = kernel_build.compile_entry
+def compile_fusing(*arguments):
+    entry = compile_entry(*arguments)
+    return entry._replace(text=re.sub(r"= f(mul|add|sub) ", r"= f\\1 contract ", entry.text))
+kernel_build.compile_entry = compile_fusing
+sys.exit(kernel_build.main())
+"""
 
 
 @pytest.mark.long
@@ -61,66 +96,54 @@ def test_the_inputs_reach_every_end_of_the_solver_that_a_scan_can_take(plain: di
     assert np.isfinite(plain["raw"]).all()
 
 
-PROBE_OVER_PLANE = """
-import numpy as np
-from posor.model.reading_rows import ROW, evaluate_rows, prepare_rows
-row = np.zeros(1, dtype=ROW)
-row["axis"][0, 2], row["plane_point"][0, 2] = 1.0, 0.001
-prepare_rows(row)
-print(evaluate_rows(row, np.eye(3), np.zeros(3))[0][0])
-"""
+def import_of(folder: Path, **variables: str) -> subprocess.CompletedProcess[str]:
+    """Import the kernels of a copy of the package in a new process."""
+    path = f"{folder}{os.pathsep}{os.environ.get('PYTHONPATH', '')}"
+    code = "from posor.numerics import compiled; print(compiled.MODE, compiled.__file__)"
+    environ = os.environ | {"PYTHONPATH": path} | variables
+    return subprocess.run(
+        [sys.executable, "-c", code], env=environ, capture_output=True, text=True, check=False, timeout=110
+    )
 
 
-@pytest.mark.long
-def test_copies_of_the_package_share_machine_code_until_a_kernel_that_it_calls_changes(tmp_path: Path) -> None:
+def test_a_library_of_other_sources_is_refused(tmp_path: Path) -> None:
     """After an update of the package no process may go on with yesterday's formula."""
-    copy, cache = tmp_path / "posor", tmp_path / "cache"
+    copy = tmp_path / "posor"
     shutil.copytree(PACKAGE, copy, ignore=shutil.ignore_patterns("__pycache__"))
-    environ = {name: value for name, value in os.environ.items() if name != "POSOR_COMPILE"}
-
-    def read(variables: dict[str, str]) -> float:
-        command = [sys.executable, "-c", PROBE_OVER_PLANE]
-        run = subprocess.run(command, env=variables, check=True, capture_output=True, text=True, timeout=110)
-        return float(run.stdout)
-
-    def machine_code() -> list[Path]:
-        return sorted(cache.rglob("*.nbc"))
-
-    assert read(environ) == 0.001
-    if (kernels := Path(cache_folder())).is_dir():
-        shutil.copytree(kernels, cache / kernels.name)
-    code = machine_code()
-    assert bool(code) == NUMBA
-    environ["NUMBA_CACHE_DIR"] = str(cache)
-    environ["PYTHONPATH"] = f"{tmp_path}{os.pathsep}{environ.get('PYTHONPATH', '')}"
-    assert read(environ) == 0.001
-    assert machine_code() == code
-    kernel = copy / "model" / "gap.py"
-    text = kernel.read_text(encoding="utf-8")
-    assert "    return reading\n" in text
-    kernel.write_text(text.replace("    return reading\n", "    return 2.0 * reading\n"), encoding="utf-8")
-    assert read(environ) == 0.002
-    assert (len(machine_code()) > len(code)) == NUMBA
+    library = next(folder / FILE_NAME for folder in (PACKAGE, PACKAGE.parent) if (folder / FILE_NAME).is_file())
+    shutil.copy(library, copy)
+    assert import_of(tmp_path).stdout.split() == ["library", str(copy / "numerics" / "compiled.py")]
+    with (copy / "model" / "gap.py").open("a", encoding="utf-8") as file:
+        file.write("# another formula\n")
+    refused = import_of(tmp_path)
+    assert refused.returncode == 1
+    assert refused.stderr.splitlines()[-1] == (
+        f"ImportError: {copy / FILE_NAME}: built from other sources; "
+        "expected a new build, such as 'make setup' or 'colcon build'"
+    )
+    (copy / FILE_NAME).write_bytes(b"no library")
+    assert "ImportError" in import_of(tmp_path).stderr
+    (copy / FILE_NAME).unlink()
+    assert "ImportError" in import_of(tmp_path, POSOR_KERNELS="library").stderr
+    assert "expected 'library', 'numba' or 'python'" in import_of(tmp_path, POSOR_KERNELS="fast").stderr
+    assert import_of(tmp_path, POSOR_KERNELS="python").stdout.split()[0] == "python"
 
 
-def test_machine_code_is_kept_where_only_the_user_can_write(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
-    folder = Path(cache_folder())
-    assert folder.parent == tmp_path
-    assert folder.stat().st_mode & 0o777 == 0o700
-    folder.chmod(0o777)
-    assert Path(cache_folder()) == folder
-    assert folder.stat().st_mode & 0o777 == 0o700
-    folder.rename(tmp_path / "elsewhere")
-    folder.symlink_to(tmp_path / "elsewhere")
-    refuge = Path(cache_folder())
-    assert refuge.parent != tmp_path
-    assert refuge.stat().st_mode & 0o777 == 0o700
-    refuge.rmdir()
-    folder.unlink()
-    if os.getuid() == 0:
-        folder.mkdir()
-        os.chown(folder, 12345, 12345)
-        refuge = Path(cache_folder())
-        assert refuge.parent != tmp_path
-        refuge.rmdir()
+@pytest.mark.parametrize(
+    ("values", "what"),
+    [
+        (np.array([1.0, 2.0]), "float64"),
+        (np.array([1, 2], dtype=np.int32), "int32"),
+        (np.array([[1, 2]]), "2 dimensions"),
+        (np.arange(6)[::2], "not contiguous"),
+    ],
+)
+def test_an_array_that_a_kernel_does_not_expect_is_refused(values: FloatArray, what: str) -> None:
+    """Machine code would read the memory of another type, or memory behind the array."""
+    with pytest.raises(TypeError, match=what):
+        figures_of(values, 3, np.empty(FIGURES))  # type: ignore[arg-type]
+
+
+def test_records_of_another_layout_are_refused() -> None:
+    with pytest.raises(TypeError, match="prepare_rows received an array of"):
+        prepare_rows(np.zeros(1, dtype=[("kind", "i8")]))

@@ -1,31 +1,30 @@
-"""Compile every kernel once, so that no node has to: ``python -m posor.warm_up``.
-
-Numba keeps the compiled code on disk. Without numba there is nothing to do. Of several processes that start at the same
-time, as the nodes of a graph do, the first one compiles and the others wait.
-"""
+"""One use of every kernel of ``kernel_build.ENTRIES`` with the types that programs use, for the build and for tests."""
 
 from __future__ import annotations
 
-import sys
-from fcntl import LOCK_EX, flock
-from typing import get_args
+from typing import TYPE_CHECKING, get_args
 
 import numpy as np
 
 from posor.calibration.designs import DesignName, design
 from posor.chain.joint_measurements import JointRowLayout
 from posor.chain.kinematic_chain import Chain
-from posor.compilation import completion_mark
+from posor.estimation import plain_sensors
 from posor.estimation.fault_model import EFFECT
 from posor.estimation.forward import scans_at
 from posor.estimation.posor import Posor
+from posor.messages import byte_kernels
 from posor.messages.joint_transform import TRANSFORM_LAYOUT, pack_rows
-from posor.messages.message_stream import STATUS, MessageEstimator, MessageStream
+from posor.messages.message_stream import STATUS, MessageEstimator, MessageStream, begin_message, end_message
 from posor.messages.message_table import MessageRows
 from posor.messages.raw_scan import RAW_SCAN_LAYOUT, unpack_rows
 from posor.model.fault import State
+from posor.model.reading_rows import differentiate_rows, evaluate_poses
 from posor.numerics.compiled import record_view
 from posor.numerics.summary_statistics import FIGURES, figures_of
+
+if TYPE_CHECKING:
+    from posor.model.scan import Scans
 
 ROW_BYTES = 1024
 FIELD_BYTES = {  # bytes of the fields of a message that are longer than eight bytes
@@ -45,25 +44,62 @@ ARM = """<robot name="arm"><link name="base"/><link name="plate"/><link name="en
 <joint name="beam" type="fixed"><parent link="plate"/><child link="endpoint"/></joint></robot>"""
 
 
-def warm_up() -> None:
-    """Compile every kernel with the types that nodes use: two scans of each design, one message, one arm."""
+def use_all_kernels() -> None:
+    """Call every kernel: two scans of each design, one message, one arm, one chunk of a bag."""
     for name in get_args(DesignName):
         posor = Posor(design(name))
         rotations, translations = np.tile(np.eye(3), (2, 1, 1)), np.tile([0.0, 0.0, 0.7e-3], (2, 1))
         scans = scans_at(posor.stack, rotations, translations, np.array([1, 2], dtype=np.int64))
         first = posor.estimate(scans[0]).state
-        estimates = posor.estimate_all(scans.part(1, 2))
-        states = [first, *estimates.states]
-        if State.LOST in states:
+        estimates = posor.estimate_all(scans.part(1, 2), fault_effects=True)
+        if State.LOST in [first, *estimates.states]:
             message = f"design {name} does not estimate its own scans"
             raise AssertionError(message)
         stream = example_stream()
         MessageEstimator(posor, stream).estimate_rows()
+        begin_message(posor.model, stream, 0, 0)
+        end_message(posor.model, stream, 0)
         unpack_rows(stream.raw, stream.raw_layout, posor.model.workspace["scan"])
         records, layout = record_view(estimates._records), stream.transform_layout
         pack_rows(records, stream.effects, layout, stream.template, stream.transforms)
-    warm_up_chain()
+        _use_sensors(posor, scans)
+        _use_single_steps(posor, scans)
+    _use_chain()
+    _use_bytes()
     figures_of(np.array([1, 2]), 3, np.empty(FIGURES))
+
+
+def _use_sensors(posor: Posor, scans: Scans) -> None:
+    """Linearise and predict the readings of scans outside of the estimator."""
+    stack, pose = posor.stack, np.eye(3)
+    stack.linearise(scans)
+    stack.residual_jacobian(scans[0], pose, np.zeros(3))
+    differentiate_rows(stack.reading_rows, pose, np.zeros(3))
+    evaluate_poses(stack.reading_rows, np.zeros((1, 1), dtype=np.int64), pose[None], np.zeros((1, 3)))
+
+
+def _use_single_steps(posor: Posor, scans: Scans) -> None:
+    """Take the steps of a scan that a POSOR with sensors in plain Python takes one by one."""
+    model, records = posor.model, record_view(scans._records)
+    workspace = model.workspace[0]
+    estimate = record_view(model.workspace["estimate"])[0]
+    plain_sensors.linearise_scan(model, records[0], estimate)
+    plain_sensors.begin_scan_estimate(model, records[0], estimate, True)  # noqa: FBT003  kernels take no keywords
+    plain_sensors.prepare_rows(record_view(workspace["rows"]))
+    plain_sensors.turn_rows(record_view(workspace["rows"]), 0.1)
+    plain_sensors.solve_and_check(model, records[0], False, estimate)  # noqa: FBT003  kernels take no keywords
+    plain_sensors.write_lost(estimate, 0)
+
+
+def _use_bytes() -> None:
+    """Index, copy, gather and write one message of a chunk; what is read may be read-only."""
+    data = np.frombuffer(bytes(64), dtype=np.uint8)
+    out, one = np.zeros((1, 8), dtype=np.uint8), np.ones(1, dtype=np.int64)
+    byte_kernels.index_messages(data, np.zeros(2**16, dtype=np.int64), *np.zeros((4, 3), dtype=np.int64))
+    byte_kernels.copy_messages(data, one, one, out[0])
+    rows, words = np.zeros((1, 16), dtype=np.uint8), np.zeros((2, 2), dtype=np.uint64)
+    byte_kernels.gather_rows(data, one, one, words, rows.view(np.uint64), rows[:, 4:12])
+    byte_kernels.write_records(data[:16], one, out, 0, np.zeros((1, 24), dtype=np.uint8), np.zeros((1, 2), np.int64))
 
 
 def example_stream(count: int = 1) -> MessageStream:
@@ -82,7 +118,7 @@ def example_stream(count: int = 1) -> MessageStream:
     return MessageStream(raw, layouts[0], words, words, transforms, layouts[1], template, effects, status)
 
 
-def warm_up_chain() -> None:
+def _use_chain() -> None:
     """Find the endpoint of an arm of one joint, and one more from a row of bytes."""
     layout = JointRowLayout(
         pose=32,
@@ -105,24 +141,3 @@ def warm_up_chain() -> None:
     rows.view(np.float64)[0, 10] = 1.0  # w of the quaternion
     estimator.rows[0] = rows[0]
     estimator.estimate_rows(0)
-
-
-def main() -> int:
-    """Compile and report it."""
-    mark = completion_mark()
-    if mark is None:
-        warm_up()
-        print("numba is not installed: kernels run uncompiled")
-        return 0
-    mark.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-    with mark.with_name("compiling").open("w") as lock:
-        flock(lock, LOCK_EX)
-        if not mark.exists():
-            warm_up()
-            mark.touch()
-    print("kernels compiled")
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

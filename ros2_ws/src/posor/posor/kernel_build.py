@@ -1,0 +1,253 @@
+"""Build the library of the kernels: ``python -m posor.kernel_build FILE``.
+
+The build needs numba and a C compiler, the library needs neither.
+
+Numba compiles each kernel of ENTRIES with the types of ``kernel_examples`` and a wrapper that reads the arguments from
+a table (see ``numerics.kernel_library``). LLVM links all to one module and emits its machine code for any processor of
+this architecture, without contraction to fused operations: the results are those of Python to the last bit.
+``--texts FOLDER`` keeps the assembler text, from which the C compiler alone makes the same library: a source release
+has it in the folder ``kernels`` beside the package.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from importlib import import_module
+from pathlib import Path
+from typing import Any, NamedTuple
+
+ENTRIES = {
+    "chain.fault_bounds": ("bound_endpoints",),
+    "chain.forward_kinematics": ("estimate_endpoint_of_rows", "estimate_endpoints", "write_relative"),
+    "estimation.estimate_scan": ("begin_scan_estimate", "estimate_scans", "solve_and_check", "write_lost"),
+    "estimation.fault_effects": ("write_fault_effects",),
+    "estimation.linearise": ("linearise_scan", "linearise_scans"),
+    "estimation.solver": ("solve_start",),
+    "messages.byte_kernels": ("copy_messages", "gather_rows", "index_messages", "write_records"),
+    "messages.joint_transform": ("pack_rows",),
+    "messages.message_stream": ("begin_message", "end_message", "estimate_messages"),
+    "messages.raw_scan": ("unpack_rows",),
+    "model.reading_rows": ("_differentiate", "_evaluate", "_evaluate_poses", "prepare_rows", "turn_rows"),
+    "model.spot_map": ("position_of_ratios", "ratios_of_positions"),
+    "model.voltage": ("linearise_channels", "voltages_of_gaps"),
+    "numerics.summary_statistics": ("figures_of",),
+}
+"""Kernels that Python calls, by module; kernels that only kernels call are part of their code."""
+PROCESSOR = "x86-64"  # the oldest of the architecture: a library may move to another machine
+ASSEMBLER, C_TEXT = "posor_kernels.s", "posor_kernels.c"
+C_SYMBOLS = ("NRT_", "Py", "_Py", "numba_")
+"""Begins of the names of functions of numba and Python that the code mentions on ways that kernels do not take."""
+
+
+class Entry(NamedTuple):
+    """A kernel with the wrapper that the library exports."""
+
+    name: str  # module and function
+    symbol: str  # exported
+    native_name: str  # of the wrapper in the LLVM module
+    text: str  # LLVM assembler of the wrapper and of all that it calls
+    manifest: dict[str, Any]
+
+
+class ArgumentReader:
+    """Writes Python expressions that read the arguments of a kernel from the table ``t``."""
+
+    def __init__(self) -> None:
+        self.names: dict[str, Any] = {}  # that the expressions use
+        self._word = 0
+
+    def read(self, argument_type: Any) -> tuple[str, Any]:
+        """Return the expression of an argument, and its type for the manifest."""
+        types = import_module("numba").types
+        if isinstance(argument_type, types.BaseTuple):
+            elements = [self.read(element) for element in argument_type]
+            expressions = ", ".join(expression for expression, _ in elements)
+            make = ""
+            if isinstance(argument_type, types.BaseNamedTuple):
+                make = self._name(argument_type.instance_class)
+            return f"{make}({expressions},)", [manifest for _, manifest in elements]
+        word = self._word
+        if isinstance(argument_type, types.Array):
+            return self._array(argument_type, word)
+        self._word += 1
+        if isinstance(argument_type, types.Record):
+            expression, dtype = self._memory(argument_type, word, "1, ")
+            return f"{expression}[0]", {"dtype": dtype, "dimensions": None, "strided": False, "read_only": True}
+        if isinstance(argument_type, types.Boolean):
+            return f"t[{word}] != 0", "i"
+        if isinstance(argument_type, types.Integer):
+            return f"t[{word}]", "i"
+        if argument_type == types.float64:
+            return f"ft[{word}]", "f"
+        message = f"kernels of the library take no {argument_type}"
+        raise TypeError(message)
+
+    def _array(self, array_type: Any, word: int) -> tuple[str, Any]:
+        count, strided = array_type.ndim, array_type.layout != "C"
+        self._word += 1 + (2 if strided else 1) * count
+        shape, strides = ("".join(f"t[{word + first + n}], " for n in range(count)) for first in (1, 1 + count))
+        expression, dtype = self._memory(array_type.dtype, word, "1, " * count if strided else shape)
+        if strided:
+            expression = f"as_strided({expression}, ({shape}), ({strides}))"
+        properties = {"dimensions": count, "strided": strided, "read_only": not array_type.mutable}
+        return expression, {"dtype": dtype, **properties}
+
+    def _memory(self, element_type: Any, word: int, shape: str) -> tuple[str, str]:
+        as_dtype = import_module("numba.np.numpy_support").as_dtype
+        describe = import_module("posor.numerics.kernel_library").describe_dtype
+        dtype = as_dtype(element_type)
+        return f"carray(pointer(t[{word}]), ({shape}), {self._name(dtype)})", describe(dtype)
+
+    def _name(self, value: Any) -> str:
+        name = f"v{len(self.names)}"
+        self.names[name] = value
+        return name
+
+
+def compile_entry(name: str, symbol: str, kernel: Any) -> Entry:
+    """Compile the wrapper of a kernel."""
+    numba, intrinsic = import_module("numba"), import_module("numba.extending").intrinsic
+    types = numba.types
+
+    @intrinsic
+    def pointer(_context: Any, word: Any) -> Any:
+        def to_pointer(context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
+            return builder.inttoptr(arguments[0], context.get_value_type(types.voidptr))
+
+        return types.voidptr(word), to_pointer
+
+    # Kernels may call this kernel with other numbers, as constants, which makes further signatures of the same memory.
+    readers = {}
+    for signature in kernel.signatures:
+        reader = ArgumentReader()
+        read = [reader.read(argument_type) for argument_type in map(types.unliteral, signature)]
+        readers[json.dumps([each for _, each in read])] = signature, reader, read
+    if len(readers) != 1:
+        message = f"{name} is called with {len(readers)} kinds of arguments; expected one"
+        raise ValueError(message)
+    ((signature, reader, read),) = readers.values()
+    call = f"kernel({', '.join(expression for expression, _ in read)})"
+    result = kernel.overloads[signature].signature.return_type
+    results = list(result) if isinstance(result, types.BaseTuple) else [] if result == types.none else [result]
+    kinds = "".join("f" if isinstance(each, types.Float) else "b" if each == types.boolean else "i" for each in results)
+    if len(results) > 1:
+        stores = [f"out[{n}] = r[{n}]" for n in range(len(results))]
+    else:
+        stores = ["fout[0] = r" if kind == "f" else "out[0] = r" for kind in kinds]
+    text = "\n    ".join(["def wrapper(t, ft, out, fout):", f"r = {call}", *stores, "return"])
+    strides = {"as_strided": import_module("numpy").lib.stride_tricks.as_strided}
+    scope = {"kernel": kernel, "carray": numba.carray, "pointer": pointer, **strides, **reader.names}
+    exec(text, scope)  # noqa: S102  the text follows from the types of our own kernels
+    words, floats = types.CPointer(types.int64), types.CPointer(types.float64)
+    compiled = numba.cfunc(types.void(words, floats, words, floats), error_model="numpy")(scope["wrapper"])
+    keeps_lock = not kernel.targetoptions.get("nogil", False)
+    manifest = {"arguments": [each for _, each in read], "results": kinds, "keeps_lock": keeps_lock, "symbol": symbol}
+    return Entry(name, symbol, compiled.native_name, compiled.inspect_llvm(), manifest)
+
+
+def compile_entries() -> list[Entry]:
+    """Compile all kernels of ENTRIES. Raises ValueError: Python calls a kernel with several types of arguments."""
+    import_module("posor.kernel_examples").use_all_kernels()
+    entries = []
+    for module, names in ENTRIES.items():
+        for name in names:
+            kernel = getattr(import_module(f"posor.{module}"), name)
+            entries.append(compile_entry(f"posor.{module}.{name}", f"posor_kernel_{len(entries)}", kernel))
+    return entries
+
+
+def assemble(entries: list[Entry]) -> str:
+    """Return the assembler text of all entries."""
+    llvm = import_module("llvmlite.binding")
+    module = llvm.parse_assembly(entries[0].text)
+    for entry in entries[1:]:
+        module.link_in(llvm.parse_assembly(entry.text))
+    exported = {entry.native_name for entry in entries}
+    for function in module.functions:
+        if not function.is_declaration and function.name not in exported:
+            function.linkage = "internal"
+    target = llvm.Target.from_triple(llvm.get_process_triple())
+    machine = target.create_target_machine(cpu=PROCESSOR, features="", opt=3, reloc="pic", codemodel="small")
+    options = llvm.create_pipeline_tuning_options(speed_level=2)
+    passes = llvm.create_new_module_pass_manager()
+    passes.add_global_dead_code_eliminate_pass()
+    passes.run(module, llvm.create_pass_builder(machine, options))
+    return str(machine.emit_assembly(module))
+
+
+def c_source(entries: list[Entry], assembler: str) -> str:
+    """Return the C text of the exported functions, of the manifest, and of functions that are never called."""
+    kernel_library = import_module("posor.numerics.kernel_library")
+    kernels = {entry.name: entry.manifest for entry in entries}
+    manifest = json.dumps({"sources": kernel_library.hash_of_sources(), "kernels": kernels})
+    lines = ["#include <stdint.h>", "#include <stdlib.h>"]
+    mentioned = sorted({word for line in assembler.splitlines() for word in _functions_of(line)})
+    lines += [f'__attribute__((visibility("hidden"))) void {name}(void) {{ abort(); }}' for name in mentioned]
+    lines.append(f"const char {kernel_library.MANIFEST}[] = {json.dumps(manifest)};")
+    for entry in entries:
+        inner = f"inner_{entry.symbol}"
+        lines.append(f'extern void {inner}(int64_t *, double *, int64_t *, double *) __asm__("{entry.native_name}");')
+        body = f"{inner}(table, (double *)table, out, (double *)out);"
+        lines.append(f"void {entry.symbol}(int64_t *table, int64_t *out) {{ {body} }}")
+    return "\n".join(lines) + "\n"
+
+
+def _functions_of(line: str) -> list[str]:
+    """Return the functions of numba and Python that a line of assembler names."""
+    words = line.replace("@", " ").replace(",", " ").replace("(", " ").split()
+    return [word for word in words if word.startswith(C_SYMBOLS)]
+
+
+def link(assembler: Path, source: Path, file: Path) -> None:
+    """Make the library with the C compiler. Raises CalledProcessError: it failed."""
+    compiler = os.environ.get("CC", "cc")
+    command = [compiler, "-O2", "-fPIC", "-shared", "-fno-strict-aliasing", "-s", "-o", file, source, assembler, "-lm"]
+    subprocess.run([str(part) for part in command], check=True)
+
+
+def is_current(file: Path) -> bool:
+    """Return whether a library of the present sources exists."""
+    if not file.is_file():
+        return False
+    try:
+        import_module("posor.numerics.kernel_library").KernelLibrary(file)
+    except ImportError:
+        return False
+    return True
+
+
+def write_texts(folder: Path) -> None:
+    """Compile the kernels and write the texts of the library into a folder."""
+    os.environ |= {"POSOR_KERNELS": "numba", "NUMBA_CPU_NAME": PROCESSOR, "NUMBA_CPU_FEATURES": ""}
+    entries = compile_entries()
+    assembler = assemble(entries)
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / ASSEMBLER).write_text(assembler, encoding="utf-8")
+    (folder / C_TEXT).write_text(c_source(entries, assembler), encoding="utf-8")
+
+
+def main() -> int:
+    """Run the program."""
+    parser = argparse.ArgumentParser(prog="kernel_build", description="Build the library of the kernels.")
+    parser.add_argument("file", type=Path, help="library to write, unless it was made from the present sources")
+    parser.add_argument("--texts", type=Path, metavar="FOLDER", help="folder that keeps assembler and C text")
+    options = parser.parse_args()
+    os.environ["POSOR_KERNELS"] = "python"
+    if options.texts is None and is_current(options.file):
+        return 0
+    released = Path(__file__).parent.parent / "kernels"
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = options.texts or (released if (released / ASSEMBLER).is_file() else Path(scratch))
+        if folder != released:
+            write_texts(folder)
+        link(folder / ASSEMBLER, folder / C_TEXT, options.file)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,178 @@
+"""The kernels that the build has compiled: calls of their library, without numba.
+
+The library is one file of machine code. It holds the hash of the sources from which it was made, and for each kernel
+the types of its arguments. A kernel receives a table of 64-bit words: of an array its address and shape, and its
+strides where the kernel takes any; of a tuple the words of its elements, of a number the number itself.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import hashlib
+import json
+import struct
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar, cast
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+Kernel = TypeVar("Kernel", bound="Callable[..., Any]")
+
+PACKAGE = Path(__file__).parent.parent
+FILE_NAME = "posor_kernels.so"
+KERNEL_FILES = tuple(f"{folder}/[!.#]*.py" for folder in ("numerics", "model", "estimation", "chain", "messages"))
+"""Files of the package that hold kernels and the constants that they are compiled with; no locks of editors."""
+MANIFEST = "posor_kernels_manifest"  # symbol: JSON with the fields "sources" and "kernels"
+RESULTS = 8  # words for the results of a kernel
+
+
+def hash_of_sources() -> str:
+    """Return a hash of the text of all files with kernels."""
+    digest = hashlib.sha256()
+    for file in sorted(file for pattern in KERNEL_FILES for file in PACKAGE.glob(pattern)):
+        digest.update(file.read_bytes())
+    return digest.hexdigest()
+
+
+def describe_dtype(dtype: np.dtype[Any]) -> str:
+    """Return a text that is the same for dtypes of one layout in memory only."""
+    base, shape = dtype.subdtype or (dtype, ())
+    if base.fields is None:
+        text = base.str
+    else:
+        fields = sorted((offset, name, describe_dtype(field)) for name, (field, offset, *_) in base.fields.items())
+        text = (
+            "{" + ", ".join(f"{name} at {offset}: {field}" for offset, name, field in fields) + f"}} of {base.itemsize}"
+        )
+    return f"{text}{list(shape) or ''}"
+
+
+def find_library() -> KernelLibrary | None:
+    """Return the library beside the package or, of a package linked to its sources, in its build folder.
+
+    Raises ImportError: it was built from other sources.
+    """
+    for folder in (PACKAGE, PACKAGE.parent):
+        if (file := folder / FILE_NAME).is_file():
+            return KernelLibrary(file)
+    return None
+
+
+class KernelLibrary:
+    """The library of one file."""
+
+    def __init__(self, file: Path) -> None:
+        """Load the file. Raises ImportError: it was built from other sources, or is invalid."""
+        try:
+            self._code = ctypes.PyDLL(str(file))  # holds the interpreter's lock: releasing it costs more than a scan
+            self._code_without_lock = ctypes.CDLL(str(file))
+            manifest = json.loads(ctypes.string_at(ctypes.addressof(ctypes.c_char.in_dll(self._code, MANIFEST))))
+        except (OSError, ValueError) as error:
+            message = f"{file}: {error}"
+            raise ImportError(message) from None
+        if manifest["sources"] != hash_of_sources():
+            message = f"{file}: built from other sources; expected a new build, such as 'make setup' or 'colcon build'"
+            raise ImportError(message)
+        self._kernels: dict[str, dict[str, Any]] = manifest["kernels"]
+
+    def kernel(self, function: Kernel) -> Kernel:
+        """Return the kernel of the library that was made from a function; one that it does not have stays Python."""
+        entry = self._kernels.get(f"{function.__module__}.{function.__name__}")
+        if entry is None:
+            return function
+        code = self._code if entry["keeps_lock"] else self._code_without_lock
+        return cast("Kernel", LibraryKernel(function, code, entry))
+
+
+class LibraryKernel:
+    """A kernel of the library; it takes the arguments of the function of which it was made."""
+
+    def __init__(self, function: Callable[..., Any], code: ctypes.CDLL, entry: dict[str, Any]) -> None:
+        self.__name__, self.__doc__ = function.__name__, function.__doc__
+        self._code = code[entry["symbol"]]
+        self._code.restype, self._code.argtypes = None, (ctypes.c_void_p, ctypes.c_void_p)
+        self._types: list[Any] = entry["arguments"]
+        self._results: str = entry["results"]
+        self._known: set[tuple[str, np.dtype[Any]]] = set()
+
+    def __call__(self, *arguments: Any) -> Any:
+        """Run the kernel. Raises TypeError: an argument is not of the type that the kernel was compiled for."""
+        return self.bind(arguments)()
+
+    def bind(self, arguments: tuple[Any, ...]) -> Callable[..., Any]:
+        """Return a function of the remaining arguments, integers. Raises TypeError: see ``__call__``."""
+        words: list[int] = []
+        kept: list[Any] = []
+        for argument, expected in zip(arguments, self._types[: len(arguments)], strict=True):
+            self._append(words, kept, argument, expected)
+        begin, missing = len(words), len(self._types) - len(arguments)
+        table = (ctypes.c_int64 * (begin + missing))(*words)
+        out = (ctypes.c_int64 * RESULTS)()
+        run, at, to = self._code, ctypes.addressof(table), ctypes.addressof(out)
+        results = self._reader(out)
+
+        def call(*integers: int) -> Any:
+            for word, integer in enumerate(integers, begin):
+                table[word] = integer
+            run(at, to)
+            return results()
+
+        call.memory = arguments, kept, out  # type: ignore[attr-defined]  # the table has their addresses
+        return call
+
+    def _reader(self, out: ctypes.Array[ctypes.c_int64]) -> Callable[[], Any]:
+        """Return a function that reads the results of the kernel."""
+        kinds, floats = self._results, (ctypes.c_double * RESULTS).from_buffer(out)
+        if kinds == "":
+            return lambda: None
+        if kinds == "i":
+            return lambda: out[0]
+        if kinds == "b":
+            return lambda: bool(out[0])
+        if kinds == "ii":
+            return lambda: (out[0], out[1])
+        return lambda: floats[0]
+
+    def _append(self, words: list[int], kept: list[Any], argument: Any, expected: Any) -> None:
+        """Append the words of an argument; ``kept``: objects that own the memory of words."""
+        if expected == "i":
+            words.append(int(argument))
+        elif expected == "f":
+            words.append(struct.unpack("<q", struct.pack("<d", argument))[0])
+        elif isinstance(expected, list):
+            if len(argument) != len(expected):
+                self._refuse(f"a tuple of {len(argument)}", f"of {len(expected)}")
+            for element, element_type in zip(argument, expected, strict=True):
+                self._append(words, kept, element, element_type)
+        else:
+            # A record of an array shares the memory of the array.
+            is_record = expected["dimensions"] is None
+            array = np.frombuffer(argument, argument.dtype) if is_record else argument
+            self._check(array, expected)
+            kept.append(array)
+            words.append(array.ctypes.data)
+            words.extend(() if is_record else array.shape)
+            words.extend(array.strides if expected["strided"] else ())
+
+    def _check(self, array: Any, expected: dict[str, Any]) -> None:
+        """Raise TypeError: an array is not as the kernel expects, which would read and write other memory."""
+        dimensions = expected["dimensions"]
+        if dimensions is not None:
+            if array.ndim != dimensions:
+                self._refuse(f"an array of {array.ndim} dimensions", f"{dimensions}")
+            if not (array.flags.c_contiguous or expected["strided"]):
+                self._refuse("an array that is not contiguous", "one in C order")
+            if not (array.flags.writeable or expected["read_only"]):
+                self._refuse("a read-only array", "one that may be written")
+        key = expected["dtype"], array.dtype
+        if key not in self._known:
+            if describe_dtype(array.dtype) != expected["dtype"]:
+                self._refuse(f"an array of {array.dtype}", expected["dtype"])
+            self._known.add(key)
+
+    def _refuse(self, what: str, expected: str) -> None:
+        message = f"kernel {self.__name__} received {what}; expected {expected}"
+        raise TypeError(message)
