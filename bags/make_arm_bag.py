@@ -55,10 +55,11 @@ def arm_endpoints(arm: ArmFile, scans: Mapping[str, Sequence[RawScan]]) -> Endpo
 
     """
     estimator = ArmEstimator(Settings.of_arm(arm))
-    return estimator.estimate_block({joint: [_recorded_scans(each)] for joint, each in scans.items()}).endpoint
+    return estimator.estimate_block({joint: [recorded_scans(each)] for joint, each in scans.items()}).endpoint
 
 
-def _recorded_scans(messages: Sequence[RawScan]) -> RecordedScans:
+def recorded_scans(messages: Sequence[RawScan]) -> RecordedScans:
+    """Return raw scans as they are read from a bag; all have the same readings."""
     scans = Scans.of([scan_from_message(message) for message in messages])
     stamps = [(message.header.stamp.sec, message.header.stamp.nanosec) for message in messages]
     return RecordedScans(

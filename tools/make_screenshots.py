@@ -2,8 +2,8 @@
 
 ``tools/in_workspace.py tools/make_screenshots.py [PICTURE...]`` makes all of them, or those named: ``ymo_printed`` and
 ``five_axis`` (plots of the pages that ``demo`` and ``arm`` write), ``view`` (the simulated five-axis arm, sound and
-with a killed driver; prints the processor time of ``view``, too), ``statement`` (page and PDF of ``posor statement``).
-The tests use its parts.
+with a killed driver; prints the processor time of ``view``, too), ``statement`` (page and PDF of ``posor statement``),
+``states`` (the live page in eight states, into ``build/view_states``). The tests use its parts.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import sys
 import tempfile
 import time
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -24,7 +25,15 @@ from playwright.sync_api import sync_playwright
 from posor.errors import PosorError
 from posor.reporting.program_errors import reports_errors
 from posor_bringup.arm_programs import arm_programs, group_programs
+from posor_bringup.arms import load_checked_arm
 from posor_bringup.statement_command import compute_statement, parse_options
+from posor_bringup.view_command import draw_observation
+from posor_bringup.view_events import Cause
+from posor_bringup.view_geometry import ArmGeometry
+from posor_bringup.view_messages import BagTopics
+from posor_bringup.view_observation import Observation, Observer
+from posor_bringup.view_page import ViewPage
+from posor_bringup.view_record import WINDOWS_S, ArmRecord
 from posor_design.statement_report import render_sheet, render_statement_page
 from posor_lab.faults.fault_table import write_fault_arm
 from posor_lab.harness.program import Program, installed
@@ -44,6 +53,11 @@ CHARTS_S = 20.0
 REST_S = 10.0
 """Time without a page over which the processor time is measured."""
 BANNER_SAYS = "text => document.querySelector('#banner')?.innerText.includes(text)"
+STATES_BAG = THIS.root / "bags" / "five_axis_checked"
+POSITIONS_S = {"sound": 1.5, "one_joint_lost": 2.75, "unknown_pose": 5.75, "one_cause_on_five_joints": 9.25}
+"""States of the arm, and where they are in the shipped bag [s]."""
+NIGHT_NS = 1_767_297_600_000_000_000  # 2026-01-01 20:00:00 UTC
+STATES_SIZE = (1280, 1100)
 IMAGES = THIS.root / "docs" / "images"
 CONTROLLER = THIS.root / "examples" / "endpoint_controller" / "endpoint_controller.py"
 REPORTS = {
@@ -121,14 +135,14 @@ def opened_browser(width: int, height: int, scale: float = 1.0) -> Iterator[Page
 
 
 @contextmanager
-def opened_page(arm: Path, width: int, height: int) -> Iterator[tuple[Page, Program]]:
-    """Run ``view`` and open its page in Chromium for a ``with`` block.
+def opened_page(arm: str, width: int, height: int, *options: str) -> Iterator[tuple[Page, Program]]:
+    """Run ``view`` with further options and open its page in Chromium for a ``with`` block.
 
     Raises:
         PosorError: Chromium is not installed.
 
     """
-    command = [sys.executable, "-m", "posor_bringup.view_command", str(arm), "--port", "0"]
+    command = [sys.executable, "-m", "posor_bringup.view_command", arm, "--port", "0", *options]
     with Program(command) as view, opened_browser(width, height) as page:
         page.goto(next(word for word in view.wait_for_line("page at").split() if word.startswith("http")).rstrip(";"))
         yield page, view
@@ -137,6 +151,73 @@ def opened_page(arm: Path, width: int, height: int) -> Iterator[tuple[Page, Prog
 def wait_for_banner(page: Page, text: str) -> None:
     """Wait until the banner of the page contains a text."""
     page.wait_for_function(BANNER_SAYS, arg=text, polling=50, timeout=60_000)
+
+
+def close_notice(page: Page) -> None:
+    """Close the notice "software rendering", if it is there."""
+    for notice in page.locator(".mantine-Notification-closeButton").all():
+        notice.dispatch_event("click")
+
+
+def seek(page: Page, position_s: float) -> None:
+    """Stop a replay, and move it to a position [s]."""
+    page.get_by_label("play").uncheck()
+    number = page.locator("input.mantine-NumberInput-input").first
+    number.fill(f"{position_s:.2f}")
+    number.press("Enter")
+
+
+def select_window(page: Page, window: str) -> None:
+    """Select the time that the charts show."""
+    page.get_by_label("time shown").click()
+    page.get_by_role("option", name=window, exact=True).click()
+
+
+class CompressedTime:
+    """The live page of an arm, to which hours of observations are told at once; they come from the shipped bag.
+
+    Attributes:
+        page: The page.
+
+    """
+
+    def __init__(self, folder: Path) -> None:
+        """Serve the page; ``folder`` exists."""
+        arm = load_checked_arm(STATES_BAG.name)
+        self._geometry = ArmGeometry(arm)
+        bag = BagTopics(STATES_BAG, arm, folder)
+        observer = Observer(bag.topics, bag.store, self._geometry.joints)
+        self._seen = {}
+        for state, position_s in POSITIONS_S.items():
+            bag.seek(position_s)
+            self._seen[state] = observer.observe(position_s, bag.begin_ns)
+        self.record = ArmRecord(self._geometry.joints, tuple(WINDOWS_S.values()))
+        self.page = ViewPage(arm.name, self._geometry, 0, self.record)
+        self._time_ns = NIGHT_NS
+
+    def pass_time(self, state: str, seconds: float, period_s: float = 1.0) -> None:
+        """Observe a state of the arm for some time; ``silent``: no message comes."""
+        last = self._observation("sound").endpoint
+        for _ in range(round(seconds / period_s)):
+            self._time_ns += round(period_s * 1e9)
+            if state == "silent":
+                causes = (Cause("STALE", "no message on endpoint/state"),)
+                seen = Observation(self._time_ns, is_fresh=False, state="STALE", causes=causes, endpoint=last)
+            else:
+                seen = self._observation(state)
+            self.record.add(seen, draw_observation(self._geometry, seen))
+
+    def show(self, state: str) -> None:
+        """Draw a state of the arm at the present time."""
+        seen = self._observation(state)
+        self.page.update(seen, draw_observation(self._geometry, seen))
+
+    def _observation(self, state: str) -> Observation:
+        seen = self._seen[state]
+        if seen.endpoint is None:
+            raise PosorError("there is no endpoint", where=str(STATES_BAG), expected="the bag of make_view_bag.py")
+        endpoint = replace(seen.endpoint, stamp_ns=self._time_ns, received_ns=self._time_ns)
+        return replace(seen, time_ns=self._time_ns, endpoint=endpoint)
 
 
 def processor_share(pid: int, seconds: float) -> float:
@@ -161,14 +242,67 @@ def draw_report(page_file: Path, titles: Sequence[str], picture: Path) -> None:
         page.screenshot(path=picture, full_page=True)
 
 
+def draw_states(folder: Path) -> None:
+    """Write pictures of the live page in eight states into a folder, which is made if necessary."""
+    folder.mkdir(parents=True, exist_ok=True)
+
+    def save(page: Page, state: str) -> None:
+        close_notice(page)
+        page.wait_for_timeout(1500.0)  # the arm is drawn by the processor
+        page.screenshot(path=folder / f"{state}.png", timeout=60_000)
+
+    with opened_page(STATES_BAG.name, *STATES_SIZE, "--bag", str(STATES_BAG)) as (page, _):
+        page.wait_for_selector("#charts")
+        for state, position_s in POSITIONS_S.items():
+            seek(page, position_s)
+            save(page, state)
+    with tempfile.TemporaryDirectory() as name, opened_browser(*STATES_SIZE) as page:
+        past = CompressedTime(Path(name))
+        past.pass_time("sound", 1500.0)
+        past.pass_time("one_joint_lost", 90.0)
+        past.pass_time("sound", 900.0)
+        past.pass_time("silent", 300.0)
+        past.pass_time("sound", 1200.0)
+        past.show("sound")
+        page.goto(past.page.address)
+        select_window(page, "1 h")
+        past.show("sound")
+        save(page, "after_an_hour")
+        for _ in range(4):
+            past.pass_time("sound", 7000.0, 2.0)
+            past.pass_time("unknown_pose", 60.0)
+            past.pass_time("one_cause_on_five_joints", 240.0)
+        past.pass_time("sound", 7200.0, 2.0)
+        select_window(page, "12 h")
+        past.show("sound")
+        save(page, "after_a_night")
+        past.page.close()
+    with (
+        tempfile.TemporaryDirectory() as name,
+        running_arm(Path(name)) as arm,
+        opened_page(str(arm.path), *STATES_SIZE) as (page, _),
+    ):
+        wait_for_banner(page, ": OK")
+        time.sleep(CHARTS_S)
+        arm.driver.process.kill()
+        wait_for_banner(page, ": LOST")
+        time.sleep(4.0)
+        save(page, "driver_killed")
+        arm.nodes.process.kill()
+        wait_for_banner(page, ": STALE")
+        time.sleep(3.0)
+        save(page, "stale")
+    print(f"states of the live page: {folder}")
+
+
 def _draw_view() -> None:
     with (
         tempfile.TemporaryDirectory() as folder,
         running_arm(Path(folder)) as arm,
-        opened_page(arm.path, 1280, 1100) as (page, view),
+        opened_page(str(arm.path), 1280, 1100) as (page, view),
     ):
         wait_for_banner(page, ": OK")
-        page.locator(".mantine-Notification-closeButton").dispatch_event("click")  # "software rendering"
+        close_notice(page)
         print(f"view while it is shown: {processor_share(view.process.pid, CHARTS_S):.1f} % of a core")
         wait_for_banner(page, ": OK")
         page.screenshot(path=IMAGES / "view_five_axis.png", timeout=60_000)
@@ -190,7 +324,11 @@ def _draw_statement() -> None:
     (IMAGES / "statement_sheet.png").write_bytes(render_sheet(statement, "png")[0])
 
 
-OTHER_PICTURES = {"view": _draw_view, "statement": _draw_statement}
+OTHER_PICTURES = {
+    "view": _draw_view,
+    "statement": _draw_statement,
+    "states": partial(draw_states, THIS.root / "build" / "view_states"),
+}
 
 
 @reports_errors
@@ -201,7 +339,7 @@ def main() -> int:
         "pictures",
         nargs="*",
         choices=[*REPORTS, *OTHER_PICTURES],
-        default=[*REPORTS, *OTHER_PICTURES],
+        default=[*REPORTS, *(name for name in OTHER_PICTURES if name != "states")],
         metavar="PICTURE",
     )
     for name in parser.parse_args().pictures:

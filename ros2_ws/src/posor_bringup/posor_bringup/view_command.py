@@ -1,7 +1,7 @@
 """view: shows a running arm, or a bag of one, on a web page of this host until SIGINT or SIGTERM.
 
 The program joins the graph as the node ``view`` without publishers. DDS keeps the newest messages of each topic; a loop
-takes the messages ten times a second, and only while a browser shows the page.
+takes the messages ten times a second while a browser shows the page, otherwise twice, so that events and history go on.
 """
 
 from __future__ import annotations
@@ -11,28 +11,36 @@ import time
 from argparse import ArgumentTypeError
 from contextlib import closing
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
+import numpy as np
+from posor.numerics.stamps import NS
 from posor.reporting.command_line_parser import CommandLineParser
 from posor.reporting.program_errors import reports_errors
 from posor_ros.node_program import non_ros_arguments, ros_context
 
 from posor_bringup.arms import installed_arms, load_checked_arm
 from posor_bringup.view_geometry import ArmGeometry
+from posor_bringup.view_history import POINTS
 from posor_bringup.view_messages import ArmTopics, BagTopics, LiveTopics, MessageStore
 from posor_bringup.view_observation import Observer
 from posor_bringup.view_page import ViewPage
+from posor_bringup.view_record import WINDOWS_S, ArmRecord
 
 if TYPE_CHECKING:
     from argparse import Namespace
-    from collections.abc import Callable, Sequence
+    from collections.abc import Iterable, Sequence
 
     from posor.chain.arm_file import ArmFile
     from posor_ros.node_program import StopSignal
 
+    from posor_bringup.view_geometry import DrawnArm
+    from posor_bringup.view_messages import StateChange
     from posor_bringup.view_observation import Observation
 
-PERIOD_S = 0.1  # time between two drawings
+PERIOD_S, REST_PERIOD_S = 0.1, 0.5
+"""Time between two drawings, and between two observations while no browser shows the page."""
 PORT = 8085
 MAX_PORT = 65535
 
@@ -77,49 +85,80 @@ def _follow_arm(arm: ArmFile, geometry: ArmGeometry, options: Namespace, stop: S
     topics = ArmTopics(arm)
     store = MessageStore(arm.name, topics.types)
     observer = Observer(topics, store, geometry.joints)
-    with closing(ViewPage(arm.name, geometry, options.port, None)) as page, closing(LiveTopics(store, topics)) as live:
+    record = ArmRecord(geometry.joints, tuple(WINDOWS_S.values()))
+    with (
+        closing(ViewPage(arm.name, geometry, options.port, record)) as page,
+        closing(LiveTopics(store, topics)) as live,
+    ):
         _announce(arm, page)
-
-        def draw() -> None:
-            live.subscribe()
+        while not stop.requested:
+            begin_s, is_shown = time.monotonic(), page.has_clients
             now_s = live.take()
-            if page.is_frozen:
+            observation = observer.observe(now_s, time.time_ns())
+            drawn = draw_observation(geometry, observation)
+            _record(record, observer, store.take_changes())
+            record.add(observation, drawn)
+            if not is_shown:
+                page.rest()
+            elif page.is_frozen:
                 page.show_frozen()
             else:
-                _draw(page, geometry, observer.observe(now_s))
-
-        _repeat(draw, page, stop, live.unsubscribe)
+                page.update(observation, drawn)
+            page.wait((PERIOD_S if is_shown else REST_PERIOD_S) - (time.monotonic() - begin_s))
 
 
 def _replay_bag(arm: ArmFile, geometry: ArmGeometry, options: Namespace, stop: StopSignal) -> None:
-    bag = BagTopics(options.bag, arm)
-    observer = Observer(bag.topics, bag.store, geometry.joints)
-    with closing(ViewPage(arm.name, geometry, options.port, bag.duration_s)) as page:
-        _announce(arm, page)
+    with TemporaryDirectory() as folder:
+        bag = BagTopics(options.bag, arm, Path(folder))
+        observer = Observer(bag.topics, bag.store, geometry.joints)
+        record = read_record(bag, observer, geometry)
+        with closing(ViewPage(arm.name, geometry, options.port, record, (bag.begin_ns, bag.end_ns))) as page:
+            _announce(arm, page)
+            while not stop.requested:
+                begin_s = time.monotonic()
+                if page.has_clients:
+                    observation = _observe_bag(bag, observer, page.replay_position(PERIOD_S))
+                    page.update(observation, draw_observation(geometry, observation))
+                page.wait(PERIOD_S - (time.monotonic() - begin_s))
 
-        def draw() -> None:
-            position_s = page.replay_position(PERIOD_S)
-            bag.seek(position_s)
-            _draw(page, geometry, observer.observe(position_s))
 
-        _repeat(draw, page, stop, lambda: None)
+def read_record(bag: BagTopics, observer: Observer, geometry: ArmGeometry) -> ArmRecord:
+    """Return the record of a bag: all changes of the state, and the charts from begin to end.
+
+    Raises BagError: the bag is damaged.
+    """
+    record = ArmRecord(geometry.joints, [max(bag.duration_s, POINTS * PERIOD_S)])
+    changes = bag.states()
+    change = next(changes, None)
+    for position_s in np.linspace(0.0, bag.duration_s, POINTS + 1):
+        observation = _observe_bag(bag, observer, position_s)
+        while change is not None and change.received_ns <= observation.time_ns:
+            _record(record, observer, (change,))
+            change = next(changes, None)
+        record.add(observation, draw_observation(geometry, observation))
+    bag.store.take_changes()
+    return record
+
+
+def _observe_bag(bag: BagTopics, observer: Observer, position_s: float) -> Observation:
+    bag.seek(position_s)
+    return observer.observe(position_s, bag.begin_ns + round(position_s * NS))
+
+
+def _record(record: ArmRecord, observer: Observer, changes: Iterable[StateChange]) -> None:
+    for change in changes:
+        state, causes = observer.state_of(change.values)
+        record.add_state(change.received_ns, state, causes, change.values["identity"])
+
+
+def draw_observation(geometry: ArmGeometry, observation: Observation) -> DrawnArm | None:
+    """Return the arm of the scan of an observation; None: there is none."""
+    scan, endpoint = observation.scan, observation.endpoint
+    return None if scan is None or endpoint is None else geometry.draw(scan, endpoint)
 
 
 def _announce(arm: ArmFile, page: ViewPage) -> None:
     print(f"{arm.name}: page at {page.address}; Ctrl-C ends it", flush=True)
-
-
-def _draw(page: ViewPage, geometry: ArmGeometry, observation: Observation) -> None:
-    scan, endpoint = observation.scan, observation.endpoint
-    page.update(observation, None if scan is None or endpoint is None else geometry.draw(scan, endpoint))
-
-
-def _repeat(draw: Callable[[], None], page: ViewPage, stop: StopSignal, rest: Callable[[], None]) -> None:
-    """Draw in every period in which a browser shows the page; otherwise rest."""
-    while not stop.requested:
-        begin_s = time.monotonic()
-        (draw if page.has_clients else rest)()
-        time.sleep(max(0.0, PERIOD_S - (time.monotonic() - begin_s)))
 
 
 if __name__ == "__main__":

@@ -15,6 +15,7 @@ import pinocchio as pin
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
+    from collections.abc import Set as AbstractSet
 
     from posor.chain.arm_file import ArmFile
     from posor.numerics.array_types import FloatArray
@@ -39,7 +40,8 @@ class DrawnArm:
     """An arm at one time."""
 
     nominal: Sequence[pin.SE3]  # child link in parent link of each joint and beam, by the encoders
-    measured: Sequence[pin.SE3] | None  # the same as measured; None: a joint is lost
+    measured: Sequence[pin.SE3]  # the same as measured; nominal where that is not known
+    unknown: frozenset[str]  # links whose pose is not known: beyond a joint without a usable transform
     deviation: FloatArray
     """Measured endpoint relative to the endpoint by the encoders, (6,): translation [m], rotation vector [rad], in axes
     of the base; NaN: not known."""
@@ -55,6 +57,7 @@ class ArmGeometry:
         ends: Parent and child link of each joint, then of each beam.
         fixed: Parent link, child link and pose of each fixed joint.
         bodies: Of all links that the chain does not leave out.
+        links: All links that the chain does not leave out.
 
     """
 
@@ -72,6 +75,8 @@ class ArmGeometry:
         links = {self.base, *(child for _, child in self.ends), *(each.child for each in self.fixed)}
         self.bodies = [body for body in _bodies(self._chain.urdf) if body.link in links]  # without those left out
         self.at_zero = self._nominal(np.zeros(len(self.joints)))
+        self._paths = {link: self.path(link).split("/") for link in links}
+        self.links = frozenset(links)
 
     def draw(self, scan: ArmScan, endpoint: EndpointView) -> DrawnArm:
         """Return the arm of a scan."""
@@ -83,7 +88,12 @@ class ArmGeometry:
         angles = np.where(np.isnan(scan.encoders), estimator.angles, scan.encoders)
         nominal = self._nominal(np.nan_to_num(angles))
         if not has_pose:
-            return DrawnArm(nominal, None, np.full(6, np.nan))
+            known = np.isfinite(scan.poses).all(axis=1)
+            parts = zip(scan.poses, nominal, strict=False)
+            measured = [pin.XYZQUATToSE3(pose) if usable else T for (pose, T), usable in zip(parts, known, strict=True)]
+            measured += nominal[len(measured) :]  # the beams
+            lost = {child for (_, child), usable in zip(self.ends, known, strict=False) if not usable}
+            return DrawnArm(nominal, measured, self._beyond(lost), np.full(6, np.nan))
         measured = [pin.XYZQUATToSE3(pose) for pose in (*estimator.poses, *estimator.beam_transforms)]
         # The published pose knows the accelerations of the beams too; with ``reference: home`` it is not in the base.
         is_same = endpoint.stamp_ns == scan.stamp_ns and endpoint.frame == self.base
@@ -92,7 +102,11 @@ class ArmGeometry:
         T_nominal = self.place(self.endpoint, nominal)
         turn = pin.log3(T_base_endpoint.rotation @ T_nominal.rotation.T)
         deviation = np.concatenate([T_base_endpoint.translation - T_nominal.translation, turn])
-        return DrawnArm(nominal, measured, deviation)
+        return DrawnArm(nominal, measured, frozenset(), deviation)
+
+    def _beyond(self, lost: AbstractSet[str]) -> frozenset[str]:
+        """Return some links and all that hang on them; without any of these all links."""
+        return frozenset(link for link, path in self._paths.items() if lost.intersection(path)) or self.links
 
     def place(self, link: str, transforms: Sequence[pin.SE3]) -> pin.SE3:
         """Return the pose of a link in the base, from the poses of joints and beams."""

@@ -12,6 +12,7 @@ from functools import lru_cache
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from posor.bags.bag_reader import checked_type, opened_bag
+from posor.bags.reprocess_task import Settings
 from posor.errors import ParameterError, TopicError
 from posor.messages.cdr_schema import STAMP
 from posor.messages.joint_transform import stamp_ns_of
@@ -27,25 +28,31 @@ from posor.ros_names import (
     JOINT_TRANSFORM,
     POSE_STAMPED,
     POSE_WITH_COVARIANCE_STAMPED,
+    RAW_TOPIC,
     TRANSFORM_TOPIC,
 )
 from posor_ros.message_classes import message_class, schema_of_class
 from posor_ros.qos import SENSOR_QOS
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
-from rclpy.qos import QoSProfile
+from rclpy.qos import QoSProfile, QoSReliabilityPolicy
+
+from posor_bringup.view_recording import estimate_raw_scans
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterable, Iterator, Mapping
     from pathlib import Path
 
     from posor.chain.arm_file import ArmFile
     from posor.messages.cdr_schema import Schema
 
+NO_VERDICT = b"none"  # differs from the bytes of every state
 KEPT = 64  # messages kept of each topic; the stamp finds the messages of one scan
 BLOCK_S = 10.0  # part of a bag after its position that is in memory
 LEAD_S = 2.0  # time before the position of a bag from which messages are shown, such as diagnostics
 DIAGNOSTICS_QOS = QoSProfile(depth=100)  # every node of the arm may report at once
+STATE_QOS = QoSProfile(depth=2000, reliability=QoSReliabilityPolicy.BEST_EFFORT)
+"""Every state counts: those of one second at 2 kHz."""
 DIAGNOSTIC_ARRAY = "diagnostic_msgs/msg/DiagnosticArray"
 ENDPOINT_TOPICS = {
     ENDPOINT_STATE_TOPIC: ENDPOINT_STATE,
@@ -72,6 +79,13 @@ class StatusLine(NamedTuple):
     text: str
 
 
+class StateChange(NamedTuple):
+    """An ``endpoint/state`` that differs from the one before in more than its numbers."""
+
+    received_ns: int  # when it was received or recorded (system clock) [ns]
+    values: Mapping[str, Any]  # by path
+
+
 class ArmTopics:
     """Topics that the page shows of one arm.
 
@@ -80,6 +94,7 @@ class ArmTopics:
         transforms: Topic of each joint's transforms.
         encoders: Topic of each joint's encoder, and name of the joint in its messages (empty: they hold one position).
         types: Message type of each topic.
+        false_alarms: Probability of a false alarm of each joint's test of chi-square.
 
     """
 
@@ -88,6 +103,7 @@ class ArmTopics:
         self.endpoint = f"/{arm.name}/{endpoint}"
         self.transforms = {joint: f"/{arm.name}/{joint}/{TRANSFORM_TOPIC}" for joint in arm.calibrations}
         self.encoders = {joint: _encoder(arm, joint) for joint in arm.calibrations}
+        self.false_alarms = {name: joint.false_alarm for name, joint in Settings.of_arm(arm).joints.items()}
         self.types = {
             self.endpoint: ENDPOINT_TOPICS[endpoint],
             **dict.fromkeys(self.transforms.values(), JOINT_TRANSFORM),
@@ -122,6 +138,8 @@ class MessageStore:
         self.since_s: float | None = None
         self.statuses: dict[str, StatusLine] = {}
         self.refused = ""
+        self._changes: list[StateChange] = []
+        self._verdict, self._end_of_verdict = NO_VERDICT, 0
 
     def clear(self, since_s: float | None = None) -> None:
         """Forget all messages; see ``since_s``."""
@@ -130,6 +148,7 @@ class MessageStore:
             messages.clear()
         self.statuses.clear()
         self.refused = ""
+        self._verdict, self._end_of_verdict = NO_VERDICT, 0
 
     def add(self, topic: str, arrival_s: float, received_ns: int, data: bytes) -> None:
         """Keep a message; of diagnostics only the statuses of the arm's nodes."""
@@ -145,7 +164,23 @@ class MessageStore:
             self.refused = f"{topic}: {error}"
             return
         stamp_ns = stamp_ns_of(data[STAMP]) if len(data) >= STAMP.stop else 0
-        self._messages[topic].append(Message(arrival_s, received_ns, stamp_ns, data))
+        message = Message(arrival_s, received_ns, stamp_ns, data)
+        self._messages[topic].append(message)
+        if "age" in self._schemas[topic].by_path and data[STAMP.stop : self._end_of_verdict] != self._verdict:
+            self._note_change(topic, message)
+
+    def _note_change(self, topic: str, message: Message) -> None:
+        """Keep a state whose bytes between stamp and age differ from those of the state before."""
+        values = self.values(topic, message)
+        if values is not None:
+            self._end_of_verdict = self._schemas[topic].layout(message.data)["age"].offset
+            self._verdict = message.data[STAMP.stop : self._end_of_verdict]
+            self._changes.append(StateChange(message.received_ns, values))
+
+    def take_changes(self) -> list[StateChange]:
+        """Return the changes of the endpoint's state since the last call."""
+        changes, self._changes = self._changes, []
+        return changes
 
     def messages(self, topic: str) -> deque[Message]:
         """Return the newest messages of a topic, in the order of their arrival."""
@@ -168,32 +203,21 @@ def _decode(schema: Schema, data: bytes) -> Mapping[str, Any]:
 class LiveTopics:
     """Subscriptions to the topics of a running arm, in a node that no executor spins.
 
-    Messages are taken when the page is drawn. Between two drawings DDS keeps the last ones of each topic.
+    Between two calls of ``take`` DDS keeps the last messages of each topic: of ``endpoint/state`` all of a second.
     """
 
     def __init__(self, store: MessageStore, topics: ArmTopics) -> None:
         self._store, self._topics = store, topics
         self._node = Node("view", enable_rosout=False, start_parameter_services=False)
         self._subscriptions: list[Any] = []
-
-    def subscribe(self) -> None:
-        """Subscribe to all topics, unless that is done already."""
-        if self._subscriptions:
-            return
         self._store.clear(time.monotonic())
         for topic, name in self._topics.types.items():
-            qos = DIAGNOSTICS_QOS if topic == DIAGNOSTICS_TOPIC else SENSOR_QOS
+            qos = {DIAGNOSTICS_TOPIC: DIAGNOSTICS_QOS, self._topics.endpoint: STATE_QOS}.get(topic, SENSOR_QOS)
             events = SubscriptionEventCallbacks(use_default_callbacks=False)
             subscription = self._node.create_subscription(
                 message_class(name), topic, _no_callback, qos, raw=True, event_callbacks=events
             )
             self._subscriptions.append(subscription)
-
-    def unsubscribe(self) -> None:
-        """End the subscriptions, so that a page without a browser costs the arm no time."""
-        for subscription in self._subscriptions:
-            self._node.destroy_subscription(subscription)
-        self._subscriptions.clear()
 
     def take(self) -> float:
         """Store the messages that have arrived; return the present time (steady clock) [s]."""
@@ -216,36 +240,55 @@ def _no_callback(_data: bytes) -> None:
 
 
 class BagTopics:
-    """The ``topics`` of an arm in a bag of ``duration_s`` [s], ``LEAD_S`` and ``BLOCK_S`` of it in memory.
+    """The ``topics`` of an arm in a bag from ``begin_ns`` to ``end_ns``, ``LEAD_S`` and ``BLOCK_S`` of it in memory.
 
     The ``store`` holds the messages up to the present position.
     """
 
-    def __init__(self, path: Path, arm: ArmFile) -> None:
+    def __init__(self, path: Path, arm: ArmFile, folder: Path) -> None:
         """Check the topics and go to the beginning.
 
-        Raises BagError: the bag cannot be read, or a topic was recorded with another type; ParameterError: the bag does
-        not hold the endpoint of the arm.
+        A bag with raw scans of all joints but not all transforms and states is estimated; the result is written into a
+        folder that exists. Raises BagError: the bag cannot be read, or a topic was recorded with another type;
+        ParameterError: the bag holds neither the endpoint nor the raw scans of the arm; PosorError: a file of the arm
+        cannot be used.
         """
-        self._path, types = path, MessageTypes()
+        filled = _filled_topics(path)
+        found = [topic for topic in ENDPOINT_TOPICS if f"/{arm.name}/{topic}" in filled]
+        topics = ArmTopics(arm, found[0] if found else ENDPOINT_STATE_TOPIC)
+        raw = [f"/{joint}/{RAW_TOPIC}" for joint in arm.calibrations]
+        lacks = not {f"/{arm.name}/{ENDPOINT_STATE_TOPIC}", *topics.transforms.values()} <= filled
+        if lacks and all(any(name.endswith(each) for name in filled) for each in raw):
+            topics = ArmTopics(arm)
+            others = [topic for topic in topics.types if topic not in {topics.endpoint, *topics.transforms.values()}]
+            _check_types(path, topics, others)
+            path = estimate_raw_scans(path, arm, folder, others)
+            filled = _filled_topics(path)
+        elif not found:
+            raise ParameterError(
+                f"there is no endpoint of arm {arm.name}",
+                where=str(path),
+                expected=f"messages on one of {', '.join(f'/{arm.name}/{topic}' for topic in ENDPOINT_TOPICS)}, or raw "
+                "scans of all its joints",
+            )
+        self._path, self._arm, self.topics = path, arm.name, topics
+        _check_types(path, topics, topics.types)
         with opened_bag(path) as reader:
-            connections = list(reader.connections)
-            filled = {connection.topic for connection in connections if connection.msgcount}
-            found = [topic for topic in ENDPOINT_TOPICS if f"/{arm.name}/{topic}" in filled]
-            if not found:
-                raise ParameterError(
-                    f"there is no endpoint of arm {arm.name}",
-                    where=str(path),
-                    expected=f"messages on one of {', '.join(f'/{arm.name}/{topic}' for topic in ENDPOINT_TOPICS)}",
-                )
-            self.topics = ArmTopics(arm, found[0])
-            for topic in filled & set(self.topics.types):
-                checked_type(connections, topic, str(path), types, (self.topics.types[topic],))
-            self._begin_ns, self.duration_s = reader.start_time, (reader.end_time - reader.start_time) / NS
+            self.begin_ns, self.end_ns = reader.start_time, reader.end_time
+        self.duration_s = (self.end_ns - self.begin_ns) / NS
         self.store = MessageStore(arm.name, self.topics.types)
         self._loaded: list[tuple[int, str, bytes]] = []
         self._block_s = (0.0, 0.0)
         self._position_s = -1.0
+
+    def states(self) -> Iterator[StateChange]:
+        """Yield the changes of the endpoint's state from begin to end. Raises BagError: the bag is damaged."""
+        store = MessageStore(self._arm, self.topics.types)
+        with opened_bag(self._path) as reader:
+            selected = [connection for connection in reader.connections if connection.topic == self.topics.endpoint]
+            for each, time_ns, data in reader.messages(selected):
+                store.add(each.topic, 0.0, time_ns, bytes(data))
+                yield from store.take_changes()
 
     def seek(self, position_s: float) -> None:
         """Store the messages up to a position [s] after the beginning. Raises BagError: the bag is damaged there."""
@@ -255,18 +298,32 @@ class BagTopics:
             self.store.clear()
             self._position_s = position_s - LEAD_S
         first, last = (
-            bisect_right(self._loaded, self._begin_ns + round(each * NS), key=lambda entry: entry[0])
+            bisect_right(self._loaded, self.begin_ns + round(each * NS), key=lambda entry: entry[0])
             for each in (self._position_s, position_s)
         )
         for time_ns, topic, data in self._loaded[first:last]:
-            self.store.add(topic, (time_ns - self._begin_ns) / NS, time_ns, data)
+            self.store.add(topic, (time_ns - self.begin_ns) / NS, time_ns, data)
         self._position_s = position_s
 
     def _load(self, position_s: float) -> None:
         """Read the messages from ``LEAD_S`` before a position to ``BLOCK_S`` after it."""
-        begin, end = (self._begin_ns + round((position_s + each) * NS) for each in (-LEAD_S, BLOCK_S))
+        begin, end = (self.begin_ns + round((position_s + each) * NS) for each in (-LEAD_S, BLOCK_S))
         with opened_bag(self._path) as reader:
             selected = [connection for connection in reader.connections if connection.topic in self.topics.types]
             messages = reader.messages(selected, start=begin, stop=end + 1)
             self._loaded = [(time_ns, each.topic, bytes(data)) for each, time_ns, data in messages]
         self._block_s = position_s, position_s + BLOCK_S
+
+
+def _filled_topics(path: Path) -> set[str]:
+    with opened_bag(path) as reader:
+        return {connection.topic for connection in reader.connections if connection.msgcount}
+
+
+def _check_types(path: Path, topics: ArmTopics, names: Iterable[str]) -> None:
+    """Check the types of some topics, where the bag has them. Raises BagError: a topic has another type or version."""
+    types = MessageTypes()
+    with opened_bag(path) as reader:
+        connections = list(reader.connections)
+        for topic in {connection.topic for connection in connections if connection.msgcount} & set(names):
+            checked_type(connections, topic, str(path), types, (topics.types[topic],))

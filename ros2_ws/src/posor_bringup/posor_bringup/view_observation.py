@@ -5,18 +5,20 @@ Silence is a fault: a joint or an endpoint without new messages is reported as s
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from posor.model.fault import USABLE_STATES, Fault, State
+from posor.model.fault import USABLE_STATES, State
 from posor.numerics.stamps import NS
 from posor.ros_names import ENDPOINT_STATE_TOPIC
 from posor_msgs.msg import EndpointState
+from scipy.special import chdtri
+
+from posor_bringup.view_events import NOTE, WARNING, Cause, causes_of_state, merge_causes
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
 
     from posor.numerics.array_types import FloatArray
 
@@ -30,16 +32,10 @@ DIAGNOSTICS_SILENCE_S = 3.0  # the same for the diagnostics of a node, which com
 STATES = {**{int(state): state.name for state in State}, int(EndpointState.STATE_STALE): "STALE"}
 SILENT, NO_MESSAGE, NO_STATE = "SILENT", "NO MESSAGE", "NO STATE"
 """Further states, which follow from the absence of messages; the last one: a bag without ``endpoint/state``."""
+DEAD = ": no diagnostics for "  # in the sentence on a node that is silent
 USABLE = tuple(state.name for state in USABLE_STATES)  # states of a joint whose pose may be used
+GOOD = (State.OK.name, NO_MESSAGE)  # states of a joint that need no cause
 _POSE = (*(f"position.{axis}" for axis in "xyz"), *(f"orientation.{axis}" for axis in "xyzw"))
-
-
-@dataclass(frozen=True)
-class Health:
-    """State of a joint or of the endpoint, and the sentences on its faults."""
-
-    state: str
-    sentences: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -47,7 +43,8 @@ class EndpointView:
     """The newest endpoint."""
 
     stamp_ns: int  # of its scan [ns]
-    latency_s: float  # from the stamp to the reception of the message [s]
+    received_ns: int  # when it was received or recorded (system clock) [ns]
+    latency_s: float  # from the stamp to the reception of the message [s]; NaN: the stamp is invalid
     age_s: float  # from the stamp to the publication [s]; NaN: not known
     frame: str  # in which the pose is
     pose: FloatArray  # (7,): x, y, z [m], unit quaternion x, y, z, w
@@ -58,14 +55,14 @@ class EndpointView:
 
 @dataclass(frozen=True)
 class ArmScan:
-    """The joints at the newest stamp of which all have a transform."""
+    """The joints at the newest stamp of which all joints that are heard of have a transform."""
 
     stamp_ns: int  # [ns]
     poses: FloatArray  # (j, 7), as ``EndpointEstimator.poses``; NaN: not usable
     covariances_random: FloatArray  # (j, 6, 6)
     covariances_systematic: FloatArray  # (j, 6, 6)
     thetas: FloatArray  # (j,) [rad]
-    residuals: FloatArray  # chi-square of each joint divided by its redundancy, (j,); zero without redundancy
+    residuals: FloatArray  # chi-square of each joint divided by its limit, (j,); NaN without redundancy
     encoders: FloatArray  # angle of each joint by its encoder [rad], (j,); NaN without
 
 
@@ -73,11 +70,15 @@ class ArmScan:
 class Observation:
     """All that the page shows at one time."""
 
+    time_ns: int  # of the observation, of the clock of ``EndpointView.received_ns`` [ns]
     is_fresh: bool  # whether messages about the endpoint arrive; otherwise nothing else is fresh
-    overall: Health  # health of the endpoint
+    state: str  # of the endpoint
+    causes: tuple[Cause, ...] = ()  # for which the endpoint is not OK, by its state or by its silence
+    reports: tuple[Cause, ...] = ()  # further warnings, and what the page lacks
+    details: Mapping[str, tuple[str, ...]] = field(default_factory=dict)  # sentences of each joint's nodes
     endpoint: EndpointView | None = None  # None: there is no message yet
-    scan: ArmScan | None = None  # None: there is no stamp with a transform of every joint, or it is too old
-    joints: Mapping[str, Health] = field(default_factory=dict)  # of each joint
+    scan: ArmScan | None = None  # None: there is no such stamp, or it is too old
+    joints: Mapping[str, str] = field(default_factory=dict)  # state of each joint
 
 
 class Observer:
@@ -89,28 +90,69 @@ class Observer:
         self._prefix = topics.endpoint.rpartition("/endpoint/")[0]
         self._has_state = topics.endpoint.endswith(f"/{ENDPOINT_STATE_TOPIC}")
 
-    def observe(self, now_s: float) -> Observation:
-        """Return the state of the arm at a time of the clock that stamped the arrival of the messages."""
+    def observe(self, now_s: float, time_ns: int) -> Observation:
+        """Return the state of the arm at a time, by the clock that stamped the arrival of the messages, and in UTC."""
         topic = self._topics.endpoint
         messages = self._store.messages(topic)
         values = self._store.values(topic, messages[-1]) if messages else None
         if values is None:
-            reason = self._store.refused or f"no message yet on {topic}"
-            joints = {name: Health(NO_MESSAGE) for name in self._joints}
-            return Observation(is_fresh=False, overall=Health(NO_MESSAGE, (reason,)), joints=joints)
+            cause = Cause(NO_MESSAGE, self._store.refused or f"no message yet on {topic}")
+            joints = dict.fromkeys(self._joints, NO_MESSAGE)
+            return Observation(time_ns, is_fresh=False, state=NO_MESSAGE, causes=(cause,), joints=joints)
         endpoint = self._endpoint(values, messages[-1])
-        if (silence_s := self._silence_s(topic, now_s)) > 0.0:
-            health = Health("STALE", (f"no message on {topic} for {silence_s:.1f} s",))
-            joints = {name: Health("STALE") for name in self._joints}
-            return Observation(is_fresh=False, overall=health, endpoint=endpoint, joints=joints)
+        if self._silence_s(topic, now_s) > 0.0:
+            causes, joints = (Cause("STALE", f"no message on {topic}"),), dict.fromkeys(self._joints, "STALE")
+            return Observation(time_ns, is_fresh=False, state="STALE", causes=causes, endpoint=endpoint, joints=joints)
         joints = {name: self._joint(name, values, now_s) for name in self._joints}
-        scan, overall = self._scan(now_s), self._overall(values, now_s)
+        state = _state_name(values["state"]) if self._has_state else NO_STATE
+        causes = self._causes(state, values, joints)
+        details = {name: self._diagnostics(f"{self._prefix}/{name}", now_s) for name in self._joints}
+        scan = self._scan(joints)
+        reports = self._reports(state, causes, details, now_s)
         if scan is not None and (
             without := [n for n, a in zip(self._joints, scan.encoders, strict=True) if np.isnan(a)]
         ):
-            sentence = f"no encoder of {', '.join(without)}: the nominal arm has the measured angle there"
-            overall = Health(overall.state, (*overall.sentences, sentence))
-        return Observation(is_fresh=True, overall=overall, endpoint=endpoint, scan=scan, joints=joints)
+            reports.append(Cause(NOTE, "no encoder: the nominal arm has the measured angle there", tuple(without)))
+        return Observation(
+            time_ns,
+            is_fresh=True,
+            state=state,
+            causes=causes,
+            reports=tuple(reports),
+            details=details,
+            endpoint=endpoint,
+            scan=scan,
+            joints=joints,
+        )
+
+    def state_of(self, values: Mapping[str, Any]) -> tuple[str, list[Cause]]:
+        """Return name and causes of an ``endpoint/state``."""
+        state = _state_name(values["state"])
+        return state, causes_of_state(state, values["reason"], values["joint"], self._joints)
+
+    def _causes(self, state: str, values: Mapping[str, Any], joints: Mapping[str, str]) -> tuple[Cause, ...]:
+        """Return why the endpoint is not OK; a bag without states has only the joints'."""
+        if state != NO_STATE:
+            return tuple(self.state_of(values)[1])
+        found = [Cause(each, "state of the joint", (name,)) for name, each in joints.items() if each not in GOOD]
+        return tuple(merge_causes(found))
+
+    def _reports(
+        self, state: str, causes: Iterable[Cause], details: Mapping[str, Sequence[str]], now_s: float
+    ) -> list[Cause]:
+        """Return the reports of nodes that no cause explains, the refused message, and what a bag lacks."""
+        explained = {name for cause in causes for name in cause.joints}
+        found = [
+            Cause(WARNING, text, (name,)) for name, texts in details.items() if name not in explained for text in texts
+        ]
+        if state in USABLE:
+            found += [Cause(WARNING, text) for text in self._diagnostics(f"{self._prefix}/chain_node", now_s)]
+        if self._store.refused:
+            found.append(Cause(WARNING, f"a message was refused: {self._store.refused}"))
+        if state == NO_STATE:
+            text = f"{self._topics.endpoint} says nothing about faults; {ENDPOINT_STATE_TOPIC} is not in the bag"
+            found.append(Cause(NO_STATE, text))
+        return merge_causes(found)
 
     def _silence_s(self, topic: str, now_s: float) -> float:
         """Return for how long a topic with messages has been silent [s]; 0: it is not."""
@@ -120,23 +162,15 @@ class Observer:
         silence_s = now_s - messages[-1].arrival_s
         return silence_s if silence_s > max(SILENCE_S, 3.0 * period_s) else 0.0
 
-    def _overall(self, values: Mapping[str, Any], now_s: float) -> Health:
-        refused = (f"a message was refused: {self._store.refused}",) if self._store.refused else ()
-        if not self._has_state:
-            sentence = f"{self._topics.endpoint} says nothing about faults; {ENDPOINT_STATE_TOPIC} is not in the bag"
-            return Health(NO_STATE, (sentence, *refused))
-        reason = (values["reason"],) if values["reason"] else ()
-        reports = self._diagnostics(f"{self._prefix}/chain_node", now_s)
-        return Health(_state_name(values["state"]), (*reason, *reports, *refused))
-
     def _endpoint(self, values: Mapping[str, Any], message: Message) -> EndpointView:
         pose = "pose.pose" if "pose.pose.position.x" in values else "pose"
         parts = [values[name] for name in ("covariance_random", "covariance_systematic") if name in values]
         parts = parts or [values.get("pose.covariance", [np.nan] * 36)]
         return EndpointView(
             message.stamp_ns,
-            (message.received_ns - message.stamp_ns) / NS,
-            values.get("age", np.nan),
+            message.received_ns,
+            (message.received_ns - message.stamp_ns) / NS if message.stamp_ns else np.nan,
+            values.get("age", np.nan) if message.stamp_ns else np.nan,
             values["header.frame_id"],
             np.array([values[f"{pose}.{part}"] for part in _POSE]),
             np.sum(parts, axis=0).reshape(6, 6),
@@ -144,62 +178,70 @@ class Observer:
             tuple(values.get("protection_causes", ())),
         )
 
-    def _joint(self, name: str, endpoint: Mapping[str, Any], now_s: float) -> Health:
-        """Return the health of a joint from its transform, from the endpoint's state and from the diagnostics."""
-        reasons = [part for part in endpoint.get("reason", "").split("; ") if name in re.findall(r"\w+", part)]
-        sentences = (*reasons, *self._diagnostics(f"{self._prefix}/{name}", now_s))
+    def _joint(self, name: str, endpoint: Mapping[str, Any], now_s: float) -> str:
+        """Return the state of a joint from its transform and from the endpoint's state."""
         topic = self._topics.transforms[name]
         messages = self._store.messages(topic)
         values = self._store.values(topic, messages[-1]) if messages else None
         if values is None:
             since_s = self._store.since_s
-            state = NO_MESSAGE
-            if since_s is not None and now_s - since_s > FIRST_MESSAGE_S:
-                state, sentences = SILENT, (f"no transform in the {now_s - since_s:.0f} s of this page", *sentences)
-        elif (silence_s := self._silence_s(topic, now_s)) > 0.0:
-            state, sentences = SILENT, (f"no transform for {silence_s:.1f} s", *sentences)
+            state = SILENT if since_s is not None and now_s - since_s > FIRST_MESSAGE_S else NO_MESSAGE
         else:
-            state = _state_name(values["state"])
-            if faults := "|".join(str(flag.name) for flag in Fault if flag & values["faults"]):
-                sentences = (faults, *sentences)
+            state = SILENT if self._silence_s(topic, now_s) > 0.0 else _state_name(values["state"])
         if endpoint.get("joint") == name and endpoint["state"] > EndpointState.STATE_DEGRADED and state in USABLE:
             state = _state_name(endpoint["state"])
-        return Health(state, sentences)
+        return state
 
     def _diagnostics(self, prefix: str, now_s: float) -> tuple[str, ...]:
-        """Return the reports besides OK of the nodes under a prefix, and the names of silent nodes."""
+        """Return the names of silent nodes under a prefix, then the reports besides OK of the others."""
         found: dict[str, None] = {}  # a set that keeps its order
         for name, status in sorted(self._store.statuses.items()):
             if name.partition(":")[0] != prefix and not name.startswith(f"{prefix}/"):
                 continue
             node = name.partition(":")[0].rpartition("/")[2]
             if now_s - status.arrival_s > DIAGNOSTICS_SILENCE_S:
-                found[f"{node}: no diagnostics for {now_s - status.arrival_s:.0f} s"] = None
+                found[f"{node}{DEAD}{now_s - status.arrival_s:.0f} s"] = None
             elif status.level:
                 found[f"{node}: {status.text}"] = None
-        return tuple(found)
+        return tuple(sorted(found, key=lambda text: DEAD not in text))
 
-    def _scan(self, now_s: float) -> ArmScan | None:
-        """Return the newest scan of which every joint has a transform that is not too old."""
-        topics = [self._topics.transforms[name] for name in self._joints]
-        by_stamp = [{each.stamp_ns: each for each in self._store.messages(topic)} for topic in topics]
-        common = set.intersection(*(set(stamps) for stamps in by_stamp))
-        if not common or any(self._silence_s(topic, now_s) > 0.0 for topic in topics):
+    def _scan(self, states: Mapping[str, str]) -> ArmScan | None:
+        """Return the newest scan of which every joint that is heard of has a transform."""
+        by_stamp = [
+            {}
+            if states[name] in (SILENT, NO_MESSAGE)
+            else {each.stamp_ns: each for each in self._store.messages(self._topics.transforms[name])}
+            for name in self._joints
+        ]
+        heard = [set(stamps) for stamps in by_stamp if stamps]
+        common = set.intersection(*heard) if heard else set()
+        if not common:
             return None
         stamp_ns = max(common)
-        found = [self._store.values(topic, stamps[stamp_ns]) for topic, stamps in zip(topics, by_stamp, strict=True)]
-        joints = [values for values in found if values is not None]
-        if len(joints) < len(topics):
-            return None
+        joints = [
+            self._store.values(self._topics.transforms[name], stamps[stamp_ns]) if stamps else None
+            for name, stamps in zip(self._joints, by_stamp, strict=True)
+        ]
+        unknown = np.full((6, 6), np.nan)
+
+        def covariances(part: str) -> FloatArray:
+            return np.array([unknown if each is None else np.reshape(each[part], (6, 6)) for each in joints])
+
         return ArmScan(
             stamp_ns,
-            np.array([_usable_pose(values) for values in joints]),
-            np.array([values["covariance_random"] for values in joints]).reshape(-1, 6, 6),
-            np.array([values["covariance_systematic"] for values in joints]).reshape(-1, 6, 6),
-            np.array([values["native"][5] for values in joints]),
-            np.array([values["residual"] / max(values["redundancy"], 1) for values in joints]),
+            np.array([_pose(values, states[name]) for name, values in zip(self._joints, joints, strict=True)]),
+            covariances("covariance_random"),
+            covariances("covariance_systematic"),
+            np.array([np.nan if each is None else each["native"][5] for each in joints]),
+            np.array([self._residual(name, each) for name, each in zip(self._joints, joints, strict=True)]),
             np.array([self._encoder(name, stamp_ns) for name in self._joints]),
         )
+
+    def _residual(self, joint: str, values: Mapping[str, Any] | None) -> float:
+        """Return chi-square of a transform divided by its limit; NaN without redundant readings."""
+        if values is None or not values["redundancy"]:
+            return np.nan
+        return float(values["residual"] / chdtri(values["redundancy"], self._topics.false_alarms[joint]))
 
     def _encoder(self, joint: str, stamp_ns: int) -> float:
         """Return the angle of a joint's encoder at a time [rad], between two messages if necessary; NaN without."""
@@ -215,9 +257,11 @@ class Observer:
         return first + (last - first) * (stamp_ns - before[0].stamp_ns) / gap_ns if gap_ns else first
 
 
-def _usable_pose(values: Mapping[str, Any]) -> list[float]:
-    """Return the pose of a transform; NaN if it must not be used."""
-    return [values[f"pose.{part}"] if values["state"] <= State.DEGRADED else np.nan for part in _POSE]
+def _pose(values: Mapping[str, Any] | None, state: str) -> list[float]:
+    """Return the pose of a transform; NaN if it must not be used, by the state of its joint or by its own."""
+    if values is None or state not in USABLE or values["state"] > State.DEGRADED:
+        return [np.nan] * len(_POSE)
+    return [values[f"pose.{part}"] for part in _POSE]
 
 
 def _state_name(state: int) -> str:

@@ -4,14 +4,17 @@ import re
 import socket
 from pathlib import Path
 
+import numpy as np
 import pytest
 from posor_bringup.arms import load_checked_arm
 from posor_bringup.installed import bag_path
-from posor_bringup.view_command import main
+from posor_bringup.view_command import main, read_record
+from posor_bringup.view_events import SEVERITY
+from posor_bringup.view_geometry import ArmGeometry
 from posor_bringup.view_messages import BLOCK_S, BagTopics
 from posor_bringup.view_observation import Observer
 
-BAG = Path(__file__).resolve().parents[4] / "bags" / "five_axis"
+BAG = Path(__file__).resolve().parents[4] / "bags" / "five_axis_checked"
 JOINTS = ["base_swivel", "shoulder", "elbow", "wrist_roll", "wrist_yaw"]
 
 
@@ -60,19 +63,36 @@ def test_port_in_use_is_refused_with_one_sentence(capfd: pytest.CaptureFixture[s
     )
 
 
-def test_positions_of_a_bag_forth_and_back() -> None:
-    bag = BagTopics(BAG, load_checked_arm("five_axis"))
+def test_positions_of_a_bag_forth_and_back(tmp_path: Path) -> None:
+    bag = BagTopics(BAG, load_checked_arm(BAG.name), tmp_path)
     observer = Observer(bag.topics, bag.store, JOINTS)
-    assert bag.topics.endpoint == "/five_axis/endpoint/pose"
-    assert 9.9 < bag.duration_s < BLOCK_S + 0.1
+    assert 9.8 < bag.duration_s < BLOCK_S + 0.1
     stamps = []
-    for position_s in (1.0, 1.1, 9.0, 1.0):
+    for position_s, state in ((1.0, "OK"), (1.25, "OK"), (9.0, "LOST"), (5.75, "UNCOUNTED"), (1.0, "OK")):
         bag.seek(position_s)
-        seen = observer.observe(position_s)
+        seen = observer.observe(position_s, bag.begin_ns + round(position_s * 1e9))
         assert seen.is_fresh
-        assert seen.overall.state == "NO STATE"
+        assert seen.state == state
         assert seen.endpoint is not None
         stamps.append(seen.endpoint.stamp_ns)
-    assert stamps[0] == stamps[3]
-    assert stamps[1] - stamps[0] == pytest.approx(0.1e9, abs=0.02e9)
-    assert stamps[2] - stamps[0] == pytest.approx(8.0e9, abs=0.02e9)
+    assert stamps[0] == stamps[-1]
+    assert stamps[1] - stamps[0] == 250_000_000
+    assert stamps[2] - stamps[0] == 8_000_000_000
+
+
+def test_record_of_a_bag_holds_its_events_and_its_charts(tmp_path: Path) -> None:
+    arm = load_checked_arm(BAG.name)
+    bag = BagTopics(BAG, arm, tmp_path)
+    record = read_record(bag, Observer(bag.topics, bag.store, JOINTS), ArmGeometry(arm))
+    found = [
+        (event.cause.state, event.cause.joints) for event in record.log.events() if event.lasted_s(bag.end_ns) > 1.0
+    ]
+    assert ("LOST", tuple(JOINTS)) in found
+    assert ("LOST", ("elbow",)) in found
+    assert ("UNCOUNTED", ("elbow", "wrist_roll")) in found
+    points = record.history.points(0)
+    assert points.times_s[-1] - points.times_s[0] == pytest.approx(bag.duration_s, abs=0.2)
+    states = points.high[:, record.state_column]
+    assert {SEVERITY["OK"], SEVERITY["LOST"], SEVERITY["UNCOUNTED"]} <= set(states)
+    assert np.isfinite(points.high[states == SEVERITY["OK"], :3]).all()
+    assert np.isnan(points.high[-1, :3]).all()

@@ -12,7 +12,7 @@ from posor_bringup.view_observation import ArmScan, EndpointView
 from posor_lab.harness.case_tables import edited
 
 ANGLES = {"base_swivel": 0.3, "shoulder": -0.2, "elbow": 0.4, "wrist_roll": 0.1, "wrist_yaw": -0.3}
-NAN_ENDPOINT = EndpointView(0, 0.0, 0.0, "base", np.full(7, np.nan), np.full((6, 6), np.nan), np.full(6, np.nan))
+NAN_ENDPOINT = EndpointView(0, 0, 0.0, 0.0, "base", np.full(7, np.nan), np.full((6, 6), np.nan), np.full(6, np.nan))
 
 
 @pytest.fixture(scope="module")
@@ -47,7 +47,7 @@ def test_deviation_is_that_of_the_endpoint_and_adds_up_over_the_links(geometry: 
     poses[0] = pin.SE3(np.eye(3), np.array([0.0, 0.0, 1e-4])) * poses[0]
     drawn = geometry.draw(scan_of(poses, encoders), NAN_ENDPOINT)
     np.testing.assert_allclose(drawn.deviation[:3] - sag[:3], [0.0, 0.0, 1e-4], atol=1e-9)
-    assert drawn.measured is not None
+    assert drawn.unknown == frozenset()
     placed = (
         geometry.place("endpoint", drawn.measured).translation - geometry.place("endpoint", drawn.nominal).translation
     )
@@ -59,11 +59,15 @@ def test_joint_without_encoder_has_its_measured_angle(geometry: ArmGeometry) -> 
     np.testing.assert_allclose(drawn.nominal[:5], nominal_poses(ANGLES), atol=1e-9)
 
 
-def test_lost_joint_gives_no_measured_arm(geometry: ArmGeometry) -> None:
-    scan = scan_of(nominal_poses(ANGLES), [0.0] * 5)
+def test_what_hangs_on_a_lost_joint_is_unknown(geometry: ArmGeometry) -> None:
+    poses = nominal_poses(ANGLES)
+    scan = scan_of(poses, [0.0] * 5)
     scan.poses[2] = np.nan
     drawn = geometry.draw(scan, NAN_ENDPOINT)
-    assert drawn.measured is None
+    np.testing.assert_allclose(drawn.measured[:2], poses[:2], atol=1e-12)
+    children = [child for _, child in geometry.ends[:5]]
+    assert {geometry.endpoint, *children[2:]} <= drawn.unknown
+    assert not {geometry.base, *children[:2]} & drawn.unknown
     assert np.isnan(drawn.deviation).all()
 
 

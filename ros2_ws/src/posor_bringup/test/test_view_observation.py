@@ -6,10 +6,12 @@ from typing import Any
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from posor_bringup.arms import load_checked_arm
+from posor_bringup.view_events import Cause
 from posor_bringup.view_messages import ArmTopics, MessageStore
 from posor_bringup.view_observation import PERIODS, SILENCE_S, Observer
 from posor_msgs.msg import EndpointState, JointTransform
 from posor_ros.message_classes import schema_of_class
+from scipy.special import chdtri
 from sensor_msgs.msg import JointState
 
 PERIOD_S, NS = 0.01, 1_000_000_000
@@ -22,7 +24,8 @@ class Rig:
     def __init__(self) -> None:
         topics = ArmTopics(load_checked_arm("test_rig"))
         self.store = MessageStore("test_rig", topics.types)
-        self.observe = Observer(topics, self.store, ["joint1"]).observe
+        observer = Observer(topics, self.store, ["joint1"])
+        self.observe = lambda now_s: observer.observe(now_s, round(now_s * NS))
 
     def add(self, topic: str, message: Any, time_s: float, stamp_s: float | None = None) -> None:
         stamp_ns = round((time_s if stamp_s is None else stamp_s) * NS)
@@ -44,8 +47,8 @@ def rig() -> Rig:
 def test_nothing_is_fresh_before_the_first_message(rig: Rig) -> None:
     seen = rig.observe(1.0)
     assert not seen.is_fresh
-    assert seen.overall.sentences == (f"no message yet on {STATE}",)
-    assert seen.joints["joint1"].state == "NO MESSAGE"
+    assert seen.causes == (Cause("NO MESSAGE", f"no message yet on {STATE}"),)
+    assert seen.joints["joint1"] == "NO MESSAGE"
 
 
 def test_sound_scan(rig: Rig) -> None:
@@ -53,11 +56,12 @@ def test_sound_scan(rig: Rig) -> None:
     rig.add_scan(1.0 + PERIOD_S)
     seen = rig.observe(1.05)
     assert seen.is_fresh
-    assert (seen.overall.state, seen.joints["joint1"].state) == ("OK", "OK")
+    assert (seen.state, seen.joints["joint1"]) == ("OK", "OK")
     assert seen.scan is not None
     assert seen.scan.stamp_ns == 1_010_000_000
-    assert seen.scan.residuals[0] == 1.5
-    assert seen.overall.sentences == ("no encoder of joint1: the nominal arm has the measured angle there",)
+    assert seen.scan.residuals[0] == pytest.approx(3.0 / chdtri(2, 1e-4))
+    assert seen.causes == ()
+    assert seen.reports == (Cause("NOTE", "no encoder: the nominal arm has the measured angle there", ("joint1",)),)
 
 
 def test_everything_is_stale_without_messages_on_the_endpoint(rig: Rig) -> None:
@@ -67,8 +71,8 @@ def test_everything_is_stale_without_messages_on_the_endpoint(rig: Rig) -> None:
     rig.add(TRANSFORM, JointTransform(), now_s)
     seen = rig.observe(now_s)
     assert not seen.is_fresh
-    assert (seen.overall.state, seen.joints["joint1"].state) == ("STALE", "STALE")
-    assert seen.overall.sentences == (f"no message on {STATE} for 0.4 s",)
+    assert (seen.state, seen.joints["joint1"]) == ("STALE", "STALE")
+    assert seen.causes == (Cause("STALE", f"no message on {STATE}"),)
     assert seen.scan is None
 
 
@@ -82,10 +86,9 @@ def test_slow_arm_is_silent_after_three_periods(rig: Rig) -> None:
 def test_joint_that_is_never_heard_of_becomes_silent(rig: Rig) -> None:
     rig.store.clear(since_s=1.0)
     rig.add(STATE, EndpointState(), 1.5)
-    assert rig.observe(1.5).joints["joint1"].state == "NO MESSAGE"
+    assert rig.observe(1.5).joints["joint1"] == "NO MESSAGE"
     rig.add(STATE, EndpointState(), 4.0)
-    joint = rig.observe(4.0).joints["joint1"]
-    assert (joint.state, joint.sentences) == ("SILENT", ("no transform in the 3 s of this page",))
+    assert rig.observe(4.0).joints["joint1"] == "SILENT"
 
 
 def test_joint_without_transforms_is_silent(rig: Rig) -> None:
@@ -94,8 +97,8 @@ def test_joint_without_transforms_is_silent(rig: Rig) -> None:
     rig.add(STATE, EndpointState(state=EndpointState.STATE_LOST, joint="joint1", reason=reason), 1.5)
     seen = rig.observe(1.5)
     assert seen.is_fresh
-    assert (seen.overall.state, seen.joints["joint1"].state) == ("LOST", "SILENT")
-    assert seen.joints["joint1"].sentences == ("no transform for 0.5 s", reason)
+    assert (seen.state, seen.joints["joint1"]) == ("LOST", "SILENT")
+    assert seen.causes == (Cause("LOST", "transform missing from a scan that the other joints sent", ("joint1",)),)
     assert seen.scan is None
 
 
@@ -103,15 +106,17 @@ def test_pose_of_a_lost_joint_is_not_used(rig: Rig) -> None:
     lost = JointTransform(state=JointTransform.STATE_LOST, faults=JointTransform.FAULT_RESIDUAL)
     rig.add_scan(1.0, EndpointState(state=EndpointState.STATE_LOST, joint="joint1", reason="joint1 is lost"), lost)
     seen = rig.observe(1.0)
-    assert seen.joints["joint1"].state == "LOST"
-    assert seen.joints["joint1"].sentences == ("RESIDUAL", "joint1 is lost")
+    assert seen.joints["joint1"] == "LOST"
     assert seen.scan is not None
     assert math.isnan(seen.scan.poses[0, 0])
 
 
 def test_joint_that_the_chain_refuses_is_not_ok(rig: Rig) -> None:
     rig.add_scan(1.0, EndpointState(state=EndpointState.STATE_LOST, joint="joint1", reason="joint1 has no covariance"))
-    assert rig.observe(1.0).joints["joint1"].state == "LOST"
+    seen = rig.observe(1.0)
+    assert seen.joints["joint1"] == "LOST"
+    assert seen.scan is not None
+    assert math.isnan(seen.scan.poses[0, 0])
 
 
 @pytest.mark.parametrize(
@@ -139,9 +144,9 @@ def test_diagnostics_of_the_joint_and_their_silence(rig: Rig) -> None:
         array.status.append(DiagnosticStatus(name=name, level=level, message=message))
     rig.add("/diagnostics", array, 1.0)
     rig.add_scan(1.0)
-    assert rig.observe(1.0).joints["joint1"].sentences == ("driver_node: late",)
+    assert rig.observe(1.0).reports[0] == Cause("WARNING", "driver_node: late", ("joint1",))
     rig.add_scan(5.0)
-    assert rig.observe(5.0).joints["joint1"].sentences == (
+    assert rig.observe(5.0).details["joint1"] == (
         "driver_node: no diagnostics for 4 s",
         "posor_node: no diagnostics for 4 s",
     )
@@ -152,7 +157,7 @@ def test_invalid_message_is_refused_with_a_sentence(rig: Rig) -> None:
     rig.store.add(STATE, 1.0, 0, b"\x00\x01\x00\x00" + bytes(10))
     seen = rig.observe(1.0)
     assert not seen.is_fresh
-    assert seen.overall.sentences[0].startswith(f"{STATE}: EndpointState: a message of 14 bytes ends within ")
+    assert seen.causes[0].text.startswith(f"{STATE}: EndpointState: a message of 14 bytes ends within ")
 
 
 def test_an_earlier_pause_does_not_hide_a_later_silence(rig: Rig) -> None:
@@ -163,3 +168,16 @@ def test_an_earlier_pause_does_not_hide_a_later_silence(rig: Rig) -> None:
     for number in range(10):
         rig.add_scan(61.0 + number * PERIOD_S)
     assert not rig.observe(61.1 + 2.0 * SILENCE_S).is_fresh
+
+
+def test_every_change_of_the_state_is_kept_although_few_messages_are_drawn(rig: Rig) -> None:
+    lost = EndpointState(state=EndpointState.STATE_LOST, joint="joint1", reason="joint1 is lost (FROZEN)")
+    for number, state in enumerate([EndpointState()] * 100 + [lost] + [EndpointState(age=1.0)] * 100):
+        rig.add(STATE, state, 1.0 + 0.001 * number)
+    changes = rig.store.take_changes()
+    assert [(round(each.received_ns / 1e6), each.values["state"]) for each in changes] == [
+        (1000, 0),
+        (1100, 2),
+        (1101, 0),
+    ]
+    assert rig.store.take_changes() == []

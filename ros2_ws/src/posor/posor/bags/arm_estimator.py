@@ -10,6 +10,7 @@ import numpy as np
 from posor.bags.block_synchroniser import BlockSynchroniser, joint_rows
 from posor.bags.reprocess_task import EndpointSummary, JointSummary
 from posor.calibration.shared_terms import check_same_terms
+from posor.chain.fault_bounds import EndpointBounds
 from posor.errors import ChainError
 from posor.estimation.estimate import Estimates
 from posor.estimation.posor import Posor
@@ -120,6 +121,8 @@ class EndpointPipeline:
         degraded: Number of poses that depend on a DEGRADED joint.
         unusable: Number of complete stamps without a pose, and of transforms with an invalid stamp.
         refused: The same, by the joint whose transform cannot be used.
+        bounds: Protection levels of the endpoints that ``estimate`` has returned last.
+        set_by: Names joint and cause that set each level of one of them, see ``EndpointEstimator.set_by``.
 
     """
 
@@ -152,6 +155,8 @@ class EndpointPipeline:
         self.frame = f"{parameters.endpoint_frame}_home" if self._relative else chain.base_frame
         self._effects = self._estimator.fault_effects.shape[1]
         self.synchroniser = BlockSynchroniser(self.joints, self._effects)
+        self.bounds = EndpointBounds.allocate(0)
+        self.set_by = self._estimator.set_by
         self.poses = self.degraded = self.unusable = 0
         self.refused = dict.fromkeys(self.joints, 0)
 
@@ -212,7 +217,8 @@ class EndpointPipeline:
                 self._home = endpoints.poses[int(np.argmax(sound))].copy()
             endpoints = endpoints.relative_to(self._home)
         poses, effects = (np.stack([each[name] for each in complete], axis=1) for name in ("pose", "fault_effects"))
-        levels = self._estimator.bound_all(endpoints, poses, effects, self._home).levels
+        bounds = self._estimator.bound_all(endpoints, poses, effects, self._home)
+        self.bounds = EndpointBounds(*(array[sound] for array in bounds))
         log_times_ns = np.max([each["log_time_ns"] for each in complete], axis=0)
         found = EndpointEstimates(
             log_times_ns,
@@ -222,7 +228,7 @@ class EndpointPipeline:
             endpoints.covariances_systematic,
             endpoints.angles,
             endpoints.stamp_shifts,
-            levels,
+            bounds.levels,
         )
         return found if sound.all() else found.select(sound)
 
