@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterator
-from functools import reduce
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as ET
@@ -44,6 +44,14 @@ RVIZ_TYPES = {  # type of the topic of each display
 }
 
 
+PLOTJUGGLER_SWITCHES = (
+    "use_header_stamp",
+    "discard_large_arrays",
+    "boolean_strings_to_number",
+    "remove_suffix_from_strings",
+)
+
+
 def test_usual_subscribers_receive_every_topic_and_views_name_existing_ones(tmp_path: Path) -> None:
     command = [*installed("posor_bringup", "bringup"), "test_rig", "--layout", "composed", "--output", str(tmp_path)]
     with Program(command) as program, Graph() as graph:
@@ -76,15 +84,42 @@ def check_views(folder: Path, topics: dict[str, str], base_frame: str) -> None:
     assert manager["Global Options"]["Fixed Frame"] == base_frame
     layout = json.loads(foxglove)
     assert layout["configById"]["3D!arm"]["followTf"] == base_frame
+    panels = set(layout["configById"])
+    assert set(texts_of(layout["layout"])) & panels == panels
     paths = [text for text in texts_of(layout) if text.startswith("/")]
     assert len(paths) >= 8
     for path in paths:
-        value_of(topics, path)
+        value_of(topics, path.partition(".@")[0])
+    plots = [each for name, each in layout["configById"].items() if name.startswith("Plot!")]
+    for plot in plots:
+        assert len({path["color"] for path in plot["paths"]}) == len(plot["paths"])
+        assert all("@mul(" in path["value"] for path in plot["paths"]) == ("[u" in plot["title"])
     root = ET.fromstring(plotjuggler)  # noqa: S314  written by this program
-    (selected,) = root.iter("selected_topics")
-    for curve in root.iter("curve"):
-        (topic,) = (name for name in selected.attrib["value"].split(";") if curve.attrib["name"].startswith(f"{name}/"))
-        assert isinstance(value_of(topics, topic + curve.attrib["name"][len(topic) :].replace("/", ".")), float | int)
+    plugin = root.find("./Plugins/plugin")
+    assert plugin is not None
+    keys = {each.tag: each.attrib["value"] for each in plugin}  # a missing key is read as false, or as 0
+    assert keys.pop("max_array_size") == "100"
+    selected = keys.pop("selected_topics").split(";")
+    assert keys == dict.fromkeys(PLOTJUGGLER_SWITCHES, "true")
+    formulas = {each.attrib["name"]: each for each in root.iter("snippet")}
+    for formula in formulas.values():
+        sources = [each.text or "" for each in formula.iter() if each.tag == "linked_source" or each.tag[:1] == "v"]
+        assert all(number_of_series(topics, selected, source) for source in sources)
+        text = formula.findtext("function") or ""
+        assert {f"v{number}" for number in range(1, len(sources))} <= set(re.findall(r"v\d", text))
+    shown = [curve.attrib["name"] for curve in root.iter("curve")]
+    assert len(shown) == len(set(shown))
+    assert set(formulas) <= set(shown)
+    assert sum("2 sigma" in name for name in shown) == 2 * 6
+    assert all(name in formulas or number_of_series(topics, selected, name) for name in shown)
+    for plot in root.iter("plot"):
+        assert len({curve.attrib["color"] for curve in plot}) == len(plot)
+
+
+def number_of_series(topics: dict[str, str], selected: list[str], series: str) -> bool:
+    """Return whether a time series of PlotJuggler is a number of a message of a selected topic."""
+    (topic,) = (name for name in selected if series.startswith(f"{name}/"))
+    return isinstance(value_of(topics, topic + series[len(topic) :].replace("/", ".")), float | int)
 
 
 def texts_of(content: Any) -> Iterator[str]:
@@ -98,6 +133,12 @@ def texts_of(content: Any) -> Iterator[str]:
 
 
 def value_of(topics: dict[str, str], path: str) -> Any:
-    """Return the default of ``/topic.field.field`` in the type that the topic has in the running graph."""
+    """Return the default of ``/topic.field.field[0]`` in the type that the topic has in the running graph."""
     topic, *fields = path.split(".")
-    return reduce(getattr, fields, message_class(topics[topic])())
+    value = message_class(topics[topic])()
+    for field in fields:
+        name, _, index = field.partition("[")
+        value = getattr(value, name)
+        if index:
+            value = float(value[int(index.rstrip("]"))])
+    return value

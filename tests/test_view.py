@@ -1,7 +1,8 @@
-"""The live page in Chromium: it follows the simulated arm, shows a killed driver in time, and no old pose as fresh."""
+"""The live page in Chromium: what is wrong, since when and where, in eight states of an arm; no old pose looks fresh."""
 
 from __future__ import annotations
 
+import csv
 import math
 import shutil
 import signal
@@ -10,8 +11,21 @@ from pathlib import Path
 
 import pytest
 from environment import THIS
-from make_screenshots import BROWSER, KILLED, opened_page, running_arm, wait_for_banner
-from posor_bringup.view_page import GREEN, GREY, RED
+from make_screenshots import (
+    BROWSER,
+    KILLED,
+    POSITIONS_S,
+    STATES_BAG,
+    CompressedTime,
+    opened_browser,
+    opened_page,
+    running_arm,
+    seek,
+    select_window,
+    wait_for_banner,
+)
+from playwright.sync_api import Page
+from posor_bringup.view_texts import GREEN, RED
 
 pytestmark = [
     pytest.mark.usefixtures("ros_domain"),
@@ -22,7 +36,7 @@ ARTIFACTS = THIS.root / "build" / "test_view"
 MAX_RED_S = 1.0  # of a quiet machine; the short test, which may run on a busy one, only prints the time
 MOVED_MM = 1.0
 PICTURE = "canvas[data-engine]"
-STATE = f"#joint-{KILLED} td:nth-child(2)"
+STATE = f"#joint-{KILLED} b"
 HAS_COLOUR = "([selector, colour]) => getComputedStyle(document.querySelector(selector)).color === colour"
 X = "parseFloat(document.querySelector('#endpoint tr:nth-child(2) td:nth-child(2)')?.innerText)"
 HAS_X, HAS_MOVED = f"() => {X} > 0 && {X}", f"([x, moved]) => Math.abs({X} - x) > moved"
@@ -31,7 +45,7 @@ HAS_X, HAS_MOVED = f"() => {X} > 0 && {X}", f"([x, moved]) => Math.abs({X} - x) 
 @pytest.mark.timeout(300)
 @pytest.mark.parametrize("max_red_s", [math.inf, pytest.param(MAX_RED_S, marks=pytest.mark.long)])
 def test_the_page_follows_the_arm_and_a_killed_driver_turns_its_joint_red(tmp_path: Path, max_red_s: float) -> None:
-    with running_arm(tmp_path) as arm, opened_page(arm.path, WIDTH, HEIGHT) as (page, view):
+    with running_arm(tmp_path) as arm, opened_page(str(arm.path), WIDTH, HEIGHT) as (page, view):
         page.set_default_timeout(60_000)
         x = page.wait_for_function(HAS_X, polling=50).json_value()  # a later x may be that of no pose
         picture = page.locator(PICTURE)
@@ -54,10 +68,95 @@ def test_the_page_follows_the_arm_and_a_killed_driver_turns_its_joint_red(tmp_pa
 
         arm.nodes.process.kill()
         wait_for_banner(page, "no message on /five_axis_checked/endpoint/state")
-        page.wait_for_function(HAS_COLOUR, arg=[STATE, _css(GREY)], polling=20)
+        wait_for_banner(page, ": STALE no pose since")
         assert page.inner_text(STATE) == "STALE"
         assert not page.evaluate(HAS_X)
         assert view.end(signal.SIGTERM) == 0
+
+
+JOINTS = "base_swivel, shoulder, elbow, wrist_roll, wrist_yaw"
+SHOWN = {  # texts of the banner, and of the lines of causes: state, joints and what is wrong, since when
+    "sound": (("OK since 00:00:00 UTC", "The endpoint is at x ", " mm in base, to within U = ", "5 of 5 joints"), []),
+    "one_joint_lost": (
+        ("LOST no pose since 00:00:02 UTC (0.8 s)", "The endpoint is not known: elbow: a reading is missing"),
+        [("LOST", "elbow a reading is missing or invalid (BAD_READING)", "00:00:02")],
+    ),
+    "unknown_pose": (
+        ("UNCOUNTED no pose since 00:00:02 UTC (3.8 s)", "The endpoint is not known: elbow: waiting for the home mark"),
+        [("UNCOUNTED", "elbow waiting for the home mark or another reference", "00:00:03")],
+    ),
+    "one_cause_on_five_joints": (
+        ("LOST no pose since 00:00:02 UTC", f"The endpoint is not known: {JOINTS}: supply or temperature out of range"),
+        [("LOST", f"{JOINTS} supply or temperature out of range or not measured (ENVIRONMENT)", "00:00:08")],
+    ),
+}
+CELLS = "rows => rows.map(row => [...row.children].map(cell => cell.innerText.trim()))"
+OVERLAPS = """() => {
+    const bar = document.querySelector('.mantine-ScrollArea-scrollbar[data-orientation="vertical"]');
+    const right = bar ? bar.getBoundingClientRect().left : document.documentElement.clientWidth;
+    return [...document.querySelectorAll('#banner, #causes td, #joints span, #charts text, #events td, #endpoint td')]
+        .filter(each => each.getBoundingClientRect().right > right).map(each => each.textContent);
+}"""
+"""Texts that reach under the scroll bar."""
+
+
+@pytest.mark.timeout(120)
+def test_replay_says_what_is_wrong_where_and_since_when_on_the_time_axis_of_the_bag() -> None:
+    with opened_page(STATES_BAG.name, 1200, 700, "--bag", str(STATES_BAG)) as (page, view):
+        wait_for_banner(page, STATES_BAG.name)
+        page.locator(PICTURE).evaluate("picture => picture.style.display = 'none'")
+        assert page.text_content("#date") == "2026-01-01 UTC"
+        assert page.text_content("#charts .tick >> nth=0") == "00:00:00"
+        for state, position_s in POSITIONS_S.items():
+            seek(page, position_s)
+            (begin, *texts), causes = SHOWN[state]
+            wait_for_banner(page, begin)
+            banner = page.inner_text("#banner")
+            assert all(text in banner for text in texts), banner
+            assert [tuple(row) for row in cells(page, "#causes .cause")] == causes
+            assert page.evaluate(OVERLAPS) == []
+        assert view.end(signal.SIGTERM) == 0
+
+
+@pytest.mark.timeout(120)
+def test_page_that_is_opened_again_finds_the_history_and_the_events_of_a_night(tmp_path: Path) -> None:
+    past = CompressedTime(tmp_path)
+    for state, seconds in (("sound", 1800.0), ("one_joint_lost", 90.0), ("sound", 600.0), ("silent", 300.0)):
+        past.pass_time(state, seconds, 5.0)
+    past.pass_time("one_cause_on_five_joints", 240.0, 5.0)
+    past.pass_time("sound", 9 * 3600.0, 30.0)
+    past.show("sound")
+    with opened_browser(1200, 700) as page:
+        for _ in range(2):
+            page.goto(past.page.address)
+            wait_for_banner(page, ": OK since 2026-01-01 20:51:00 UTC (8 h 59 min)")
+            assert [(row[1], row[3]) for row in cells(page, "#events .event")] == [
+                (JOINTS, "4 min 25 s"),
+                ("", "5 min 5 s"),
+                ("elbow", "1 min 30 s"),
+            ]
+            page.locator(PICTURE).evaluate("picture => picture.style.display = 'none'")
+        select_window(page, "12 h")
+        while page.text_content("#charts .tick >> nth=0") != "20:00":  # the time limit of the test ends it
+            past.show("sound")
+            page.wait_for_timeout(200.0)
+        assert page.locator("#charts line[stroke-dasharray='4 3']").count() == 1  # begin of the run after the silence
+        assert page.evaluate(OVERLAPS) == []
+        with page.expect_download() as download:
+            page.get_by_text("download the events").click()
+        rows = list(csv.DictReader(Path(download.value.path()).read_text(encoding="utf-8").splitlines()))
+        assert [(row["state"], row["joints"], row["duration_s"]) for row in rows] == [
+            ("LOST", "elbow", "90.000"),
+            ("STALE", "", "305.000"),
+            ("LOST", JOINTS.replace(",", ""), "265.000"),
+        ]
+    past.page.close()
+
+
+def cells(page: Page, rows: str) -> list[list[str]]:
+    """Return the texts of the cells of some rows."""
+    found: list[list[str]] = page.locator(rows).evaluate_all(CELLS)
+    return found
 
 
 def _css(colour: tuple[int, int, int]) -> str:

@@ -161,7 +161,10 @@ def close_notice(page: Page) -> None:
 
 def seek(page: Page, position_s: float) -> None:
     """Stop a replay, and move it to a position [s]."""
-    page.get_by_label("play").uncheck()
+    play = page.get_by_label("play")
+    while play.is_checked():  # a replay that ends meanwhile stops itself
+        play.dispatch_event("click")
+        page.wait_for_timeout(300.0)
     number = page.locator("input.mantine-NumberInput-input").first
     number.fill(f"{position_s:.2f}")
     number.press("Enter")

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from posor.bags.result_folder import writing
 
+from posor_bringup.view_charts import distinct_colours
+
 if TYPE_CHECKING:
     from pathlib import Path
 
@@ -27,7 +29,12 @@ def write_views(arm: ArmFile, folder: Path) -> dict[str, Path]:
         keep_trailing_newline=True,
         autoescape=False,  # noqa: S701  names of ROS need no escapes
     )
-    names = {"arm": arm.name, "base": arm.chain().base_frame, "joints": list(arm.calibrations)}
+    names = {
+        "colours": distinct_colours,
+        "arm": arm.name,
+        "base": arm.chain().base_frame,
+        "joints": list(arm.calibrations),
+    }
     files = {tool: folder / name for tool, name in VIEWS.items()}
     with writing(folder):
         for path in files.values():

@@ -5,6 +5,7 @@ Browsers show the picture as it is, so that neither the time zone of a browser n
 
 from __future__ import annotations
 
+import colorsys
 from itertools import pairwise
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -30,13 +31,16 @@ NO_GAP = 3.5  # widths of a point, up to which neighbours are joined by a line
 FORMER = 0.3  # opacity of the points of former runs
 
 
+NO_BAND = -1  # instead of a column
+
+
 class Series(NamedTuple):
     """One curve."""
 
     label: str
     colour: str
     column: int  # of its quantity in the points
-    two_sigma: int = -1  # column of the half-width of its band; -1: no band
+    two_sigma: int = NO_BAND  # column of the half-width of its band
 
 
 class Chart(NamedTuple):
@@ -58,6 +62,12 @@ class Axis(NamedTuple):
     def x(self, time_s: FloatArray) -> FloatArray:
         """Return the place of times in the picture."""
         return LEFT + (WIDTH - LEFT - RIGHT) * (time_s - self.begin_s) / (self.end_s - self.begin_s)
+
+
+def distinct_colours(count: int) -> list[str]:
+    """Return colours of curves in one chart, each of another hue."""
+    parts = (colorsys.hls_to_rgb(number / max(count, 3), 0.4, 0.75) for number in range(count))
+    return ["#" + "".join(f"{round(255 * part):02x}" for part in each) for each in parts]
 
 
 def draw_charts(
@@ -117,7 +127,7 @@ def _chart(chart: Chart, top: int, x: FloatArray, points: Points, run: int) -> I
     bands = [
         (points.low[:, each.column] - band, points.high[:, each.column] + band)
         for each in chart.series
-        for band in [np.nan_to_num(points.high[:, each.two_sigma]) if each.two_sigma >= 0 else np.zeros(len(x))]
+        for band in [np.nan_to_num(points.high[:, each.two_sigma]) if each.two_sigma != NO_BAND else np.zeros(len(x))]
     ]
     ticks, low, high = _value_ticks([value for band in bands for value in band], chart.limit)
 
@@ -144,7 +154,7 @@ def _chart(chart: Chart, top: int, x: FloatArray, points: Points, run: int) -> I
                 continue
             part = slice(begin, end)
             pale = f' opacity="{FORMER}"' if points.runs[begin] != run else ""
-            if each.two_sigma >= 0:
+            if each.two_sigma != NO_BAND:
                 outline = _outline(x[part], y(lower[part]), y(upper[part]))
                 yield f'<path class="band" d="{outline}" fill="{each.colour}" fill-opacity="0.18"{pale}/>'
             outline = _outline(x[part], y(points.low[part, each.column]), y(points.high[part, each.column]))

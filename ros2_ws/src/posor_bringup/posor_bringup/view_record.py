@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from posor.numerics.stamps import NS
 
-from posor_bringup.view_charts import Chart, Series
+from posor_bringup.view_charts import NO_BAND, Chart, Series, distinct_colours
 from posor_bringup.view_events import DEGRADED, EVENTS, OK, SEVERITY, Cause, EventLog, severity
 from posor_bringup.view_history import History
 
@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from posor_bringup.view_observation import Observation
 
 WINDOWS_S = {"30 s": 30.0, "10 min": 600.0, "1 h": 3600.0, "12 h": 43200.0}
-COLOURS = ("#d62728", "#2ca02c", "#1f77b4", "#e08214", "#9467bd", "#8c564b", "#00a0b0", "#666666")
-"""Of the curves, each of them different in one chart; with more joints the colours return."""
 RESTART_S = 3.0  # pause after which points belong to another run; a busy host makes shorter ones
 
 
@@ -46,13 +44,13 @@ class ArmRecord:
     """
 
     def __init__(self, joints: Sequence[str], windows_s: Sequence[float]) -> None:
-        colours = [COLOURS[number % len(COLOURS)] for number in range(len(joints))]
-        deviations = [Series(name, COLOURS[number], number, 3 + number) for number, name in enumerate("xyz")]
-        residuals = [Series(name, colours[number], 6 + number) for number, name in enumerate(joints)]
-        latencies = [
-            Series(name, COLOURS[number], 6 + len(joints) + number)
-            for number, name in enumerate(("publication", "reception"))
-        ]
+        def series(names: Sequence[str], first: int, two_sigma: Sequence[int] = ()) -> list[Series]:
+            colours, bands = distinct_colours(len(names)), two_sigma or [NO_BAND] * len(names)
+            parts = zip(names, colours, range(first, first + len(names)), bands, strict=True)
+            return [Series(*part) for part in parts]
+
+        deviations = series("xyz", 0, (3, 4, 5))
+        residuals, latencies = series(joints, 6), series(("publication", "reception"), 6 + len(joints))
         self.charts = (
             *(Chart(f"{each.label} from nominal [um], band: 2 sigma", (each,), 56) for each in deviations),
             Chart("chi-square / limit", residuals, 70, 1.0),
