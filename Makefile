@@ -128,6 +128,7 @@ data: setup
 	@$(IN_WORKSPACE) data/arms/make_arm_calibrations.py
 	@$(IN_WORKSPACE) bags/make_bags.py
 	@$(IN_WORKSPACE) bags/make_arm_bag.py
+	@$(IN_WORKSPACE) bags/make_view_bag.py
 
 docs: setup
 	@$(IN_WORKSPACE) tools/document_parameters.py

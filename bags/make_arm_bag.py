@@ -18,15 +18,13 @@ from posor.bags.bag_writer import replace_bag
 from posor.bags.reprocess_task import Settings
 from posor.errors import PosorError
 from posor.messages.message_definitions import MessageTypes
-from posor.messages.raw_scan import RecordedScans
-from posor.model.scan import Scans
 from posor.numerics.stamps import tick_stamp_ns
 from posor.ros_names import ENDPOINT_TOPIC, POSE_STAMPED, RAW_SCAN, RAW_TOPIC
 from posor_bringup.arms import load_checked_arm
 from posor_drivers.message_builder import SimulatedMessages
 from posor_drivers.simulator.arm_simulation import ArmSimulation
 from posor_drivers.sources.source import SourceMessage, Topic
-from posor_lab.harness.message_conversion import scan_from_message
+from posor_lab.harness.message_conversion import recorded_scans
 from posor_msgs.msg import RawScan
 from posor_ros.qos import RELIABLE_QOS, SENSOR_QOS
 from rclpy.serialization import deserialize_message
@@ -56,20 +54,6 @@ def arm_endpoints(arm: ArmFile, scans: Mapping[str, Sequence[RawScan]]) -> Endpo
     """
     estimator = ArmEstimator(Settings.of_arm(arm))
     return estimator.estimate_block({joint: [recorded_scans(each)] for joint, each in scans.items()}).endpoint
-
-
-def recorded_scans(messages: Sequence[RawScan]) -> RecordedScans:
-    """Return raw scans as they are read from a bag; all have the same readings."""
-    scans = Scans.of([scan_from_message(message) for message in messages])
-    stamps = [(message.header.stamp.sec, message.header.stamp.nanosec) for message in messages]
-    return RecordedScans(
-        log_times_ns=scans.stamps_ns,
-        order=np.arange(len(messages)),
-        scans=scans,
-        header_stamps=np.array(stamps, dtype=np.int64),
-        statuses=np.array([message.status for message in messages], dtype=np.int64),
-        frame=messages[0].header.frame_id,
-    )
 
 
 class ArmBag:

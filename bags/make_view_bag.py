@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from make_arm_bag import HERE, START_S, recorded_scans
 from posor.bags.arm_estimator import ArmEstimator
 from posor.bags.bag_writer import replace_bag
 from posor.bags.reprocess_task import Settings
@@ -30,6 +29,7 @@ from posor_bringup.view_recording import Recording
 from posor_drivers.message_builder import SimulatedMessages
 from posor_drivers.simulator.arm_simulation import ArmSimulation
 from posor_drivers.simulator.faults import SimulatedFault
+from posor_lab.harness.message_conversion import recorded_scans
 from posor_msgs.msg import RawScan
 from posor_ros.qos import RELIABLE_QOS
 from rclpy.serialization import deserialize_message
@@ -37,7 +37,10 @@ from rclpy.serialization import deserialize_message
 if TYPE_CHECKING:
     from posor.estimation.estimate import Estimates
 
+HERE = Path(__file__).resolve().parent
 ARM = "five_axis_checked"
+START_S = 1_767_225_600
+"""2026-01-01 00:00:00 UTC, the beginning of a cycle of the scenario."""
 JOINTS = ("base_swivel", "shoulder", "elbow", "wrist_roll", "wrist_yaw")
 EVERY = 25  # scans, of which one is kept
 FAULTS = (  # joint, kind, channel, begin and end [s], volts; of all joints: a supply voltage above its range
@@ -51,7 +54,7 @@ def simulated_fault(
     joint: str, kind: str, channel: str | None, begin_s: float, end_s: float, volts: float | None
 ) -> SimulatedFault:
     """Return a fault of the simulator."""
-    entry = {"joint": joint, "kind": kind, "channel": channel}
+    entry: dict[str, object] = {"joint": joint, "kind": kind, "channel": channel}
     entry |= {"from": {"value": begin_s, "unit": "s"}, "until": {"value": end_s, "unit": "s"}}
     return SimulatedFault.model_validate(entry | ({} if volts is None else {"size": {"value": volts, "unit": "V"}}))
 
@@ -86,7 +89,8 @@ def main(folder: Path) -> None:
     transforms = {name: each._replace(causes=JointCauses()) for name, each in estimator.transforms.items()}
     with replace_bag(folder / ARM) as writer:
         recording = Recording(writer, arm, estimator, transforms)
-        recording.write(thinned, EndpointBounds(*(array[which] for array in recording.endpoint.bounds)))
+        bounds = recording.endpoint.bounds
+        recording.write(thinned, EndpointBounds(bounds.levels[which], bounds.joints[which], bounds.causes[which]))
         recording.finish()
         encoders = make.topics.encoders
         writer.add_topic(encoders.name, JOINT_STATE, types.definition(JOINT_STATE), [RELIABLE_QOS])

@@ -159,7 +159,7 @@ def test_no_arrangement_of_a_recording_costs_anything(
 
 def test_the_live_page_shows_the_same_pose_of_a_split_bag(records: list[Record], tmp_path: Path) -> None:
     bags = [write(tmp_path / "bag", ARRANGEMENTS["lexical"](records)), BAG]
-    shown = [BagTopics(bag, load_checked_arm("five_axis")) for bag in bags]
+    shown = [BagTopics(bag, load_checked_arm("five_axis"), tmp_path / bag.name / "estimated") for bag in bags]
     for topics in shown:
         topics.seek(6.5)
     found, expected = ([each.stamp_ns for each in page.store.messages(page.topics.endpoint)] for page in shown)

@@ -99,19 +99,19 @@ def check_views(folder: Path, topics: dict[str, str], base_frame: str) -> None:
     assert plugin is not None
     keys = {each.tag: each.attrib["value"] for each in plugin}  # a missing key is read as false, or as 0
     assert keys.pop("max_array_size") == "100"
-    selected = keys.pop("selected_topics").split(";")
+    topics_of_curves = keys.pop("selected_topics").split(";")
     assert keys == dict.fromkeys(PLOTJUGGLER_SWITCHES, "true")
     formulas = {each.attrib["name"]: each for each in root.iter("snippet")}
     for formula in formulas.values():
         sources = [each.text or "" for each in formula.iter() if each.tag == "linked_source" or each.tag[:1] == "v"]
-        assert all(number_of_series(topics, selected, source) for source in sources)
+        assert all(number_of_series(topics, topics_of_curves, source) for source in sources)
         text = formula.findtext("function") or ""
         assert {f"v{number}" for number in range(1, len(sources))} <= set(re.findall(r"v\d", text))
-    shown = [curve.attrib["name"] for curve in root.iter("curve")]
-    assert len(shown) == len(set(shown))
-    assert set(formulas) <= set(shown)
-    assert sum("2 sigma" in name for name in shown) == 2 * 6
-    assert all(name in formulas or number_of_series(topics, selected, name) for name in shown)
+    curves = [curve.attrib["name"] for curve in root.iter("curve")]
+    assert len(curves) == len(set(curves))
+    assert set(formulas) <= set(curves)
+    assert sum("2 sigma" in name for name in curves) == 2 * 6
+    assert all(name in formulas or number_of_series(topics, topics_of_curves, name) for name in curves)
     for plot in root.iter("plot"):
         assert len({curve.attrib["color"] for curve in plot}) == len(plot)
 

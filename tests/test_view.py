@@ -1,4 +1,4 @@
-"""The live page in Chromium: what is wrong, since when and where, in eight states of an arm; no old pose looks fresh."""
+"""The live page in Chromium: what is wrong, since when and where, in eight states; no old pose looks fresh."""
 
 from __future__ import annotations
 

@@ -8,12 +8,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 from geometry_msgs.msg import Pose
 from posor.estimation.estimate import ESTIMATE, estimate_of
+from posor.messages.raw_scan import RecordedScans
 from posor.model.fault import USABLE_STATES
 from posor.model.scan import Scan, Scans, split_by_diode
 from posor.numerics.stamps import time_ns
 from posor_msgs.msg import EndpointState, JointTransform, RawScan
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     import pinocchio as pin
     from numpy.typing import NDArray
     from posor.estimation.estimate import Estimate
@@ -37,6 +40,20 @@ def scan_from_message(message: RawScan) -> Scan:
         reference_voltage=message.reference_voltage,
         at_home=bool(message.status & RawScan.STATUS_HOME_BUMP),
         status=message.status,
+    )
+
+
+def recorded_scans(messages: Sequence[RawScan]) -> RecordedScans:
+    """Return raw scans as they are read from a bag; all have the same readings."""
+    scans = Scans.of([scan_from_message(message) for message in messages])
+    stamps = [(message.header.stamp.sec, message.header.stamp.nanosec) for message in messages]
+    return RecordedScans(
+        log_times_ns=scans.stamps_ns,
+        order=np.arange(len(messages)),
+        scans=scans,
+        header_stamps=np.array(stamps, dtype=np.int64),
+        statuses=np.array([message.status for message in messages], dtype=np.int64),
+        frame=messages[0].header.frame_id,
     )
 
 

@@ -23,7 +23,7 @@ from posor_ros.node_program import non_ros_arguments, ros_context
 from posor_bringup.arms import installed_arms, load_checked_arm
 from posor_bringup.view_geometry import ArmGeometry
 from posor_bringup.view_history import POINTS
-from posor_bringup.view_messages import ArmTopics, BagTopics, LiveTopics, MessageStore
+from posor_bringup.view_messages import BLOCK_S, LEAD_S, ArmTopics, BagTopics, LiveTopics, MessageStore
 from posor_bringup.view_observation import Observer
 from posor_bringup.view_page import ViewPage
 from posor_bringup.view_record import WINDOWS_S, ArmRecord
@@ -108,6 +108,7 @@ def _follow_arm(arm: ArmFile, geometry: ArmGeometry, options: Namespace, stop: S
 
 
 def _replay_bag(arm: ArmFile, geometry: ArmGeometry, options: Namespace, stop: StopSignal) -> None:
+    print(f"{arm.name}: reading {options.bag}", flush=True)
     with TemporaryDirectory() as folder:
         bag = BagTopics(options.bag, arm, Path(folder))
         observer = Observer(bag.topics, bag.store, geometry.joints)
@@ -130,8 +131,9 @@ def read_record(bag: BagTopics, observer: Observer, geometry: ArmGeometry) -> Ar
     record = ArmRecord(geometry.joints, [max(bag.duration_s, POINTS * PERIOD_S)])
     changes = bag.states()
     change = next(changes, None)
+    step_s = bag.duration_s / POINTS
     for position_s in np.linspace(0.0, bag.duration_s, POINTS + 1):
-        observation = _observe_bag(bag, observer, position_s)
+        observation = _observe_bag(bag, observer, position_s, BLOCK_S if step_s < LEAD_S else 0.0)
         while change is not None and change.received_ns <= observation.time_ns:
             _record(record, observer, (change,))
             change = next(changes, None)
@@ -140,8 +142,8 @@ def read_record(bag: BagTopics, observer: Observer, geometry: ArmGeometry) -> Ar
     return record
 
 
-def _observe_bag(bag: BagTopics, observer: Observer, position_s: float) -> Observation:
-    bag.seek(position_s)
+def _observe_bag(bag: BagTopics, observer: Observer, position_s: float, ahead_s: float = BLOCK_S) -> Observation:
+    bag.seek(position_s, ahead_s)
     return observer.observe(position_s, bag.begin_ns + round(position_s * NS))
 
 

@@ -210,7 +210,7 @@ def duration_text(seconds: float) -> str:
     """Return a duration with two units at most, such as ``3 min 20 s``."""
     if seconds < 60.0:  # noqa: PLR2004  a minute
         return f"{seconds:.1f} s"
-    rest, parts = int(seconds), []
+    rest, parts = int(seconds), list[str]()
     for unit, size in (("d", 86400), ("h", 3600), ("min", 60), ("s", 1)):
         count, rest = divmod(rest, size)
         if count or parts:

@@ -15,7 +15,6 @@ import pinocchio as pin
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
-    from collections.abc import Set as AbstractSet
 
     from posor.chain.arm_file import ArmFile
     from posor.numerics.array_types import FloatArray
@@ -88,12 +87,14 @@ class ArmGeometry:
         angles = np.where(np.isnan(scan.encoders), estimator.angles, scan.encoders)
         nominal = self._nominal(np.nan_to_num(angles))
         if not has_pose:
-            known = np.isfinite(scan.poses).all(axis=1)
-            parts = zip(scan.poses, nominal, strict=False)
-            measured = [pin.XYZQUATToSE3(pose) if usable else T for (pose, T), usable in zip(parts, known, strict=True)]
-            measured += nominal[len(measured) :]  # the beams
-            lost = {child for (_, child), usable in zip(self.ends, known, strict=False) if not usable}
-            return DrawnArm(nominal, measured, self._beyond(lost), np.full(6, np.nan))
+            measured, lost = list(nominal), set()
+            for number, pose in enumerate(scan.poses):
+                if np.isfinite(pose).all():
+                    measured[number] = pin.XYZQUATToSE3(pose)
+                else:
+                    lost.add(self.ends[number][1])
+            unknown = {link for link, path in self._paths.items() if lost.intersection(path)}
+            return DrawnArm(nominal, measured, frozenset(unknown) or self.links, np.full(6, np.nan))
         measured = [pin.XYZQUATToSE3(pose) for pose in (*estimator.poses, *estimator.beam_transforms)]
         # The published pose knows the accelerations of the beams too; with ``reference: home`` it is not in the base.
         is_same = endpoint.stamp_ns == scan.stamp_ns and endpoint.frame == self.base
@@ -103,10 +104,6 @@ class ArmGeometry:
         turn = pin.log3(T_base_endpoint.rotation @ T_nominal.rotation.T)
         deviation = np.concatenate([T_base_endpoint.translation - T_nominal.translation, turn])
         return DrawnArm(nominal, measured, frozenset(), deviation)
-
-    def _beyond(self, lost: AbstractSet[str]) -> frozenset[str]:
-        """Return some links and all that hang on them; without any of these all links."""
-        return frozenset(link for link, path in self._paths.items() if lost.intersection(path)) or self.links
 
     def place(self, link: str, transforms: Sequence[pin.SE3]) -> pin.SE3:
         """Return the pose of a link in the base, from the poses of joints and beams."""

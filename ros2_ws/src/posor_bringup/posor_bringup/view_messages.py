@@ -256,9 +256,9 @@ class BagTopics:
         filled = _filled_topics(path)
         found = [topic for topic in ENDPOINT_TOPICS if f"/{arm.name}/{topic}" in filled]
         topics = ArmTopics(arm, found[0] if found else ENDPOINT_STATE_TOPIC)
-        raw = [f"/{joint}/{RAW_TOPIC}" for joint in arm.calibrations]
+        raw = {f"/{arm.name}/{joint}/{RAW_TOPIC}" for joint in arm.calibrations}
         lacks = not {f"/{arm.name}/{ENDPOINT_STATE_TOPIC}", *topics.transforms.values()} <= filled
-        if lacks and all(any(name.endswith(each) for name in filled) for each in raw):
+        if lacks and raw <= filled:
             topics = ArmTopics(arm)
             others = [topic for topic in topics.types if topic not in {topics.endpoint, *topics.transforms.values()}]
             _check_types(path, topics, others)
@@ -290,10 +290,13 @@ class BagTopics:
                 store.add(each.topic, 0.0, time_ns, bytes(data))
                 yield from store.take_changes()
 
-    def seek(self, position_s: float) -> None:
-        """Store the messages up to a position [s] after the beginning. Raises BagError: the bag is damaged there."""
+    def seek(self, position_s: float, ahead_s: float = BLOCK_S) -> None:
+        """Store the messages up to a position [s] after the beginning.
+
+        ``ahead_s``: time after the position that is read with it. Raises BagError: the bag is damaged there.
+        """
         if not self._block_s[0] <= position_s <= self._block_s[1] or not self._loaded:
-            self._load(position_s)
+            self._load(position_s, ahead_s)
         if not self._position_s <= position_s < self._position_s + LEAD_S:
             self.store.clear()
             self._position_s = position_s - LEAD_S
@@ -305,14 +308,14 @@ class BagTopics:
             self.store.add(topic, (time_ns - self.begin_ns) / NS, time_ns, data)
         self._position_s = position_s
 
-    def _load(self, position_s: float) -> None:
-        """Read the messages from ``LEAD_S`` before a position to ``BLOCK_S`` after it."""
-        begin, end = (self.begin_ns + round((position_s + each) * NS) for each in (-LEAD_S, BLOCK_S))
+    def _load(self, position_s: float, ahead_s: float) -> None:
+        """Read the messages from ``LEAD_S`` before a position to some time after it."""
+        begin, end = (self.begin_ns + round((position_s + each) * NS) for each in (-LEAD_S, ahead_s))
         with opened_bag(self._path) as reader:
             selected = [connection for connection in reader.connections if connection.topic in self.topics.types]
             messages = reader.messages(selected, start=begin, stop=end + 1)
             self._loaded = [(time_ns, each.topic, bytes(data)) for each, time_ns, data in messages]
-        self._block_s = position_s, position_s + BLOCK_S
+        self._block_s = position_s, position_s + ahead_s
 
 
 def _filled_topics(path: Path) -> set[str]:

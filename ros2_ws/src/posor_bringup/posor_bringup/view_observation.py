@@ -101,8 +101,10 @@ class Observer:
             return Observation(time_ns, is_fresh=False, state=NO_MESSAGE, causes=(cause,), joints=joints)
         endpoint = self._endpoint(values, messages[-1])
         if self._silence_s(topic, now_s) > 0.0:
-            causes, joints = (Cause("STALE", f"no message on {topic}"),), dict.fromkeys(self._joints, "STALE")
-            return Observation(time_ns, is_fresh=False, state="STALE", causes=causes, endpoint=endpoint, joints=joints)
+            cause, joints = Cause("STALE", f"no message on {topic}"), dict.fromkeys(self._joints, "STALE")
+            return Observation(
+                time_ns, is_fresh=False, state="STALE", causes=(cause,), endpoint=endpoint, joints=joints
+            )
         joints = {name: self._joint(name, values, now_s) for name in self._joints}
         state = _state_name(values["state"]) if self._has_state else NO_STATE
         causes = self._causes(state, values, joints)

@@ -6,6 +6,7 @@ known, because nothing was published.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -23,7 +24,7 @@ from posor.messages.message_definitions import MessageTypes
 from posor.messages.message_table import TableLayout
 from posor.model.fault import State
 from posor.numerics.stamps import NS
-from posor.ros_names import ENDPOINT_STATE, ENDPOINT_STATE_TOPIC, JOINT_TRANSFORM, TRANSFORM_TOPIC
+from posor.ros_names import ENDPOINT_STATE, ENDPOINT_STATE_TOPIC, JOINT_TRANSFORM, RAW_TOPIC, TRANSFORM_TOPIC
 from posor_estimator.endpoint_verdict import SOUND, JointStatus, degraded_verdict, unusable_verdict
 from posor_ros.qos import RELIABLE_QOS
 
@@ -152,7 +153,8 @@ def estimate_raw_scans(bag: Path, arm: ArmFile, folder: Path, copied: Iterable[s
     ``copied``: topics whose messages are taken over. Raises PosorError: the bag or a file of the arm cannot be used.
     """
     settings = Settings.of_arm(arm)
-    topics, estimator, types = topics_of(bag, settings.joints), ArmEstimator(settings), MessageTypes()
+    joints = {name: replace(each, topic=f"/{arm.name}/{name}/{RAW_TOPIC}") for name, each in settings.joints.items()}
+    topics, estimator, types = topics_of(bag, joints), ArmEstimator(settings), MessageTypes()
     with BagWriter(folder / arm.name) as writer:
         recording = Recording(writer, arm, estimator, estimator.transforms)
         with opened_bag(bag) as reader:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from posor_bringup.view_charts import Axis, Chart, Series, draw_charts
 from posor_bringup.view_history import POINTS, History
-from posor_bringup.view_record import STATE_COLOURS
+from posor_bringup.view_record import STATE_COLOURS, ArmRecord, Since
 
 T0_S = 1_767_225_600.0
 CHARTS = (
@@ -94,3 +94,20 @@ def test_strip_shows_the_worst_state_of_each_part() -> None:
 def test_charts_without_points_are_empty() -> None:
     picture = drawn(History(4, (30.0,)), Axis(T0_S, T0_S + 30.0))
     assert not list(picture.iter("path"))
+
+
+def test_another_identity_is_another_run() -> None:
+    record = ArmRecord(["elbow"], (30.0,))
+    for second, identity in enumerate(("a" * 64, "", "a" * 64, "b" * 64)):
+        record.add_state(second * 1_000_000_000, "OK", [], identity)
+    (event,) = record.log.events()
+    assert event.cause.text == "the arm has changed: identity aaaaaaaa became bbbbbbbb"
+    assert record.history.run == 1
+
+
+def test_time_since_which_the_endpoint_is_unusable_covers_all_states_without_a_pose() -> None:
+    record = ArmRecord(["elbow"], (30.0,))
+    for second, state in enumerate(("OK", "LOST", "STALE", "UNCOUNTED", "DEGRADED", "OK", "OK")):
+        record.add_state(second, state, [], "")
+    found = [record.since(second) for second in range(7)]
+    assert found == [Since(begin, begin == 0) for begin in (0, 1, 1, 1, 4, 5, 5)]

@@ -35,6 +35,7 @@ def refusal(capfd: pytest.CaptureFixture[str], *arguments: object) -> tuple[int,
             ["five_axis", "--bag", bag_path("ymo")],
             r".*ymo: there is no endpoint of arm five_axis; expected messages on one of /five_axis/endpoint/.*\.",
         ),
+        (["six_axis", "--bag", BAG], r".*five_axis_checked: there is no endpoint of arm six_axis; expected .*\."),
     ],
 )
 def test_wrong_option_is_refused_with_one_sentence(
@@ -75,6 +76,10 @@ def test_positions_of_a_bag_forth_and_back(tmp_path: Path) -> None:
         assert seen.state == state
         assert seen.endpoint is not None
         stamps.append(seen.endpoint.stamp_ns)
+    bag.seek(9.0, 0.0)
+    seen = observer.observe(9.0, bag.begin_ns + 9_000_000_000)
+    assert seen.endpoint is not None
+    assert seen.endpoint.stamp_ns == stamps[2]
     assert stamps[0] == stamps[-1]
     assert stamps[1] - stamps[0] == 250_000_000
     assert stamps[2] - stamps[0] == 8_000_000_000

@@ -218,7 +218,7 @@ class EndpointPipeline:
             endpoints = endpoints.relative_to(self._home)
         poses, effects = (np.stack([each[name] for each in complete], axis=1) for name in ("pose", "fault_effects"))
         bounds = self._estimator.bound_all(endpoints, poses, effects, self._home)
-        self.bounds = EndpointBounds(*(array[sound] for array in bounds))
+        self.bounds = EndpointBounds(bounds.levels[sound], bounds.joints[sound], bounds.causes[sound])
         log_times_ns = np.max([each["log_time_ns"] for each in complete], axis=0)
         found = EndpointEstimates(
             log_times_ns,
