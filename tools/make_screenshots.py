@@ -308,8 +308,11 @@ def _draw_view() -> None:
         wait_for_banner(page, ": OK")
         close_notice(page)
         print(f"view while it is shown: {processor_share(view.process.pid, CHARTS_S):.1f} % of a core")
-        wait_for_banner(page, ": OK")
-        page.screenshot(path=IMAGES / "view_five_axis.png", timeout=60_000)
+        while True:  # a busy host makes the arm miss scans
+            wait_for_banner(page, ": OK")
+            page.screenshot(path=IMAGES / "view_five_axis.png", timeout=60_000)
+            if ": OK" in page.inner_text("#banner"):
+                break
         arm.driver.process.kill()
         wait_for_banner(page, ": LOST")
         time.sleep(1.0)

@@ -120,6 +120,7 @@ class Event:
     begin_ns: int  # first scan with the cause
     end_ns: int | None = None  # first scan without; None: the cause is present
     count: int = 1  # how often it has begun
+    newest_ns: int = 0  # when it has begun last
 
     def lasted_s(self, now_ns: int) -> float:
         """Return the time from begin to end, or until now [s]."""
@@ -152,11 +153,12 @@ class EventLog:
                 continue
             event = self._events.get(self._latest.get((source, key), -1))
             if event is None or (event.end_ns is not None and not 0 <= now_ns - event.end_ns <= MERGE_S * NS):
-                self._add(source, Event(cause, now_ns))
+                self._add(source, Event(cause, now_ns, newest_ns=now_ns))
             else:
                 both = merge_causes([event.cause, cause])[0]
-                count = event.count + (event.end_ns is not None)
-                self._events[self._latest[source, key]] = replace(event, cause=both, end_ns=None, count=count)
+                if event.end_ns is not None:
+                    event = replace(event, count=event.count + 1, newest_ns=now_ns)
+                self._events[self._latest[source, key]] = replace(event, cause=both, end_ns=None)
         self._present[source] = present
 
     def note(self, now_ns: int, text: str) -> None:
@@ -174,11 +176,11 @@ class EventLog:
             self._latest = {key: number for key, number in self._latest.items() if number >= first}
 
     def begin_ns(self, cause: Cause, time_ns: int) -> int:
-        """Return when a cause that is present at a time has begun [ns]."""
-        found = (
-            event.begin_ns for event in self.events() if event.begin_ns <= time_ns and event.cause.key == cause.key
-        )
-        return next(found, time_ns)
+        """Return when a cause that is present at a time has begun last [ns]."""
+        for event in self.events():
+            if event.begin_ns <= time_ns and event.cause.key == cause.key:
+                return event.newest_ns if event.newest_ns <= time_ns else event.begin_ns
+        return time_ns
 
     def events(self) -> Iterator[Event]:
         """Yield the events, the newest first."""

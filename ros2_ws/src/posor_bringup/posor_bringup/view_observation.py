@@ -32,6 +32,7 @@ DIAGNOSTICS_SILENCE_S = 3.0  # the same for the diagnostics of a node, which com
 STATES = {**{int(state): state.name for state in State}, int(EndpointState.STATE_STALE): "STALE"}
 SILENT, NO_MESSAGE, NO_STATE = "SILENT", "NO MESSAGE", "NO STATE"
 """Further states, which follow from the absence of messages; the last one: a bag without ``endpoint/state``."""
+LAG_S = 2.0  # time after which a report is a warning of its own: a report may be that on a fault that is over
 DEAD = ": no diagnostics for "  # in the sentence on a node that is silent
 USABLE = tuple(state.name for state in USABLE_STATES)  # states of a joint whose pose may be used
 GOOD = (State.OK.name, NO_MESSAGE)  # states of a joint that need no cause
@@ -88,6 +89,7 @@ class Observer:
         """Observe the arm of these topics; ``joints`` in the order of the chain."""
         self._topics, self._store, self._joints = topics, store, joints
         self._prefix = topics.endpoint.rpartition("/endpoint/")[0]
+        self._reported: dict[tuple[str, str], float] = {}  # when each report of a node was seen first
         self._has_state = topics.endpoint.endswith(f"/{ENDPOINT_STATE_TOPIC}")
 
     def observe(self, now_s: float, time_ns: int) -> Observation:
@@ -149,6 +151,9 @@ class Observer:
         ]
         if state in USABLE:
             found += [Cause(WARNING, text) for text in self._diagnostics(f"{self._prefix}/chain_node", now_s)]
+        self._reported = {key: since_s for key, since_s in self._reported.items() if since_s <= now_s}
+        self._reported = {cause.key: self._reported.get(cause.key, now_s) for cause in found}
+        found = [cause for cause in found if now_s - self._reported[cause.key] >= LAG_S]
         if self._store.refused:
             found.append(Cause(WARNING, f"a message was refused: {self._store.refused}"))
         if state == NO_STATE:

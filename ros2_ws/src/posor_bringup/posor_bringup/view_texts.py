@@ -40,7 +40,7 @@ COLOURS = {
 """Of the states; red for all others."""
 AXES = ("x", "y", "z", "about X", "about Y", "about Z")
 NAMES_OF_AXES = ("along X", "along Y", "along Z", "about X", "about Y", "about Z")
-EVENTS_SHOWN, CAUSES_SHOWN, DETAILS_SHOWN = 40, 6, 2
+EVENTS_SHOWN, CAUSES_SHOWN, DETAILS_SHOWN = 40, 4, 2
 INSET = "margin:0 14px 0 4px"
 """Margins that keep the texts clear of the scroll bar."""
 STYLE = """<style>
@@ -139,7 +139,8 @@ def causes_table(observation: Observation, log: EventLog) -> str:
     causes, time_ns = (*observation.causes, *observation.reports), observation.time_ns
     rows = []
     for cause in causes[:CAUSES_SHOWN]:
-        details = dict.fromkeys(text for name in cause.joints for text in observation.details.get(name, ()))
+        explained = cause.joints if cause in observation.causes else ()
+        details = dict.fromkeys(text for name in explained for text in observation.details.get(name, ()))
         small = "".join(
             f"<br><small>{escape(text)}</small>" for text in islice(details, DETAILS_SHOWN) if text != cause.text
         )
@@ -195,7 +196,7 @@ def numbers_table(observation: Observation, drawn: DrawnArm | None) -> str:
 def events_table(log: EventLog, time_ns: int) -> str:
     """Return the newest events: when, which joints, what, how long."""
     rows = [_event_row(event, time_ns) for event in islice(log.events(), EVENTS_SHOWN)]
-    head = ("begin (UTC)", "joints", "what", "lasted", "times")
+    head = ("begin (UTC)", "joints", "what", "lasted")
     if not rows:
         return f'<div id="events" style="{INSET};font-size:12px">no events since the page was started</div>'
     left_out = f"{log.left_out} older events are left out" if log.left_out else ""
@@ -206,13 +207,11 @@ def events_table(log: EventLog, time_ns: int) -> str:
 def _event_row(event: Event, time_ns: int) -> str:
     cause = event.cause
     lasted = "" if cause.state == NOTE else duration_text(event.lasted_s(time_ns))
-    if event.end_ns is None:
-        lasted = f"{lasted}, lasts"
+    times = f", {event.count} times" if event.count > 1 else ""
+    lasted = f"{lasted}{times}{', lasts' if event.end_ns is None else ''}"
     what = f"{_state(cause.state)} {escape(cause.text)}"
     begin = f'<span style="white-space:nowrap">{utc(event.begin_ns, "%Y-%m-%d %H:%M:%S")}</span>'
-    return _row(
-        (begin, escape(", ".join(cause.joints)), what, lasted, str(event.count) if event.count > 1 else ""), "event"
-    )
+    return _row((begin, escape(", ".join(cause.joints)), what, lasted), "event")
 
 
 def _state(state: str) -> str:

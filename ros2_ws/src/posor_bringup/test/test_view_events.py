@@ -85,7 +85,8 @@ def test_event_has_begin_end_joints_and_goes_on_after_a_short_pause() -> None:
     newest, _ = log.events()
     assert (newest.begin_ns, newest.end_ns, newest.count) == (T0_NS + 3 * pause, None, 1)
     assert log.begin_ns(LOST, T0_NS + 4 * pause) == T0_NS + 3 * pause
-    assert log.begin_ns(LOST, T0_NS + pause) == T0_NS
+    assert log.begin_ns(LOST, T0_NS + pause) == T0_NS + pause
+    assert log.begin_ns(LOST, T0_NS + 1) == T0_NS
 
 
 def test_sources_do_not_end_the_events_of_others() -> None:
