@@ -137,7 +137,7 @@ def test_page_that_is_opened_again_finds_the_history_and_the_events_of_a_night(t
             ]
             page.locator(PICTURE).evaluate("picture => picture.style.display = 'none'")
         select_window(page, "12 h")
-        while page.text_content("#charts .tick >> nth=0") != "20:00":  # the time limit of the test ends it
+        while page.text_content("#charts .tick >> nth=0") != "18:00":  # the time limit of the test ends it
             past.show("sound")
             page.wait_for_timeout(200.0)
         assert page.locator("#charts line[stroke-dasharray='4 3']").count() == 1  # begin of the run after the silence

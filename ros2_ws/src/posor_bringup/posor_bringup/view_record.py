@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from posor_bringup.view_observation import Observation
 
 WINDOWS_S = {"30 s": 30.0, "10 min": 600.0, "1 h": 3600.0, "12 h": 43200.0}
-RESTART_S = 3.0  # pause after which points belong to another run; a busy host makes shorter ones
+RESTART_S = 3.0  # silence after which points belong to another run; a busy host makes shorter ones
 
 
 class Since(NamedTuple):
@@ -61,6 +61,7 @@ class ArmRecord:
         self._worst = severity(OK)
         self._states = deque[tuple[int, str]](maxlen=EVENTS)
         self._identity = ""
+        self._was_silent = False
 
     def add_state(self, time_ns: int, state: str, causes: Sequence[Cause], identity: str) -> None:
         """Add a change of the endpoint's state; ``identity``: of the arm, empty: not known."""
@@ -86,12 +87,15 @@ class ArmRecord:
             self._add_state(
                 time_ns if endpoint is None else endpoint.received_ns, observation.state, observation.causes
             )
+            self._was_silent = True
             return
         self.log.update("report", time_ns, observation.reports)
         if endpoint is None:
             return
-        if self.history.is_filled and endpoint.received_ns / NS - self.history.newest_s > RESTART_S:
+        pause_s = endpoint.received_ns / NS - self.history.newest_s
+        if self._was_silent and self.history.is_filled and pause_s > RESTART_S:
             self.history.run += 1
+        self._was_silent = False
         # The present state holds although nothing has changed; a bag without states has no changes at all.
         self._add_state(endpoint.received_ns, observation.state, observation.causes)
         values = np.full(self.state_column + 1, np.nan)
