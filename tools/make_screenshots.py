@@ -181,7 +181,7 @@ def select_window(page: Page, window: str) -> None:
 
 
 class CompressedTime:
-    """The live page of an arm, to which hours of observations are told at once; they come from the shipped bag.
+    """The live page of an arm, which gets hours of observations at once; they come from the shipped bag.
 
     Attributes:
         page: The page.
