@@ -87,6 +87,7 @@ class ArmRecord:
             self._add_state(
                 time_ns if endpoint is None else endpoint.received_ns, observation.state, observation.causes
             )
+            self.log.update("report", time_ns, ())
             self._was_silent = True
             return
         self.log.update("report", time_ns, observation.reports)
