@@ -69,7 +69,7 @@ def test_files_match_the_joints(name: str) -> None:
 
 def test_the_readings_of_the_live_arm_of_the_readme_check_one_another() -> None:
     """So its protection level is finite on all axes; six_axis is the recommended one."""
-    found = re.search(r"^ +\./posor bringup (\w+) ", (ROOT / "README.md").read_text(encoding="utf-8"), re.MULTILINE)
+    found = re.search(r"^\./posor bringup (\w+) ", (ROOT / "README.md").read_text(encoding="utf-8"), re.MULTILINE)
     assert found is not None
     for name in (found[1], "six_axis"):
         arm = arm_of(name)

@@ -2,8 +2,8 @@
 
 ``tools/in_workspace.py tools/make_screenshots.py [PICTURE...]`` makes all of them, or those named: ``ymo_printed`` and
 ``five_axis`` (plots of the pages that ``demo`` and ``arm`` write), ``view`` (the live page of a recording, sound and
-with a lost joint; prints the processor time of ``view`` with a running arm, too), ``statement`` (page and PDF of ``posor
-statement``), ``states`` (the live page in eight states, into ``build/view_states``). The tests use its parts.
+with a lost joint; prints the processor time of ``view`` with a running arm, too), ``statement`` (page and PDF of
+``posor statement``), ``states`` (the live page in eight states, into ``build/view_states``). The tests use its parts.
 """
 
 from __future__ import annotations

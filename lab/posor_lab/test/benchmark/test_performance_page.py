@@ -11,7 +11,7 @@ from posor_lab.benchmark.benchmark_tables import TEXTS, aims_table, result_table
 from posor_lab.benchmark.performance_page import NAMES, PLACEHOLDER, fill_page
 
 ROOT = Path(__file__).resolve().parents[4]
-HOST = {"cores": 2, "processor": "P", "kernel": "6", "python": "3", "rmw": "r", "compiled": True, "load": 0.1}
+HOST = {"cores": 2, "processor": "P", "kernel": "6", "python": "3", "rmw": "r", "kernels": "library", "load": 0.1}
 GRAPH = {
     **dict.fromkeys(("p50_us", "p99_us", "p999_us", "max_us"), 150.0),
     **dict.fromkeys(("lost", "ticks_missed", "incomplete", "refused", "not_received"), 0),
@@ -75,7 +75,7 @@ def test_page_gets_the_measured_tables_and_keeps_the_others() -> None:
     results = {"host": HOST, "graph_6x2000": GRAPH, "pass_through_6x2000": GRAPH}
     filled = fill_page(page, [results])
     assert filled.startswith(
-        "Text.\n<!-- host -->\n2 cores (P), Linux 6, Python 3, r, kernels compiled.\n<!-- end -->\n"
+        "Text.\n<!-- host -->\n2 cores (P), Linux 6, Python 3, r, kernels by library.\n<!-- end -->\n"
     )
     assert "| graph | 150 | 150 | 150 | 150 | 0 of 1000 | 0.50 | 100 |\n" in filled
     assert filled.endswith("<!-- growth -->\nold\n<!-- end -->\n")

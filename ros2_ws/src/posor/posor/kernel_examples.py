@@ -97,7 +97,7 @@ def _use_bytes() -> None:
     out, one = np.zeros((1, 8), dtype=np.uint8), np.ones(1, dtype=np.int64)
     byte_kernels.index_messages(data, np.zeros(2**16, dtype=np.int64), *np.zeros((4, 3), dtype=np.int64))
     byte_kernels.copy_messages(data, one, one, out[0])
-    rows, words = np.zeros((1, 16), dtype=np.uint8), np.zeros((2, 2), dtype=np.uint64)
+    rows, words = np.zeros((2, 16), dtype=np.uint8), np.zeros((2, 2), dtype=np.uint64)
     byte_kernels.gather_rows(data, one, one, words, rows.view(np.uint64), rows[:, 4:12])
     byte_kernels.write_records(data[:16], one, out, 0, np.zeros((1, 24), dtype=np.uint8), np.zeros((1, 2), np.int64))
 

@@ -156,7 +156,7 @@ def _driver_parameters(arm: ArmFile, joint: str, source: str) -> dict[str, Param
         parameters |= {"simulated.arm": str(arm.path.resolve()), "simulated.joint": joint}
     known = {"arm": arm.name, "joint": joint, "folder": str(arm.path.resolve().parent)}
     for name, value in arm.driver.parameters.items():
-        where = arm.driver_locations[name]
+        where = arm.driver_locations.get(name, f"{arm.path}, key driver.parameters.{name}")
         if isinstance(value, list):
             parameters[name] = [_fill_placeholders(entry, known, where) for entry in value]
         else:
