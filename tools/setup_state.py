@@ -21,8 +21,12 @@ BUILD_FILES = {"CMakeLists.txt", "package.xml", "setup.cfg", "setup.py"}
 INTERFACE_SUFFIXES = {".action", ".idl", ".msg", ".srv"}
 SOURCES_CHANGED = "sources changed"
 KERNEL_FILES = tuple(
-    f"src/posor/posor/{folder}/[!.#]*.py" for folder in ("numerics", "model", "estimation", "chain", "messages")
-)  # as in posor.numerics.compiled
+    f"src/posor/posor/{pattern}"
+    for pattern in (
+        "kernel_*.py",
+        *(f"{folder}/[!.#]*.py" for folder in ("numerics", "model", "estimation", "chain", "messages")),
+    )
+)  # as in posor.numerics.kernel_library
 
 
 def environment_inputs(workspace: Workspace, *, official: bool) -> str:

@@ -23,8 +23,12 @@ Kernel = TypeVar("Kernel", bound="Callable[..., Any]")
 
 PACKAGE = Path(__file__).parent.parent
 FILE_NAME = "posor_kernels.so"
-KERNEL_FILES = tuple(f"{folder}/[!.#]*.py" for folder in ("numerics", "model", "estimation", "chain", "messages"))
-"""Files of the package that hold kernels and the constants that they are compiled with; no locks of editors."""
+KERNEL_FILES = (
+    "kernel_*.py",
+    *(f"{folder}/[!.#]*.py" for folder in ("numerics", "model", "estimation", "chain", "messages")),
+)
+"""Files of the package that hold kernels and the constants that they are compiled with, and that build the library; no
+locks of editors."""
 MANIFEST = "posor_kernels_manifest"  # symbol: JSON with the fields "sources" and "kernels"
 RESULTS = 8  # words for the results of a kernel
 
