@@ -33,6 +33,8 @@ PACKAGES = {
 OTHER_FILES = (
     SOURCE / "posor_estimator" / "test" / "test_message_stream.py",
     THIS.root / "tests" / "test_calibrate_command.py",
+    THIS.root / "tests" / "test_public_api.py",
+    THIS.root / "lab" / "posor_lab" / "test" / "commissioning" / "test_commissioning_command.py",
     SOURCE / "posor_design" / "test" / "test_endpoint_budget.py",
     SOURCE / "posor_design" / "test" / "test_arm_allotment.py",
 )
