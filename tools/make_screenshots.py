@@ -1,9 +1,10 @@
 """Makes the pictures of the README and of the live page in docs/images from pages in Chromium.
 
-``tools/in_workspace.py tools/make_screenshots.py [PICTURE...]`` makes all of them, or those named: ``ymo_printed`` and
-``five_axis`` (plots of the pages that ``demo`` and ``arm`` write), ``view`` (the live page of a recording, sound and
-with a lost joint; prints the processor time of ``view`` with a running arm, too), ``statement`` (page and PDF of
-``posor statement``), ``states`` (the live page in eight states, into ``build/view_states``). The tests use its parts.
+``tools/in_workspace.py tools/make_screenshots.py [PICTURE...]`` makes all of them, or those named: ``ymo_printed``,
+``ymo_section84`` and ``five_axis`` (plots of the pages that ``demo`` and ``arm`` write), ``view`` (the live page of a
+recording, sound and with a lost joint; prints the processor time of ``view`` with a running arm, too), ``statement``
+(page and PDF of ``posor statement``), ``states`` (the live page in eight states, into ``build/view_states``). The tests
+use its parts.
 """
 
 from __future__ import annotations
@@ -62,12 +63,10 @@ STATES_SIZE = (1280, 1100)
 DRAWN_MS = 1500.0  # time in which the processor draws the arm
 IMAGES = THIS.root / "docs" / "images"
 CONTROLLER = THIS.root / "examples" / "endpoint_controller" / "endpoint_controller.py"
+ANGLES = ("alpha,", "beta,", "theta,", "alpha:", "beta:", "theta:")
 REPORTS = {
-    "ymo_printed": (
-        ("demo", "--rate", "0"),
-        "ymo_printed/report.html",
-        ("alpha,", "beta,", "theta,", "alpha:", "beta:", "theta:"),
-    ),
+    "ymo_printed": (("demo", "--rate", "0"), "ymo_printed/report.html", ANGLES),
+    "ymo_section84": (("demo", "--calibration", "section84", "--rate", "0"), "ymo_section84/report.html", ANGLES),
     "five_axis": (
         ("arm", "--controller", str(CONTROLLER)),
         "report.html",
