@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 import yaml
+from environment import PATH_LISTS, split_paths
 
 pytestmark = pytest.mark.usefixtures("ros_domain")
 
@@ -39,6 +40,16 @@ def read_page(page: str) -> tuple[str, dict[str, str]]:
     return commands, files
 
 
+def readers_environment() -> dict[str, str]:
+    """Return this environment without the packages of the workspace, which the shell of a reader does not have."""
+    environ = {name: value for name, value in os.environ.items() if name != "_ROS_WHEELS_BOOTSTRAP_COMPLETE"}
+    for name in PATH_LISTS:
+        others = [path for path in split_paths(environ.pop(name, "")) if not Path(path).is_relative_to(ROOT)]
+        if others:
+            environ[name] = os.pathsep.join(others)
+    return environ | {"MPLBACKEND": "agg", "COLUMNS": "200"}
+
+
 def run_in(folder: Path, commands: str, files: dict[str, str]) -> str:
     """Run commands in a folder that looks like the checkout but has a ``build`` of its own; return their output."""
     for entry in ROOT.iterdir():
@@ -50,7 +61,7 @@ def run_in(folder: Path, commands: str, files: dict[str, str]) -> str:
     process = subprocess.Popen(
         ["/bin/bash", "-e", "-c", commands],
         cwd=folder,
-        env={**os.environ, "MPLBACKEND": "agg", "COLUMNS": "200"},
+        env=readers_environment(),
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
