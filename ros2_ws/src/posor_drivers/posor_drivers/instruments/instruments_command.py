@@ -133,10 +133,12 @@ def _probe(readers: Sequence[DeviceReader]) -> None:
     end_s = time.monotonic() + PROBE_S
     while time.monotonic() < end_s and any(reader.state.fault for reader in readers):
         time.sleep(POLL_S)
+    faults = []
     for reader in readers:
         state, name = reader.state, reader.device.name
         if state.fault:
             print(f"{name}: FAULT")
+            faults.append(reader.take_state().fault)  # a device that has just connected again has another one
             continue
         values = state.values
         print(
@@ -144,7 +146,7 @@ def _probe(readers: Sequence[DeviceReader]) -> None:
             f"{1e6 * values['clock_uncertainty']:.1f} us (1 sigma) beside its least delay, {values['frames_lost']} lost"
         )
         print(_channel_line(reader))
-    if faults := [reader.state.fault for reader in readers if reader.state.fault]:
+    if faults:
         raise DeviceError("; ".join(fault.rstrip(".") for fault in faults), where="instruments probe")
 
 

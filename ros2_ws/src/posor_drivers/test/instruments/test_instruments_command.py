@@ -52,6 +52,17 @@ def test_probe_of_an_absent_device_fails(
     assert printed.err.startswith(f"instruments probe: box: no connection to 127.0.0.1:{port}")
 
 
+def test_probe_names_the_fault_that_closed_the_connection_while_it_is_open_again(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("posor_drivers.instruments.instruments_command.PROBE_S", 2.0)
+    with StreamServer(lambda _: (0.0, 0.0), 500.0) as server:
+        file = content(server.port)
+        file["devices"]["box"]["rate"] = quantity(250.0, "Hz")
+        assert main(["probe", write_rig(tmp_path, file)]) == 1
+    assert re.search(r"box: [\d.]+ frames per second; expected 250, as stated\.$", capsys.readouterr().err.strip())
+
+
 ELBOW = "joints.elbow"
 GAP = "joints.elbow.gap_voltages.0"
 
