@@ -153,7 +153,8 @@ def _check_metadata(path: Path) -> None:
     files = storage_files(path, *ADVICE)
     if not files:
         raise BagError("the folder holds no bag", where=str(path), expected=EXPECTED)
-    raise BagError(f"{METADATA} is missing in the folder of the bag", where=str(path), expected=ADVICE[files[0].suffix])
+    expected = ADVICE[files[0].suffix] + (f"; or name the file '{files[0]}' itself" if len(files) == 1 else "")
+    raise BagError(f"{METADATA} is missing in the folder of the bag", where=str(path), expected=expected)
 
 
 def _check_not_empty(reader: OrderedReader, path: Path) -> None:

@@ -194,9 +194,10 @@ def test_missing_or_invalid_metadata_are_refused(tmp_path: Path) -> None:
     assert refusal(bag).startswith("BAG: bag.other is missing; ")
     metadata.unlink()
     missing = "BAG: metadata.yaml is missing in the folder of the bag; expected it"
-    assert refusal(bag) == f"{missing}; {RECOVER} with metadata.yaml."
+    itself = "or name the file 'BAG/bag.{}' itself"
+    assert refusal(bag) == f"{missing}; {RECOVER} with metadata.yaml; {itself.format('mcap')}."
     (bag / "bag.mcap").rename(bag / "bag.db3")
-    assert refusal(bag) == f"{missing}, as 'ros2 bag reindex' makes it."
+    assert refusal(bag) == f"{missing}, as 'ros2 bag reindex' makes it; {itself.format('db3')}."
 
 
 def test_path_without_a_bag_is_refused(tmp_path: Path) -> None:
