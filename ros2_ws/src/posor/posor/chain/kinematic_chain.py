@@ -118,7 +118,7 @@ class Chain:
         self.shared = {} if beams is None else beams.shared
         self.fixed_transforms = self._robot.fixed_transforms()
         for entry, joint in zip(entries, self.beam_joints, strict=True):
-            faults += beam_faults(entry, joint.T_parent_joint, beams_source)
+            faults += beam_faults(entry, joint, beams_source)
         if faults:
             raise sum_up(faults)
         self.beams = tuple(

@@ -24,10 +24,12 @@ if TYPE_CHECKING:
     from posor.calibration.shared_terms import SharedTerm
     from posor.chain.beam_bending import BentBeam
     from posor.chain.beams_file import BeamFile, SagFile
+    from posor.chain.robot_model import FreeJoint
     from posor.numerics.array_types import FloatArray
 
 LARGEST_SAG, LARGEST_SLOPE = 0.01, 0.01  # of a beam's length, [rad]: beyond, the linear theory of bending does not hold
 LARGEST_MASS = 30.0  # of a plate, in masses of the beam's tube
+LARGEST_PLATE_OFFSET = 0.05  # of a plate's centre of mass from the link of its name [m]
 _PLACES = 65  # along a beam, where sag and slope are compared with them
 
 
@@ -131,16 +133,17 @@ def _bent(sag: SagFile, length: float) -> BentBeam:
     return on_gimbals(length, tube.bending_stiffness, tube.mass_per_length, masses, (near, far))
 
 
-def beam_faults(entry: BeamFile, T_start_end: pin.SE3, source: str) -> list[ChainError]:
+def beam_faults(entry: BeamFile, joint: FreeJoint, source: str) -> list[ChainError]:
     """Return what is wrong with a beam: gimbals or plates beyond its ends, heavy plates, sag beyond the linear theory.
 
-    ``entry``: its entry in the beams file; ``T_start_end``: origin of its fixed joint; ``source``: name of the beams
-    file in errors.
+    A plate with the name of the link at an end of the beam must be there: the length in the URDF may have been changed.
+
+    ``entry``: its entry in the beams file; ``joint``: its fixed joint; ``source``: name of the beams file in errors.
     """
     sag, where = entry.sag, f"{source}, beam '{entry.joint}'"
     if sag is None:
         return []
-    length = float(np.linalg.norm(T_start_end.translation))
+    length = float(np.linalg.norm(joint.T_parent_joint.translation))
     positions = [("gimbal", float(at)) for at in sag.gimbals.array]
     positions += [(f"plate '{plate.name}'", plate.at.number) for plate in sag.plates]
     expected = f"0 to {length:g} m, the beam's length"
@@ -149,6 +152,12 @@ def beam_faults(entry: BeamFile, T_start_end: pin.SE3, source: str) -> list[Chai
         for name, at in positions
         if not 0.0 <= at <= length
     ]
+    for plate in sag.plates:
+        there = {joint.parent: 0.0, joint.child: length}.get(plate.name, plate.at.number)
+        if plate.at.number <= length and abs(plate.at.number - there) > LARGEST_PLATE_OFFSET:
+            what = f"plate '{plate.name}' at {plate.at.number:g} m"
+            expected = f"{there:g} m, where the URDF has the link of this name; the gimbals may be wrong, too"
+            faults.append(ChainError(what, where=where, expected=expected))
     weight = _tube(sag).mass_per_length * length
     expected = f"at most {LARGEST_MASS:g} times the mass of its tube, {weight:.3g} kg (masses in g, or lengths in mm?)"
     faults += [

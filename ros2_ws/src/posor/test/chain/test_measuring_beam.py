@@ -190,6 +190,20 @@ def test_beams_that_do_not_fit_the_urdf_are_refused(said: dict[str, Any], where:
     assert (error.where, error.what, error.expected) == (where, what, expected)
 
 
+@pytest.mark.parametrize(("link", "at", "there"), [("t1", 0.3, "0"), ("r2", 0.7, "0.806226"), ("far_plate", 0.7, None)])
+def test_a_plate_is_where_the_urdf_has_the_link_of_its_name(link: str, at: float, there: str | None) -> None:
+    said = beam("upper_arm", sag=True)
+    said["sag"]["plates"] = [plate(link, at, MASS), plate("t1", 0.03, MASS)]  # the second is near enough
+    if there is None:
+        Chain(ARM, "tip", beams_file(said))
+        return
+    error = refusal(ChainError, Chain, ARM, "tip", beams_file(said), beams_source="beams.yaml")
+    assert str(error) == (
+        f"beams.yaml, beam 'upper_arm': plate '{link}' at {at:g} m; expected {there} m, where the URDF has the link of "
+        "this name; the gimbals may be wrong, too."
+    )
+
+
 def test_a_beam_beyond_the_linear_theory_is_refused() -> None:
     said = beam("upper_arm", sag=True)
     said["sag"]["tube"]["modulus"]["value"] = 1e8
