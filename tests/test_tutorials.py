@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 import yaml
-from environment import PATH_LISTS, split_paths
+from environment import THIS, read_stamp, split_paths
 
 pytestmark = pytest.mark.usefixtures("ros_domain")
 
@@ -41,12 +41,11 @@ def read_page(page: str) -> tuple[str, dict[str, str]]:
 
 
 def readers_environment() -> dict[str, str]:
-    """Return this environment without the packages of the workspace, which the shell of a reader does not have."""
-    environ = {name: value for name, value in os.environ.items() if name != "_ROS_WHEELS_BOOTSTRAP_COMPLETE"}
-    for name in PATH_LISTS:
-        others = [path for path in split_paths(environ.pop(name, "")) if not Path(path).is_relative_to(ROOT)]
-        if others:
-            environ[name] = os.pathsep.join(others)
+    """Return this environment without what the workspace has added to it, as the shell of a reader has it."""
+    added = read_stamp(THIS.build_stamp)
+    environ = {name: value for name, value in os.environ.items() if name not in added["set"]}
+    for name, own in added["prepend"].items():
+        environ[name] = os.pathsep.join(path for path in split_paths(environ.get(name, "")) if path not in own)
     return environ | {"MPLBACKEND": "agg", "COLUMNS": "200"}
 
 

@@ -135,7 +135,6 @@ def arm_texts(name: str, joints: Sequence[NewJoint], folder: str) -> dict[str, s
         "joints": joints,
         "bits": bits,
         "has_dark_scans": has_dark_scans,
-        "gap": STANDOFF,
         "thickness": PLATE_THICKNESS,
         "outer_diameter": OUTER_DIAMETER,
         "inner_diameter": INNER_DIAMETER,
@@ -145,6 +144,7 @@ def arm_texts(name: str, joints: Sequence[NewJoint], folder: str) -> dict[str, s
     texts = {path: templates.get_template(f"{template}.j2").render(values) for path, template in files.items()}
     for joint in joints:
         content = joint.calibration(name).model_dump(mode="json") | {"converter": converter_steps(bits)}
+        content["sensors"][0]["target_plane"]["point"]["value"][2] = STANDOFF  # so that nominal plates coincide
         comment = (
             "Made by posor arm new: an assumed design. Replace it by the calibration of your POSOR with the same\n"
             "# frames, see `posor calibrate list`. SI units throughout."

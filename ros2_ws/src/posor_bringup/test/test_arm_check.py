@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -48,14 +49,34 @@ def sentences(folder: Path, **options: object) -> list[str]:
 def test_a_new_arm_is_right_and_its_scans_have_poses(sensors: Sensors, tmp_path: Path) -> None:
     checked = check_arm(str(make_arm(tmp_path / "own", sensors)))
     endpoint = checked.chain.nominal_endpoint(dict.fromkeys(checked.calibrations, 0.0))
-    gaps = 3 * 0.000735
-    assert endpoint.translation == pytest.approx([sum(LENGTHS), 0.0, 0.0], abs=gaps)
+    assert endpoint.translation == pytest.approx([sum(LENGTHS), 0.0, 0.0], abs=1e-12)
     assert endpoint.rotation == pytest.approx(np.eye(3), abs=1e-12)
     simulation = ArmSimulation(checked.arm)
     joint, calibration = next(iter(checked.calibrations.items()))
     scans = simulation.scans(joint, np.arange(600)).scans
     states = Posor(calibration).estimate_all(scans).states
     assert np.mean(np.isin(states, [State.OK, State.DEGRADED])) > 0.98  # a few are dark, or before the home mark
+
+
+def test_the_urdf_of_a_robot_takes_the_place_of_the_made_one(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = make_arm(tmp_path / "own", "light_ring", 2)
+    links = ("base_link", "shoulder_link", "upper_arm_link", "gripper_link")
+    ends = [f'<parent link="{parent}"/><child link="{child}"/>' for parent, child in pairwise(links)]
+    parts = [f'<link name="{link}"/>' for link in links]
+    parts += [
+        f'<joint name="joint1" type="floating">{ends[0]}<axis xyz="0 0 1"/><origin xyz="0 0 0.089"/></joint>',
+        f'<joint name="joint2" type="floating">{ends[1]}<axis xyz="0 -1 0"/><origin xyz="0 0 0.038"/></joint>',
+        f'<joint name="tool" type="fixed">{ends[2]}<origin xyz="0.2 0 0.1"/></joint>',
+    ]
+    (folder / "own.urdf").write_text(f'<robot name="own">{"".join(parts)}</robot>', encoding="utf-8")
+    change(folder, "arm.yaml", "beams: beams.yaml\n", "")
+    change(folder, "arm.yaml", "endpoint_frame: endpoint", "endpoint_frame: gripper_link")
+    assert main(["check", str(folder)]) == 0
+    printed = capsys.readouterr().out
+    assert "endpoint with all angles zero: 0.2000, 0.0000, 0.2270 m in base_link" in printed
+    assert "protection level of the endpoint, all angles zero: finite" in printed  # so all readings are in their range
 
 
 def test_options_choose_axes_lengths_sensors_and_names(
