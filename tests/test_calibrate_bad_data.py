@@ -169,7 +169,8 @@ def run(step: str, fault: Callable[[Recording], Recording], folder: Path) -> tup
     known.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
     with redirect_stdout(StringIO()) as out, redirect_stderr(StringIO()) as err:
         code = main(step_arguments(found, bag, known, output))
-    return code, " ".join(out.getvalue().split()), err.getvalue().lstrip(), output
+    errors = [line for line in err.getvalue().splitlines(keepends=True) if ": fitting: " not in line]  # on slow hosts
+    return code, " ".join(out.getvalue().split()), "".join(errors).lstrip(), output
 
 
 FAULTS: dict[str, Callable[..., Callable[[Recording], Recording]]] = {

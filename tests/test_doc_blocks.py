@@ -26,6 +26,7 @@ from posor.calibration.yaml_document import parse_document, parse_yaml
 from posor.chain.arm_file import ArmFileContent
 from posor.chain.beams_file import BeamsFile
 from posor.lazy_program import LazyProgram
+from posor.tables.table_map import TableMap
 from posor_bringup.posor_command import SUBCOMMANDS
 from posor_drivers.instruments.instruments_file import InstrumentsFile
 from posor_drivers.instruments.scpi_device import Dialect
@@ -41,11 +42,12 @@ FORMATS: dict[str, Callable[[dict[str, Any]], object]] = {
     "posor_composition": Composition.model_validate,
     "posor_instruments": InstrumentsFile.model_validate,
     "posor_scpi_dialect": Dialect.model_validate,
+    "posor_table_map": TableMap.model_validate,
 }
 VERSIONS = (1, 2, 3)
 EXTERNAL = {
     *(".", "cd", "done", "echo", "eval", "export", "for", "kill", "sleep", "source", "until", "wait"),
-    *("cat", "cp", "grep", "journalctl", "ls", "mkdir", "sed", "systemctl", "timeout", "true"),
+    *("cat", "cp", "grep", "head", "journalctl", "ls", "mkdir", "sed", "systemctl", "timeout", "true"),
     *("apt", "pip", "python", "ros2"),
 }
 """Programs of the shell, the system and ROS."""

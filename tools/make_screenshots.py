@@ -41,7 +41,7 @@ from posor_lab.faults.fault_table import write_fault_arm
 from posor_lab.harness.program import Program, installed
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
     from playwright.sync_api import Page
 
@@ -331,7 +331,7 @@ def _draw_statement() -> None:
     (IMAGES / "statement_sheet.png").write_bytes(render_sheet(statement, "png")[0])
 
 
-OTHER_PICTURES = {
+OTHER_PICTURES: dict[str, Callable[[], object]] = {
     "view": _draw_view,
     "statement": _draw_statement,
     "states": partial(draw_states, THIS.root / "build" / "view_states"),

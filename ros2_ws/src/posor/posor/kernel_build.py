@@ -114,7 +114,7 @@ def compile_entry(name: str, symbol: str, kernel: Any) -> Entry:
     numba, intrinsic = import_module("numba"), import_module("numba.extending").intrinsic
     types = numba.types
 
-    @intrinsic
+    @intrinsic  # type: ignore[untyped-decorator]  # of numba
     def pointer(_context: Any, word: Any) -> Any:
         def to_pointer(context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
             return builder.inttoptr(arguments[0], context.get_value_type(types.voidptr))
@@ -153,7 +153,7 @@ def compile_entry(name: str, symbol: str, kernel: Any) -> Entry:
 def compile_entries() -> list[Entry]:
     """Compile all kernels of ENTRIES. Raises ValueError: Python calls a kernel with several types of arguments."""
     import_module("posor.kernel_examples").use_all_kernels()
-    entries = []
+    entries: list[Entry] = []
     for module, names in ENTRIES.items():
         for name in names:
             kernel = getattr(import_module(f"posor.{module}"), name)

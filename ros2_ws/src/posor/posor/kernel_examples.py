@@ -9,9 +9,10 @@ import numpy as np
 from posor.calibration.designs import DesignName, design
 from posor.chain.joint_measurements import JointRowLayout
 from posor.chain.kinematic_chain import Chain
-from posor.estimation import plain_sensors
+from posor.estimation.estimate_scan import begin_scan_estimate, solve_and_check, write_lost
 from posor.estimation.fault_model import EFFECT
 from posor.estimation.forward import scans_at
+from posor.estimation.linearise import linearise_scan
 from posor.estimation.posor import Posor
 from posor.messages import byte_kernels
 from posor.messages.joint_transform import TRANSFORM_LAYOUT, pack_rows
@@ -19,7 +20,7 @@ from posor.messages.message_stream import STATUS, MessageEstimator, MessageStrea
 from posor.messages.message_table import MessageRows
 from posor.messages.raw_scan import RAW_SCAN_LAYOUT, unpack_rows
 from posor.model.fault import State
-from posor.model.reading_rows import differentiate_rows, evaluate_poses
+from posor.model.reading_rows import differentiate_rows, evaluate_poses, prepare_rows, turn_rows
 from posor.numerics.compiled import record_view
 from posor.numerics.summary_statistics import FIGURES, figures_of
 
@@ -83,23 +84,23 @@ def _use_single_steps(posor: Posor, scans: Scans) -> None:
     model, records = posor.model, record_view(scans._records)
     workspace = model.workspace[0]
     estimate = record_view(model.workspace["estimate"])[0]
-    plain_sensors.linearise_scan(model, records[0], estimate)
-    plain_sensors.begin_scan_estimate(model, records[0], estimate, True)  # noqa: FBT003  kernels take no keywords
-    plain_sensors.prepare_rows(record_view(workspace["rows"]))
-    plain_sensors.turn_rows(record_view(workspace["rows"]), 0.1)
-    plain_sensors.solve_and_check(model, records[0], False, estimate)  # noqa: FBT003  kernels take no keywords
-    plain_sensors.write_lost(estimate, 0)
+    linearise_scan(model, records[0], estimate)
+    begin_scan_estimate(model, records[0], estimate, True)  # noqa: FBT003  kernels take no keywords
+    prepare_rows(record_view(workspace["rows"]))
+    turn_rows(record_view(workspace["rows"]), 0.1)
+    solve_and_check(model, records[0], False, estimate)  # noqa: FBT003  kernels take no keywords
+    write_lost(estimate, 0)
 
 
 def _use_bytes() -> None:
     """Index, copy, gather and write one message of a chunk; what is read may be read-only."""
-    data = np.frombuffer(bytes(64), dtype=np.uint8)
-    out, one = np.zeros((1, 8), dtype=np.uint8), np.ones(1, dtype=np.int64)
+    data, messages = np.frombuffer(bytes(64), dtype=np.uint8), np.frombuffer(bytes(8), dtype=np.uint8)[None]
+    one, out = np.frombuffer(bytes(8), dtype=np.int64), np.zeros(8, dtype=np.uint8)
     byte_kernels.index_messages(data, np.zeros(2**16, dtype=np.int64), *np.zeros((4, 3), dtype=np.int64))
-    byte_kernels.copy_messages(data, one, one, out[0])
+    byte_kernels.copy_messages(data, one, one, out)
     rows, words = np.zeros((2, 16), dtype=np.uint8), np.zeros((2, 2), dtype=np.uint64)
     byte_kernels.gather_rows(data, one, one, words, rows.view(np.uint64), rows[:, 4:12])
-    byte_kernels.write_records(data[:16], one, out, 0, np.zeros((1, 24), dtype=np.uint8), np.zeros((1, 2), np.int64))
+    byte_kernels.write_records(data[:16], one, messages, 0, np.zeros((1, 24), np.uint8), np.zeros((1, 2), np.int64))
 
 
 def example_stream(count: int = 1) -> MessageStream:

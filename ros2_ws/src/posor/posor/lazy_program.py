@@ -133,8 +133,8 @@ class LazyProgram:
             sys.stderr.write(self._message)
             return EXIT_INTERRUPTED
         except (OSError, MemoryError) as error:
-            code = error.errno if isinstance(error, OSError) else errno.ENOMEM
-            if code not in SHORTAGES:
+            shortage = error.errno if isinstance(error, OSError) else errno.ENOMEM
+            if shortage not in SHORTAGES:
                 raise
             name = (error.filename if isinstance(error, OSError) else "") or _lost_output()
             where = f"{name}: " if name else ""

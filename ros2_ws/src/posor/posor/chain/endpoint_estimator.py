@@ -223,6 +223,7 @@ class EndpointEstimator:
     def estimate_rows(self, stamp_ns: int) -> int:
         """Estimate the endpoint from ``rows``; return the worst state of the joints, negative without an endpoint."""
         self._stamp_ns[0] = stamp_ns
+        worst: int
         while (worst := self._estimate_rows()) == HISTORY_FULL:
             self._enlarge_history()
         return worst
