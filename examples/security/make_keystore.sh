@@ -1,6 +1,7 @@
 #!/bin/sh
 # Makes the keystore of an arm for SROS 2, with the enclaves that `bringup` and the launch files use:
 #   make_keystore.sh KEYSTORE ARM JOINT...      (with the ROS_DOMAIN_ID of the nodes)
+# ARM is the name of the arm with its namespace, if there is one: cell1/five_axis.
 # Needs an official Jazzy with its package sros2, and posor_bringup, sourced. An existing keystore is kept: only what is
 # missing is created, and the permissions are signed anew.
 set -eu
@@ -15,7 +16,7 @@ if ! command -v ros2 >/dev/null; then
 fi
 keystore=$1 arm=$2
 shift 2
-for name in "$arm" "$@"; do
+for name in "$(echo "$arm" | tr / _)" "$@"; do
     case $name in
     '' | *[!A-Za-z0-9_]*)
         echo "make_keystore.sh: '$name' is no name of an arm or a joint; expected letters, digits and _" >&2
@@ -31,7 +32,7 @@ trap 'rm -rf "$work"' EXIT
 # sros2 crashes on nested includes (lxml 4.9 to 6.1)
 write_policies() {
     for file in "$policies"/*.xml; do
-        sed -e "s/{arm}/$arm/g" -e "s/{joint}/$1/g" "$file" >"$work/$(basename "$file")"
+        sed -e "s|{arm}|$arm|g" -e "s/{joint}/$1/g" "$file" >"$work/$(basename "$file")"
     done
     python3 -c '
 import sys

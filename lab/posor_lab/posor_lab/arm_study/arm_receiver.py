@@ -35,7 +35,7 @@ class ArmReceiver(GraphReceiver):
         """Subscribe to the topics of the arm in the namespace ``arm``; ``stage``: whether it has a stage."""
         super().__init__("arm_demo")
         self._arm, self._chain = arm, chain
-        topics = SimulatedTopics(arm)
+        topics = SimulatedTopics(f"/{arm}")
         self._endpoint_topic = f"/{arm}/{ENDPOINT_COVARIANCE_TOPIC}"
         self.truths = self.store_topic(PoseStamped, topics.endpoint.name)
         self.targets = self.store_topic(PoseStamped, topics.target.name)

@@ -37,6 +37,17 @@ ROS_NAME_RULE = "a letter, then letters, digits and underscores, at most 80 char
 """What a part of a namespace may be: longer topics than 247 characters are refused by rmw."""
 
 
+OUTER_NAMESPACE_RULE = (
+    "names separated by '/', each a letter, then letters, digits and underscores, at most 40 characters"
+)
+"""What the namespace around an arm may be."""
+
+
 def is_ros_name(name: str) -> bool:
     """Return whether a name can be one part of a namespace or topic."""
     return re.fullmatch(r"[A-Za-z][A-Za-z0-9_]{0,79}", name) is not None
+
+
+def is_outer_namespace(name: str) -> bool:
+    """Return whether a text, with or without a '/' at its begin and its end, can be the namespace around an arm."""
+    return re.fullmatch(r"(?=.{0,40}$)/?([A-Za-z][A-Za-z0-9_]*(/[A-Za-z][A-Za-z0-9_]*)*/?)?", name) is not None

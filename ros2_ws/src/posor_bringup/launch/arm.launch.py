@@ -3,6 +3,10 @@
 ``ros2 launch posor_bringup arm.launch.py arm:=five_axis`` or ``arm:=path/of/arm.yaml``. Further parameters of all
 drivers: ``driver_parameters:='simulated.sag:=false simulated.noise:=false'``. ``view:=rviz`` or ``view:=plotjuggler``
 starts that tool with a view of the arm, ``view:=foxglove`` the bridge for Foxglove; ``view_folder`` receives the views.
+Two arms of one name: ``namespace:=cell1 frame_prefix:=cell1/`` each, or ``PushRosNamespace`` around this file.
+
+As with ``bringup``, the launch ends if a node ends, except for a driver that has played all its scans (exit code 0).
+No node is started again: a chain without a joint, or a joint that lost its count, needs a person.
 """
 
 from __future__ import annotations
@@ -11,10 +15,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument, LogInfo, OpaqueFunction
+from launch.actions import DeclareLaunchArgument, LogInfo, OpaqueFunction, Shutdown
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
-from posor_bringup.arm_programs import full_name
+from posor_bringup.arm_programs import frame_prefix_of, full_name
 from posor_bringup.arms import check_arm
 from posor_bringup.bringup_options import parse_driver_parameters
 from posor_bringup.graph_observer import GraphObserver
@@ -24,6 +28,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from launch import LaunchContext, LaunchDescriptionEntity
+    from launch.events.process import ProcessExited
 
 
 def view_nodes(view: str, files: Mapping[str, Path]) -> list[Node]:
@@ -35,18 +40,32 @@ def view_nodes(view: str, files: Mapping[str, Path]) -> list[Node]:
     return [Node(package="foxglove_bridge", executable="foxglove_bridge")]
 
 
+def end_of_node(event: ProcessExited, _context: LaunchContext) -> Shutdown:
+    """Return the end of the launch, because a node has ended."""
+    return Shutdown(reason=f"{event.process_name} ended with exit code {event.returncode}")
+
+
+def end_of_driver(event: ProcessExited, context: LaunchContext) -> Shutdown | None:
+    """Return the end of the launch, unless a driver has played all its scans."""
+    return end_of_node(event, context) if event.returncode else None
+
+
 def arm_nodes(context: LaunchContext) -> list[LaunchDescriptionEntity]:
     """Return the nodes of the arm, and of the view."""
 
     def value(argument: str) -> str:
         return str(LaunchConfiguration(argument).perform(context))
 
+    pushed = context.launch_configurations.get("ros_namespace", "")  # by PushRosNamespace
+    prefix = value("frame_prefix")
     view, files = value("view"), [Path(path) for path in value("params_file").split()]
     with GraphObserver() as graph:
         checked = check_arm(
             value("arm"),
+            namespace=f"{pushed.rstrip('/')}/{value('namespace').lstrip('/')}",
             drivers=value("drivers") == "true",
             driver_parameters=parse_driver_parameters(value("driver_parameters")),
+            chain_parameters={"frame_prefix": prefix} if prefix else {},
             parameters={"use_sim_time": value("use_sim_time") == "true"},
             parameter_files=files,
         )
@@ -54,9 +73,9 @@ def arm_nodes(context: LaunchContext) -> list[LaunchDescriptionEntity]:
         graph.refuse_running([full_name(program) for program in programs])
     tools: list[LaunchDescriptionEntity] = []
     if view != "none":
-        folder = Path(value("view_folder")) / arm.name
+        folder = Path(value("view_folder")) / arm.namespace.lstrip("/")
         folder.mkdir(parents=True, exist_ok=True)
-        views = write_views(arm, folder)
+        views = write_views(arm, folder, frame_prefix_of(programs))
         tools = [LogInfo(msg=f"views of {arm.name}: {folder}"), *view_nodes(view, views)]
     return tools + [
         Node(
@@ -65,6 +84,7 @@ def arm_nodes(context: LaunchContext) -> list[LaunchDescriptionEntity]:
             namespace=program.namespace,
             parameters=[dict(program.parameters)],
             ros_arguments=["--enclave", program.enclave],
+            on_exit=end_of_driver if program.ends else end_of_node,
             output="screen",
         )
         for program in programs
@@ -76,6 +96,8 @@ def generate_launch_description() -> LaunchDescription:
     return LaunchDescription(
         [
             DeclareLaunchArgument("arm", default_value="five_axis", description="name or path of an arm file"),
+            DeclareLaunchArgument("namespace", default_value="", description="namespace around that of the arm"),
+            DeclareLaunchArgument("frame_prefix", default_value="", description="prefix of the frames of chain_node"),
             DeclareLaunchArgument("drivers", default_value="true", choices=["true", "false"]),
             DeclareLaunchArgument("driver_parameters", default_value="", description="name:=value name:=value ..."),
             DeclareLaunchArgument("params_file", default_value="", description="ROS parameter files of the nodes"),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from contextlib import suppress
 from dataclasses import replace
 from typing import TYPE_CHECKING, Literal, get_args
@@ -36,8 +35,6 @@ Layout = Literal["separate", "drivers_apart", "composed"]
 LAYOUTS: tuple[Layout, ...] = get_args(Layout)
 """One process for each node; one for all drivers and one for all other nodes; one for all nodes."""
 
-_PLACEHOLDER = re.compile(r"\{(\w+)\}")
-
 
 def arm_programs(
     arm: ArmFile,
@@ -70,15 +67,16 @@ def arm_programs(
     errors, given = ErrorCollector(), driver_parameters or {}
     common = {**(_freshness(arm, given) if drivers else {}), **(parameters or {})}
     chain = {**chain_parameters_of(arm, checked=False), **common, **(chain_parameters or {})}
-    programs = [_arm_node("posor_estimator", CHAIN_NODE, f"/{arm.name}", chain)]
+    programs = [_arm_node(arm, "", "posor_estimator", CHAIN_NODE, chain)]
     for joint in arm.calibrations:
-        posor = {**posor_parameters(arm, joint, checked=False), **common}
-        programs.append(_arm_node("posor_estimator", POSOR_NODE, f"/{arm.name}/{joint}", posor))
+        with errors.collecting():
+            posor = {**posor_parameters(arm, joint, checked=False), **common}
+            programs.append(_arm_node(arm, joint, "posor_estimator", POSOR_NODE, posor))
     for joint in arm.calibrations if drivers else ():
         with errors.collecting():
             source = str(given.get("source", arm.driver.source))
             driver = {**_driver_parameters(arm, joint, source), **common, **given}
-            programs.append(_arm_node("posor_drivers", DRIVER_NODE, f"/{arm.name}/{joint}", driver))
+            programs.append(_arm_node(arm, joint, "posor_drivers", DRIVER_NODE, driver))
     names, places = [full_name(program) for program in programs], dict[tuple[str, str], str]()
     for path in parameter_files:
         with errors.collecting():
@@ -93,7 +91,7 @@ def arm_programs(
                         places |= {(name, each): place for each, place in section.places.items()}
     options = {name: f"option -p {name}" for name in given}
     for name, program in zip(names, programs, strict=True):
-        joint = program.namespace.partition("/")[2].partition("/")[2]
+        joint = program.namespace.removeprefix(arm.namespace).lstrip("/")
         own = {**arm.driver_locations, **options} if program.executable == DRIVER_NODE else arm.node_locations(joint)
         of_files = {each: place for (node, each), place in places.items() if node == name}
         if found := _parameter_errors(program):
@@ -106,6 +104,11 @@ def arm_programs(
 def full_name(program: ProgramCommand) -> str:
     """Return the name of a program's node in the graph."""
     return f"{program.namespace}/{program.executable}"
+
+
+def frame_prefix_of(programs: Sequence[ProgramCommand]) -> str:
+    """Return the prefix of the frames that chain_node of these programs publishes."""
+    return "".join(str(each.parameters.get("frame_prefix", "")) for each in programs if each.executable == CHAIN_NODE)
 
 
 def own_parameters(program: ProgramCommand) -> dict[str, Parameter]:
@@ -132,12 +135,16 @@ def _parameter_errors(program: ProgramCommand) -> list[PosorError]:
     return errors.errors
 
 
-def _arm_node(package: str, executable: str, namespace: str, parameters: Mapping[str, Parameter]) -> ProgramCommand:
-    """Return the program of one node in the namespace of its arm or joint."""
-    joint = "".join(f"{name}/" for name in namespace.split("/")[2:])
-    ends = executable == DRIVER_NODE
+def _arm_node(
+    arm: ArmFile, joint: str, package: str, executable: str, parameters: Mapping[str, Parameter]
+) -> ProgramCommand:
+    """Return the program of one node in the namespace of its arm (without a joint) or joint."""
+    below = f"/{joint}" if joint else ""
+    namespace, ends = f"{arm.namespace}{below}", executable == DRIVER_NODE
     enclave = f"{namespace}/{executable}"
-    return ProgramCommand(f"{joint}{executable}", package, executable, (), namespace, parameters, ends, enclave)
+    return ProgramCommand(
+        f"{below}/{executable}".lstrip("/"), package, executable, (), namespace, parameters, ends, enclave
+    )
 
 
 def _freshness(arm: ArmFile, driver_parameters: Mapping[str, Parameter]) -> Mapping[str, Parameter]:
@@ -154,25 +161,9 @@ def _driver_parameters(arm: ArmFile, joint: str, source: str) -> dict[str, Param
     parameters: dict[str, Parameter] = {"source": source}
     if source == "simulated":
         parameters |= {"simulated.arm": str(arm.path.resolve()), "simulated.joint": joint}
-    known = {"arm": arm.name, "joint": joint, "folder": str(arm.path.resolve().parent)}
-    for name, value in arm.driver.parameters.items():
-        where = arm.driver_locations.get(name, f"{arm.path}, key driver.parameters.{name}")
-        if isinstance(value, list):
-            parameters[name] = [_fill_placeholders(entry, known, where) for entry in value]
-        else:
-            parameters[name] = _fill_placeholders(value, known, where) if isinstance(value, str) else value
-    return parameters
-
-
-def _fill_placeholders(text: str, known: Mapping[str, str], where: str) -> str:
-    def replacement(match: re.Match[str]) -> str:
-        if match[1] not in known:
-            raise ParameterError(
-                f"'{match[0]}' is an unknown placeholder", where=where, expected="{arm}, {joint} or {folder}"
-            )
-        return known[match[1]]
-
-    return _PLACEHOLDER.sub(replacement, text)
+        if arm.outer_namespace:
+            parameters["simulated.namespace"] = arm.outer_namespace
+    return parameters | arm.fill_placeholders(arm.driver.parameters, joint, arm.driver_locations)
 
 
 def group_programs(programs: Sequence[ProgramCommand], layout: Layout, folder: Path) -> list[ProgramCommand]:
@@ -183,14 +174,15 @@ def group_programs(programs: Sequence[ProgramCommand], layout: Layout, folder: P
     """
     if layout == "separate":
         return list(programs)
+    enclave = f"{programs[0].namespace}/compose"  # subscribers first: chain_node, in the namespace of the arm
     if layout == "composed":
-        return [_compose("nodes", programs, folder)]
+        return [_compose("nodes", programs, enclave, folder)]
     drivers = [program for program in programs if program.ends]
     groups = {"nodes": [program for program in programs if not program.ends], "drivers": drivers}
-    return [_compose(name, group, folder) for name, group in groups.items() if group]
+    return [_compose(name, group, enclave, folder) for name, group in groups.items() if group]
 
 
-def _compose(name: str, programs: Sequence[ProgramCommand], folder: Path) -> ProgramCommand:
+def _compose(name: str, programs: Sequence[ProgramCommand], enclave: str, folder: Path) -> ProgramCommand:
     """Return a program that runs the nodes of several programs in one process; write its composition file."""
     nodes = [
         {"node": program.executable, "namespace": program.namespace or "/", "parameters": dict(program.parameters)}
@@ -201,5 +193,4 @@ def _compose(name: str, programs: Sequence[ProgramCommand], folder: Path) -> Pro
     with writing(path):
         path.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
     ends = all(program.ends for program in programs)
-    enclave = "/".join(["", *programs[0].namespace.split("/")[1:2], "compose"])
     return ProgramCommand(name, "posor_estimator", "compose", (str(path),), ends=ends, enclave=enclave)

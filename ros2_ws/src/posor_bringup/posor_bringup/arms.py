@@ -69,21 +69,24 @@ class CheckedArm(NamedTuple):
 def check_arm(
     text: str,
     *,
+    namespace: str = "",
     drivers: bool = True,
     driver_parameters: Mapping[str, Parameter] | None = None,
+    chain_parameters: Mapping[str, Parameter] | None = None,
     parameters: Mapping[str, Parameter] | None = None,
     parameter_files: Sequence[Path] = (),
 ) -> CheckedArm:
     """Load an arm, given as for ``find_arm``, and check all its files and the parameters of its nodes.
 
-    The other arguments are those of ``arm_programs``; without ``drivers`` their parameters and source are not checked.
+    ``namespace`` is around that of the arm. The other arguments are those of ``arm_programs``; without ``drivers``
+    their parameters and source are not checked.
 
     Raises PosorError: there is no such arm, or a file or a parameter is wrong. An error for several problems is a
     SeveralErrors.
     """
     path, errors = find_arm(text), ErrorCollector()
     try:
-        arm = load_arm_file(path)
+        arm = load_arm_file(path).in_namespace(namespace)
     except PosorError as error:
         errors.add(error)
         _check_named_files(path, errors)
@@ -95,6 +98,7 @@ def check_arm(
             arm,
             drivers=drivers,
             driver_parameters=driver_parameters,
+            chain_parameters=chain_parameters,
             parameters=parameters,
             parameter_files=parameter_files,
         )
@@ -126,12 +130,12 @@ def check_arm(
     return CheckedArm(arm, arm.chain() if chain is None else chain, calibrations, programs, scans_per_second)
 
 
-def load_checked_arm(text: str) -> ArmFile:
-    """Return an arm, given as for ``find_arm``, whose files are right; the drivers are not checked.
+def load_checked_arm(text: str, namespace: str = "") -> ArmFile:
+    """Return an arm, given as for ``find_arm``, in a namespace, whose files are right; the drivers are not checked.
 
     Raises PosorError: see ``check_arm``.
     """
-    return check_arm(text, drivers=False).arm
+    return check_arm(text, namespace=namespace, drivers=False).arm
 
 
 def _source_parameters(program: ProgramCommand) -> Any:

@@ -19,9 +19,9 @@ from posor_ros.parameter_files import OPTION, parameter_files_of
 from posor_ros.ros_arguments import split_ros_arguments
 from rich.console import Console
 
-from posor_bringup.arm_programs import LAYOUTS, full_name, group_programs
+from posor_bringup.arm_programs import LAYOUTS, frame_prefix_of, full_name, group_programs
 from posor_bringup.arms import check_arm, find_arm, installed_arms
-from posor_bringup.bringup_options import LOGS, add_driver_parameters, prepare_output_folder
+from posor_bringup.bringup_options import LOGS, add_driver_parameters, add_namespace, prepare_output_folder
 from posor_bringup.graph_observer import GraphObserver
 from posor_bringup.supervisor import Supervisor
 from posor_bringup.tool_views import VIEWS, write_views
@@ -54,6 +54,9 @@ def parse_options(arguments: Sequence[str]) -> Namespace:
         default="separate",
         help="one process for each node; one for all drivers and one for the rest; one for all; default: separate",
     )
+    add_namespace(parser)
+    text = "prefix of the frames of chain_node, such as cell1/, for arms of one URDF; default: that of the arm file"
+    parser.add_argument("--frame-prefix", metavar="PREFIX", help=text)
     add_driver_parameters(parser)
     parser.add_argument(
         OPTION,
@@ -92,7 +95,8 @@ def _enclave(options: Namespace) -> str:
     if os.environ.get("ROS_SECURITY_ENABLE") == "true":
         with suppress(PosorError):
             process = CHAIN_NODE if options.layout == "separate" else "compose"
-            return f"/{load_arm_file(find_arm(options.arm)).name}/{process}"
+            arm = load_arm_file(find_arm(options.arm)).in_namespace(options.namespace)
+            return f"{arm.namespace}/{process}"
     return ""
 
 
@@ -104,16 +108,18 @@ def _run_arm(options: Namespace) -> None:
     with GraphObserver(_enclave(options)) as graph:
         checked = check_arm(
             options.arm,
+            namespace=options.namespace,
             drivers=not options.no_driver,
             driver_parameters=dict(options.parameters),
+            chain_parameters={} if options.frame_prefix is None else {"frame_prefix": options.frame_prefix},
             parameters=parameters,
             parameter_files=options.params_file,
         )
         arm, nodes = checked.arm, checked.programs
         names = [full_name(node) for node in nodes]
         graph.refuse_running(names)
-        folder = prepare_output_folder(options.output / arm.name, tuple(VIEWS.values()))
-        write_views(arm, folder)
+        folder = prepare_output_folder(options.output / arm.namespace.lstrip("/"), tuple(VIEWS.values()))
+        write_views(arm, folder, frame_prefix_of(nodes))
         with StopSignal() as stop, Supervisor(folder / LOGS) as supervisor:
             running = [supervisor.start(program) for program in group_programs(nodes, options.layout, folder)]
             for started in running:

@@ -31,6 +31,12 @@ def _parse_parameter(text: str) -> tuple[str, Parameter]:
     return name, cast("Parameter", parsed)
 
 
+def add_namespace(parser: ArgumentParser) -> None:
+    """Add the option ``--namespace``."""
+    text = "namespace around that of the arm, such as cell1, for two arms of one name; default: none"
+    parser.add_argument("--namespace", default="", metavar="NAME", help=text)
+
+
 def add_driver_parameters(parser: ArgumentParser) -> None:
     """Add the repeatable option ``-p name:=value``; ``parameters`` becomes a list of names and values."""
     parser.add_argument(

@@ -28,6 +28,7 @@ from posor_calibration.commissioning.plan import CommissioningSettings, steps_of
 from posor_ros.node_program import non_ros_arguments, ros_context
 
 from posor_bringup.arms import installed_arms, load_checked_arm
+from posor_bringup.bringup_options import add_namespace
 from posor_bringup.commissioning_guide import Guide, StepTimes, recording
 from posor_bringup.view_messages import ArmTopics
 
@@ -77,6 +78,7 @@ def parse_options(arguments: Sequence[str]) -> Namespace:
     parser.add_argument("arm", metavar="ARM", help=f"path of an arm file, or name of an installed arm: {arms}")
     text = "check this recording of the steps; default: record the running arm, guided step by step"
     parser.add_argument("--bag", type=Path, metavar="PATH", help=text)
+    add_namespace(parser)
     text = f"folder of page, JSON and recording (default: {OUTPUT})"
     parser.add_argument("--output", type=Path, default=OUTPUT, metavar="FOLDER", help=text)
     text = "only this joint, may be repeated; then no record is written"
@@ -123,7 +125,7 @@ def read_settings(options: Namespace) -> CommissioningSettings:
 
 def topics_of(arm: ArmFile, reference: str) -> CommissioningTopics:
     """Return the topics of an arm; ``reference``: relative to the namespace of the arm; empty: none."""
-    prefix = f"/{arm.name}"
+    prefix = arm.namespace
     raw = {joint: f"{prefix}/{joint}/{RAW_TOPIC}" for joint in arm.calibrations}
     absolute = reference if not reference or reference.startswith("/") else f"{prefix}/{reference}"
     return CommissioningTopics(raw, ArmTopics(arm).encoders, f"{prefix}/{COMMISSIONING_TOPIC}", absolute)
@@ -135,7 +137,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     argv = list(sys.argv if arguments is None else arguments)
     options = parse_options(non_ros_arguments(argv))
     settings = read_settings(options)
-    arm = load_checked_arm(options.arm)
+    arm = load_checked_arm(options.arm, options.namespace)
     calibrations = checked_joints(arm, options.joint)
     record_path = arm.commissioning or arm.path.resolve().parent / RECORD
     before = load_record(record_path) if record_path.exists() else None

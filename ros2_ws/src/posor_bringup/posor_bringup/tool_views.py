@@ -18,8 +18,10 @@ VIEWS = {"rviz": "arm.rviz", "foxglove": "foxglove.json", "plotjuggler": "plotju
 """Name of the file for each tool."""
 
 
-def write_views(arm: ArmFile, folder: Path) -> dict[str, Path]:
+def write_views(arm: ArmFile, folder: Path, frame_prefix: str = "") -> dict[str, Path]:
     """Write the view of each tool into an existing folder; return the files by tool.
+
+    ``frame_prefix``: of the arm's chain_node.
 
     Raises OutputError: a file cannot be written.
     """
@@ -31,8 +33,9 @@ def write_views(arm: ArmFile, folder: Path) -> dict[str, Path]:
     )
     names = {
         "colours": distinct_colours,
-        "arm": arm.name,
-        "base": arm.chain().base_frame,
+        "arm": arm.namespace.lstrip("/"),
+        "base": frame_prefix + arm.chain().base_frame,
+        "frame_prefix": frame_prefix,
         "joints": list(arm.calibrations),
     }
     files = {tool: folder / name for tool, name in VIEWS.items()}

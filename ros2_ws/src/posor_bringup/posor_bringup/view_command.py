@@ -21,6 +21,7 @@ from posor.reporting.program_errors import reports_errors
 from posor_ros.node_program import non_ros_arguments, ros_context
 
 from posor_bringup.arms import installed_arms, load_checked_arm
+from posor_bringup.bringup_options import add_namespace
 from posor_bringup.view_geometry import ArmGeometry
 from posor_bringup.view_history import POINTS
 from posor_bringup.view_messages import BLOCK_S, LEAD_S, ArmTopics, BagTopics, LiveTopics, MessageStore
@@ -57,6 +58,7 @@ def parse_options(arguments: Sequence[str]) -> Namespace:
     parser.add_argument(
         "arm", metavar="ARM", help=f"path of an arm file, or name of an installed arm: {', '.join(installed_arms())}"
     )
+    add_namespace(parser)
     parser.add_argument("--bag", type=Path, metavar="PATH", help="replay this bag; default: the running arm")
     text = f"port of the page; 0: any free port; default: {PORT}"
     parser.add_argument("--port", type=_port, default=PORT, metavar="N", help=text)
@@ -72,7 +74,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _view(arguments: Sequence[str]) -> None:
     options = parse_options(non_ros_arguments(arguments))
-    arm = load_checked_arm(options.arm)
+    arm = load_checked_arm(options.arm, options.namespace)
     geometry = ArmGeometry(arm)
     with ros_context(arguments) as stop:
         if options.bag is not None:
@@ -83,7 +85,7 @@ def _view(arguments: Sequence[str]) -> None:
 
 def _follow_arm(arm: ArmFile, geometry: ArmGeometry, options: Namespace, stop: StopSignal) -> None:
     topics = ArmTopics(arm)
-    store = MessageStore(arm.name, topics.types)
+    store = MessageStore(arm.namespace, topics.types)
     observer = Observer(topics, store, geometry.joints)
     record = ArmRecord(geometry.joints, tuple(WINDOWS_S.values()))
     with (

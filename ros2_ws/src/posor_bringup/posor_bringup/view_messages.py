@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from posor.bags.bag_reader import checked_type, opened_bag
 from posor.bags.reprocess_task import Settings
+from posor.chain.arm_file import posor_parameters
 from posor.errors import ParameterError, TopicError
 from posor.messages.cdr_schema import STAMP
 from posor.messages.joint_transform import stamp_ns_of
@@ -100,8 +101,8 @@ class ArmTopics:
 
     def __init__(self, arm: ArmFile, endpoint: str = ENDPOINT_STATE_TOPIC) -> None:
         """Name the topics; ``endpoint`` is one of ``ENDPOINT_TOPICS``."""
-        self.endpoint = f"/{arm.name}/{endpoint}"
-        self.transforms = {joint: f"/{arm.name}/{joint}/{TRANSFORM_TOPIC}" for joint in arm.calibrations}
+        self.endpoint = f"{arm.namespace}/{endpoint}"
+        self.transforms = {joint: f"{arm.namespace}/{joint}/{TRANSFORM_TOPIC}" for joint in arm.calibrations}
         self.encoders = {joint: _encoder(arm, joint) for joint in arm.calibrations}
         self.false_alarms = {name: joint.false_alarm for name, joint in Settings.of_arm(arm).joints.items()}
         self.types = {
@@ -114,11 +115,13 @@ class ArmTopics:
 
 def _encoder(arm: ArmFile, joint: str) -> tuple[str, str]:
     """Return topic and name of a joint's encoder, by the parameters of its posor_node, or of the simulated arm."""
-    parameters = arm.posor_parameters[joint]
+    parameters = posor_parameters(arm, joint, checked=False)
     if not parameters.get("encoder.sigma"):
-        return f"/{arm.name}/encoders", joint
+        return f"{arm.namespace}/encoders", joint
     topic = str(parameters.get("encoder.topic", "encoder"))
-    return topic if topic.startswith("/") else f"/{arm.name}/{joint}/{topic}", str(parameters.get("encoder.joint", ""))
+    return topic if topic.startswith("/") else f"{arm.namespace}/{joint}/{topic}", str(
+        parameters.get("encoder.joint", "")
+    )
 
 
 class MessageStore:
@@ -131,8 +134,8 @@ class MessageStore:
 
     """
 
-    def __init__(self, arm: str, types: Mapping[str, str]) -> None:
-        self._prefix = f"/{arm}/"
+    def __init__(self, namespace: str, types: Mapping[str, str]) -> None:
+        self._prefix = f"{namespace}/"
         self._schemas = {topic: schema_of_class(message_class(name)) for topic, name in types.items()}
         self._messages: dict[str, deque[Message]] = {topic: deque(maxlen=KEPT) for topic in types}
         self.since_s: float | None = None
@@ -254,10 +257,10 @@ class BagTopics:
         cannot be used.
         """
         filled = _filled_topics(path)
-        found = [topic for topic in ENDPOINT_TOPICS if f"/{arm.name}/{topic}" in filled]
+        found = [topic for topic in ENDPOINT_TOPICS if f"{arm.namespace}/{topic}" in filled]
         topics = ArmTopics(arm, found[0] if found else ENDPOINT_STATE_TOPIC)
-        raw = {f"/{arm.name}/{joint}/{RAW_TOPIC}" for joint in arm.calibrations}
-        lacks = not {f"/{arm.name}/{ENDPOINT_STATE_TOPIC}", *topics.transforms.values()} <= filled
+        raw = {f"{arm.namespace}/{joint}/{RAW_TOPIC}" for joint in arm.calibrations}
+        lacks = not {f"{arm.namespace}/{ENDPOINT_STATE_TOPIC}", *topics.transforms.values()} <= filled
         if lacks and raw <= filled:
             topics = ArmTopics(arm)
             others = [topic for topic in topics.types if topic not in {topics.endpoint, *topics.transforms.values()}]
@@ -268,7 +271,7 @@ class BagTopics:
             raise ParameterError(
                 f"there is no endpoint of arm {arm.name}",
                 where=str(path),
-                expected=f"messages on one of {', '.join(f'/{arm.name}/{topic}' for topic in ENDPOINT_TOPICS)}, or raw "
+                expected=f"messages on one of {', '.join(f'{arm.namespace}/{topic}' for topic in ENDPOINT_TOPICS)}, or raw "
                 "scans of all its joints",
             )
         self._path, self._arm, self.topics = path, arm.name, topics
@@ -276,7 +279,7 @@ class BagTopics:
         with opened_bag(path) as reader:
             self.begin_ns, self.end_ns = reader.start_time, reader.end_time
         self.duration_s = (self.end_ns - self.begin_ns) / NS
-        self.store = MessageStore(arm.name, self.topics.types)
+        self.store = MessageStore(arm.namespace, self.topics.types)
         self._loaded: list[tuple[int, str, bytes]] = []
         self._block_s = (0.0, 0.0)
         self._position_s = -1.0

@@ -23,7 +23,7 @@ class Rig:
 
     def __init__(self) -> None:
         topics = ArmTopics(load_checked_arm("test_rig"))
-        self.store = MessageStore("test_rig", topics.types)
+        self.store = MessageStore("/test_rig", topics.types)
         observer = Observer(topics, self.store, ["joint1"])
         self.observe = lambda now_s: observer.observe(now_s, round(now_s * NS))
 

@@ -111,18 +111,18 @@ def pose_stamped(types: MessageTypes, stamp_ns: int, frame_id: str, pose: pin.SE
 class SimulatedTopics:
     """Topics of an arm; all names are absolute because they belong to the arm, not to a joint."""
 
-    def __init__(self, arm: str) -> None:
-        """Make the names for the arm of this name."""
-        self._arm = arm
-        self.endpoint = Topic(f"/{arm}/truth/endpoint", POSE_STAMPED)
-        self.target = Topic(f"/{arm}/target/endpoint", POSE_STAMPED)
-        self.encoders = Topic(f"/{arm}/encoders", JOINT_STATE)
-        self.stage = Topic(f"/{arm}/stage/position", VECTOR_STAMPED)
-        self.stage_command = Topic(f"/{arm}/stage/command", VECTOR_STAMPED)
+    def __init__(self, namespace: str) -> None:
+        """Make the names for the arm of this namespace, such as "/five_axis"."""
+        self._namespace = namespace
+        self.endpoint = Topic(f"{namespace}/truth/endpoint", POSE_STAMPED)
+        self.target = Topic(f"{namespace}/target/endpoint", POSE_STAMPED)
+        self.encoders = Topic(f"{namespace}/encoders", JOINT_STATE)
+        self.stage = Topic(f"{namespace}/stage/position", VECTOR_STAMPED)
+        self.stage_command = Topic(f"{namespace}/stage/command", VECTOR_STAMPED)
 
     def joint_truth(self, joint: str) -> Topic:
         """Return the topic of a joint's true ``T_parent_child``."""
-        return Topic(f"/{self._arm}/truth/{joint}", POSE_STAMPED)
+        return Topic(f"{self._namespace}/truth/{joint}", POSE_STAMPED)
 
 
 class SimulatedMessages:
@@ -130,7 +130,7 @@ class SimulatedMessages:
 
     def __init__(self, types: MessageTypes, simulation: ArmSimulation) -> None:
         """Take the names of topics and frames from the arm."""
-        self.topics = SimulatedTopics(simulation.arm.name)
+        self.topics = SimulatedTopics(simulation.arm.namespace)
         self._types = types
         self._base = simulation.chain.base_frame
         self._endpoint = simulation.arm.endpoint_frame

@@ -8,7 +8,8 @@ Versions of the format:
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import re
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated, Literal, Self
 
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
@@ -20,7 +21,7 @@ from posor.chain.kinematic_chain import Chain, load_chain
 from posor.errors import CalibrationError, ChainError, NodeError, ParameterError, PosorError, similar_name, sum_up
 from posor.node_parameters import ChainParameters, PosorParameters
 from posor.parameter_model import validate_parameters
-from posor.ros_names import ROS_NAME_RULE, ROS_OWN_PARAMETERS, is_ros_name
+from posor.ros_names import OUTER_NAMESPACE_RULE, ROS_NAME_RULE, ROS_OWN_PARAMETERS, is_outer_namespace, is_ros_name
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
 
 VERSION = 1
 CHAIN_NODE, POSOR_NODE = "chain_node", "posor_node"
+_PLACEHOLDER = re.compile(r"\{(\w+)\}")
 
 
 def _check_ros_name(name: str) -> str:
@@ -48,7 +50,7 @@ def _check_parameter_value(value: object) -> object:
 
 Name = Annotated[str, AfterValidator(_check_ros_name)]
 ParameterValue = bool | int | float | str | list[str]
-
+Filled = dict[str, ParameterValue]
 
 ParameterValues = dict[str, Annotated[ParameterValue, BeforeValidator(_check_parameter_value)]]
 
@@ -103,7 +105,7 @@ class ArmFile:
     """An arm file with its paths resolved."""
 
     path: Path  # the arm file
-    name: str  # the arm's name, also its ROS namespace
+    name: str  # the arm's name, also the last part of its ROS namespace
     serial: str  # serial number of the arm; empty: not stated
     urdf: Path  # path of the URDF
     endpoint_frame: str  # link of the endpoint
@@ -121,6 +123,52 @@ class ArmFile:
     joints_location: str  # file, line and key of the joints
     driver: DriverFile  # source and parameters of the drivers
     scenario: Path | None  # path of the simulator's scenario; None: no scenario
+    outer_namespace: str = ""  # namespace around that of the arm, such as "/cell1"; empty: the root
+
+    @property
+    def namespace(self) -> str:
+        """The ROS namespace of chain_node, such as "/cell1/five_axis"; a joint's nodes are in one of its name below."""
+        return f"{self.outer_namespace}/{self.name}"
+
+    def in_namespace(self, outer: str) -> Self:
+        """Return the same arm in a namespace, such as ``cell1`` or ``/hall/cell1``; empty or ``/``: in the root.
+
+        Raises ParameterError: the namespace is invalid.
+        """
+        if not is_outer_namespace(outer):
+            raise ParameterError(
+                f"namespace {format_value(outer)}", where=f"arm {self.name}", expected=OUTER_NAMESPACE_RULE
+            )
+        parts = outer.strip("/")
+        return replace(self, outer_namespace=f"/{parts}" if parts else "")
+
+    def fill_placeholders(self, values: Mapping[str, ParameterValue], joint: str, places: Mapping[str, str]) -> Filled:
+        """Return parameters of the arm file for a joint, with {namespace}, {arm}, {joint} and {folder} filled in.
+
+        Raises ParameterError: a placeholder is unknown; ``places`` names the line of each parameter.
+        """
+        known = {
+            "namespace": self.namespace,
+            "arm": self.name,
+            "joint": joint,
+            "folder": str(self.path.resolve().parent),
+        }
+
+        def fill(text: str, where: str) -> str:
+            for name in _PLACEHOLDER.findall(text):
+                if name not in known:
+                    expected = "{arm}, {joint}, {namespace} or {folder}"
+                    raise ParameterError(f"'{{{name}}}' is an unknown placeholder", where=where, expected=expected)
+            return _PLACEHOLDER.sub(lambda match: known[match[1]], text)
+
+        filled: Filled = {}
+        for name, value in values.items():
+            place = places.get(name, f"{self.path}, parameter {name}")
+            if isinstance(value, list):
+                filled[name] = [fill(entry, place) for entry in value]
+            else:
+                filled[name] = fill(value, place) if isinstance(value, str) else value
+        return filled
 
     def chain(self) -> Chain:
         """Return the arm's kinematic chain.
@@ -214,10 +262,11 @@ def posor_parameters(arm: ArmFile, joint: str, *, checked: bool = True) -> dict[
     """Return the ROS parameters of a joint's posor_node.
 
     ``checked``: whether posor_node must accept them. Raises NodeError: the arm file gives posor_node an unknown
-    parameter or an invalid value; names the line.
+    parameter or an invalid value; ParameterError: a placeholder in it is unknown; both name the line.
     """
     own: dict[str, ParameterValue] = {"calibration": str(arm.calibrations[joint]), "session": arm.sessions[joint]}
-    parameters = {**own, **arm.posor_parameters[joint]}
+    filled = arm.fill_placeholders(arm.posor_parameters[joint], joint, arm.node_locations(joint))
+    parameters = {**own, **filled}
     return _checked(arm, joint, PosorParameters, parameters) if checked else parameters
 
 

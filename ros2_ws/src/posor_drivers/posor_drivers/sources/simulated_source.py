@@ -35,6 +35,9 @@ class SimulatedParameters(Imperfections, ParameterGroup):
 
     arm: Annotated[str, Field(min_length=1)] = Field(description="arm file (YAML), with a scenario")
     joint: Annotated[str, Field(min_length=1)] = Field(description="name of this driver's joint")
+    namespace: str = Field(
+        default="", description="namespace around that of the arm, for topics of the whole arm, such as encoders"
+    )
     rate: Annotated[int, Field(ge=0, le=MAX_RATE_HZ)] = Field(
         default=0, description="scans per second, equal for all drivers of the arm [Hz]; 0: those of the scenario"
     )
@@ -66,9 +69,8 @@ class SimulatedSource(LiveSource[SimulatedParameters]):
 
     def open(self) -> Sequence[Topic]:
         """Read the arm's files and compute one cycle."""
-        self._simulation = ArmSimulation(
-            load_arm_file(Path(self.parameters.arm)), self.parameters, self.parameters.rate, self.parameters.truth
-        )
+        arm = load_arm_file(Path(self.parameters.arm)).in_namespace(self.parameters.namespace)
+        self._simulation = ArmSimulation(arm, self.parameters, self.parameters.rate, self.parameters.truth)
         joints, joint = self._simulation.joints, self.parameters.joint
         if joint not in joints:
             what, expected = f"'{joint}' is not a joint of {self.parameters.arm}", f"one of {', '.join(joints)}"
