@@ -80,7 +80,7 @@ def parts(messages_: list[Any]) -> tuple[list[str], FloatArray]:
 def test_the_script_makes_the_committed_bag_and_the_same_bytes_each_time(tmp_path: Path) -> None:
     for run in ("one", "other"):
         subprocess.run([sys.executable, str(BAGS / "make_arm_bag.py"), str(tmp_path / run)], check=True)
-    for name in ("five_axis.mcap", "metadata.yaml"):
+    for name in ("five_axis_0.mcap", "metadata.yaml"):
         one, other = (tmp_path / run / "five_axis" / name for run in ("one", "other"))
         assert one.read_bytes() == other.read_bytes()
     made, committed = messages(tmp_path / "one" / "five_axis"), messages(BAG)

@@ -142,11 +142,11 @@ def test_bags_of_1985_can_be_read() -> None:
 
 def test_hash_is_what_sha256sum_says(tmp_path: Path) -> None:
     bag = write_bag(tmp_path / "bag", SCANS)
-    summed = subprocess.run(["sha256sum", "bag.mcap", "metadata.yaml"], cwd=bag, capture_output=True, check=True)  # noqa: S607
+    summed = subprocess.run(["sha256sum", "bag_0.mcap", "metadata.yaml"], cwd=bag, capture_output=True, check=True)  # noqa: S607
     again = subprocess.run(["sha256sum"], input=summed.stdout, capture_output=True, check=True)  # noqa: S607
     assert load_recording(bag).sha256 == again.stdout.decode().split()[0]
-    alone = subprocess.run(["sha256sum", "bag.mcap"], cwd=bag, capture_output=True, check=True)  # noqa: S607
-    assert load_recording(bag / "bag.mcap").sha256 == alone.stdout.decode().split()[0]
+    alone = subprocess.run(["sha256sum", "bag_0.mcap"], cwd=bag, capture_output=True, check=True)  # noqa: S607
+    assert load_recording(bag / "bag_0.mcap").sha256 == alone.stdout.decode().split()[0]
     moved = bag.rename(tmp_path / "moved")
     (moved / "notes.txt").write_text("not part of it")
     assert bag_sha256(moved) == again.stdout.decode().split()[0]

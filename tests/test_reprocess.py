@@ -312,10 +312,10 @@ def test_a_topic_that_holds_another_type_too_is_refused(tmp_path: Path, capsys: 
 
 def cut_short(bag: Path, folder: Path) -> Path:
     """Return a copy of a bag whose last messages are not there, as its index still says."""
-    whole = (bag / "five_axis.mcap").read_bytes()
+    whole = (bag / "five_axis_0.mcap").read_bytes()
     folder.mkdir()
     (folder / "metadata.yaml").write_bytes((bag / "metadata.yaml").read_bytes())
-    (folder / "five_axis.mcap").write_bytes(whole[: len(whole) // 2])
+    (folder / "five_axis_0.mcap").write_bytes(whole[: len(whole) // 2])
     return folder
 
 

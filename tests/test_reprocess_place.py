@@ -58,11 +58,11 @@ def test_a_bag_does_not_replace_itself_by_its_file_or_a_link(
     force: list[str], bags: Path, refused: Callable[..., str]
 ) -> None:
     (bags / "link").symlink_to("ymo")
-    file = bags / "ymo" / "ymo.mcap"
+    file = bags / "ymo" / "ymo_0.mcap"
     assert "ymo: is bag" in refused(file, "--output", bags / "ymo", *force)
     assert "link: is bag" in refused(bags / "ymo", "--output", bags / "link", *force)
     assert "ymo: is bag" in refused(bags / "link", "--output", bags / "ymo", *force)
-    assert "ymo.mcap: lies in bag" in refused(file, "--output", file, *force)
+    assert "ymo_0.mcap: lies in bag" in refused(file, "--output", file, *force)
 
 
 @FORCE
@@ -74,7 +74,7 @@ def test_a_bag_does_not_replace_a_folder_around_or_in_it(
         f"{bags}: holds bag {bag}, which is to be read; expected a"
     )
     assert "new: lies in bag" in refused(bag, "--output", bag / "new", *force)
-    assert "new: lies in bag" in refused(bag / "ymo.mcap", "--output", bag / "new", *force)
+    assert "new: lies in bag" in refused(bag / "ymo_0.mcap", "--output", bag / "new", *force)
 
 
 @FORCE
@@ -88,9 +88,9 @@ def test_several_bags_do_not_replace_themselves_or_one_another(
 
 def test_a_file_without_a_bag_around_it_has_results_beside_it(bags: Path) -> None:
     file = bags / "alone.mcap"
-    shutil.copy(bags / "ymo" / "ymo.mcap", file)
+    shutil.copy(bags / "ymo" / "ymo_0.mcap", file)
     assert main([str(file), *CALIBRATION, "--output", str(bags / "out")]) == 0
-    assert (bags / "out" / "out.mcap").is_file()
+    assert (bags / "out" / "out_0.mcap").is_file()
 
 
 @FORCE
@@ -162,7 +162,7 @@ def test_an_empty_folder_is_replaced_with_force(bags: Path, tmp_path: Path) -> N
     (tmp_path / "former").mkdir()
     assert main([str(bags / "ymo"), *CALIBRATION, "--output", str(tmp_path / "former"), "--force"]) == 0
     assert main([str(bags / "ymo"), *CALIBRATION, "--output", str(tmp_path / "former"), "--force"]) == 0
-    assert (tmp_path / "former" / "former.mcap").is_file()
+    assert (tmp_path / "former" / "former_0.mcap").is_file()
 
 
 def test_only_leftovers_of_this_run_are_cleared_and_former_results_go_back(tmp_path: Path) -> None:

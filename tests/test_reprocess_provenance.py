@@ -52,7 +52,7 @@ def test_files_that_differ_from_those_of_the_recording_are_named(
     hashes = provenance_of(Settings.of_arm(arm))
     bag = write_bag(tmp_path / "bag", hashes)
     assert custom_data(bag) == hashes
-    assert [file.name for file in sorted(bag.iterdir())] == ["bag.mcap", "metadata.yaml"]
+    assert [file.name for file in sorted(bag.iterdir())] == ["bag_0.mcap", "metadata.yaml"]
     assert warnings(capsys, str(bag), "--arm", str(path), "--output", str(tmp_path / "out")) == []
     assert custom_data(tmp_path / "out") == hashes
     # Comments do not change a calibration.
@@ -80,7 +80,7 @@ def test_another_version_of_the_software_is_named_and_a_bag_without_hashes_is_no
     bag = write_bag(tmp_path / "bag", {SOFTWARE: "posor 0.0.1"})
     assert warnings(capsys, str(bag), "--arm", arm) == [f"this software: {own}; the bag was recorded with posor 0.0.1"]
     assert warnings(capsys, str(write_bag(tmp_path / "plain", {})), "--arm", arm) == []
-    assert warnings(capsys, str(bag / "bag.mcap"), "--arm", arm) == []
+    assert warnings(capsys, str(bag / "bag_0.mcap"), "--arm", arm) == []
 
 
 @pytest.mark.long
@@ -97,7 +97,7 @@ def test_no_flipped_bit_changes_results_without_an_error(tmp_path: Path) -> None
         arrays += [estimates.endpoint.poses, estimates.endpoint.covariances()]
         return b"".join(array.tobytes() for array in arrays)
 
-    file, chance, refused = bag / "bag.mcap", np.random.default_rng(43), 0
+    file, chance, refused = bag / "bag_0.mcap", np.random.default_rng(43), 0
     whole, known = file.read_bytes(), results()
     for _ in range(200):
         data = bytearray(whole)

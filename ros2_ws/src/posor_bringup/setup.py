@@ -13,9 +13,10 @@ OPTIONS = {"build": {"build_base": SCRATCH.name}, "egg_info": {"egg_base": SCRAT
 
 
 def data_files(*roots: str) -> list[tuple[str, list[str]]]:
-    """Return the data files of folders and their subfolders, by folder of installation, sorted."""
+    """Return the data files of folders and their subfolders, by folder of installation, sorted; no broken links."""
     folders = sorted({path.parent for root in roots for path in Path(root).rglob("*.*")})
-    return [(f"share/posor_bringup/{folder}", sorted(map(str, folder.glob("*.*")))) for folder in folders]
+    files = {folder: [str(path) for path in folder.glob("*.*") if path.exists()] for folder in folders}
+    return [(f"share/posor_bringup/{folder}", sorted(paths)) for folder, paths in files.items()]
 
 
 setup(

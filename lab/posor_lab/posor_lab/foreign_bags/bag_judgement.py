@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from mcap.reader import make_reader
 from posor.bags.bag_reader import opened_bag
+from posor.bags.bag_writer import file_name_of
 from posor.bags.block_reader import read_messages
 from posor.bags.recover_command import recover
 from posor.errors import PosorError
@@ -83,7 +84,7 @@ def judge_recovery(bag: GeneratedBag, output: Path) -> Judgement:
         return Judgement(Outcome.WRONG, f"not recovered: {error}")
     if damages := [damage.what for rescue in rescues for damage in rescue.damages]:
         return Judgement(Outcome.WRONG, f"recover finds damage: {damages[0]}")
-    with (output / f"{output.name}.mcap").open("rb") as file:
+    with (output / file_name_of(output)).open("rb") as file:
         messages = make_reader(file).iter_messages()
         copied = Counter((channel.topic, message.log_time, message.data) for _, channel, message in messages)
     wanted = Counter((each.topic.name, each.time_ns, each.data) for each in bag.messages)

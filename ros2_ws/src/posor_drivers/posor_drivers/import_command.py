@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from posor.bags.bag_writer import replace_bag
+from posor.bags.bag_writer import file_name_of, replace_bag
 from posor.bags.provenance import provenance_of
 from posor.bags.result_folder import writing
 from posor.chain.arm_file import load_arm_file
@@ -90,7 +90,7 @@ def _check_output(bag: Path, *, force: bool) -> None:
         return
     if not force:
         raise BagError("exists already", where=str(bag), expected="a new folder, or --force")
-    own = {"metadata.yaml", f"{bag.name}.mcap"}
+    own = {"metadata.yaml", file_name_of(bag)}
     if not bag.is_dir() or {path.name for path in bag.iterdir()} != own:
         raise BagError("is not a bag of this program alone", where=str(bag), expected="a new folder")
 

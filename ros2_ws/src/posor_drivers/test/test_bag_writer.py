@@ -35,7 +35,7 @@ def write(path: Path) -> None:
 def test_same_calls_give_the_same_bytes(tmp_path: Path) -> None:
     for name in ("a", "b"):
         write(tmp_path / name / "bag")
-    for file in ("bag.mcap", "metadata.yaml"):
+    for file in ("bag_0.mcap", "metadata.yaml"):
         assert (tmp_path / "a/bag" / file).read_bytes() == (tmp_path / "b/bag" / file).read_bytes()
 
 
@@ -77,7 +77,7 @@ def test_metadata_are_those_of_rosbag2_version_9(tmp_path: Path) -> None:
     ]
     assert information["version"] == 9
     assert information["storage_identifier"] == "mcap"
-    assert information["relative_file_paths"] == ["bag.mcap"]
+    assert information["relative_file_paths"] == ["bag_0.mcap"]
     assert information["message_count"] == 3
     assert information["starting_time"] == {"nanoseconds_since_epoch": 100}
     assert information["duration"] == {"nanoseconds": 100}
@@ -103,7 +103,7 @@ def test_metadata_are_those_of_rosbag2_version_9(tmp_path: Path) -> None:
 
 def test_storage_holds_the_definitions(tmp_path: Path) -> None:
     write(tmp_path / "bag")
-    with Reader(tmp_path / "bag/bag.mcap") as reader:
+    with Reader(tmp_path / "bag/bag_0.mcap") as reader:
         by_topic = {connection.topic: connection for connection in reader.connections}
     definition = MessageTypes().definition("posor_msgs/msg/RawScan")
     assert by_topic["/joint1/raw"].msgdef.data == definition.text

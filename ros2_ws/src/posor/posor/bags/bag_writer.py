@@ -75,6 +75,11 @@ class _Topic:
     count: int = 0
 
 
+def file_name_of(bag: Path) -> str:
+    """Return the name of the only file of a bag, as rosbag2 names the first one: ``ros2 bag reindex`` wants it."""
+    return f"{bag.name}_0.mcap"
+
+
 class BagWriter:
     """A bag that is being written; as a context manager it closes the bag, also after an error.
 
@@ -108,7 +113,7 @@ class BagWriter:
             path.mkdir(parents=True)
             if custom_data:
                 (path / PENDING).write_text(json.dumps(self._custom_data, indent=1) + "\n", encoding="utf-8")
-            self._file = (path / f"{path.name}.mcap").open("xb")
+            self._file = (path / file_name_of(path)).open("xb")
             self._file.write(MAGIC + _bytes_of(Header("ros2", "posor")))
 
     @property
@@ -287,7 +292,7 @@ class BagWriter:
 
     def _information(self) -> dict[str, Any]:
         """Return the content of metadata.yaml."""
-        file, (first, last) = f"{self.path.name}.mcap", self._time_span()
+        file, (first, last) = file_name_of(self.path), self._time_span()
 
         def extent() -> dict[str, Any]:  # a new one each time: YAML would refer to the first one
             return {

@@ -14,7 +14,7 @@ import pytest
 import yaml
 from posor.bags import recover_command
 from posor.bags.bag_reader import opened_bag
-from posor.bags.bag_writer import BagWriter, TopicMessages
+from posor.bags.bag_writer import BagWriter, TopicMessages, file_name_of
 from posor.bags.block_reader import read_messages
 from posor.bags.mcap_file import OF_MESSAGES, Damage, read_index, read_records
 from posor.bags.provenance import PENDING
@@ -56,7 +56,7 @@ def record(path: Path) -> Path:
             for topic, time_ns, data in chunk:
                 writer.write(topic, time_ns, data)
             writer.flush()
-    return path / f"{path.name}.mcap"
+    return path / file_name_of(path)
 
 
 @pytest.fixture(scope="module")
@@ -94,7 +94,7 @@ def test_chunks_written_from_tables_state_their_checksums(tmp_path: Path) -> Non
         for begin in (0, 20):
             part = slice(begin, begin + 30)
             writer.write_messages([TopicMessages(topic, np.arange(50)[part], messages[part])])
-    file = tmp_path / "bag/bag.mcap"
+    file = tmp_path / "bag/bag_0.mcap"
     data = bytearray(file.read_bytes())
     assert first_damage(file) is None
     for info in chunk_indices(file):
