@@ -24,8 +24,13 @@ TEXTS = list[str]
 PARAMETERS: dict[str, dict[str, object]] = {
     "controller_manager": {"update_rate": int, "enforce_command_limits": bool, "handle_exceptions": bool},
     "joint_state_broadcaster": {
-        "use_local_topics": bool, "joints": TEXTS, "extra_joints": TEXTS, "interfaces": TEXTS, "frame_id": str,
-        "use_urdf_to_filter": bool, "publish_dynamic_joint_states": bool,
+        "use_local_topics": bool,
+        "joints": TEXTS,
+        "extra_joints": TEXTS,
+        "interfaces": TEXTS,
+        "frame_id": str,
+        "use_urdf_to_filter": bool,
+        "publish_dynamic_joint_states": bool,
     },
 }
 PLUGINS = {
