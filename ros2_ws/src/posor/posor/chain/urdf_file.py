@@ -110,6 +110,7 @@ class _Reader:
 
     def __init__(self, source: str) -> None:
         self.source, self.version = source, "1.0"
+        self.unresolved = {"xacro"}  # prefixes of elements that a program should have replaced
         self.faults: list[ChainError] = []
 
     def refuse(self, what: str, line: int, expected: str) -> None:
@@ -134,13 +135,16 @@ class _Reader:
         ``plain``: elements that do not bear on geometry; None: all that are not similar to elements of geometry.
         """
         prefix, _, local = element.name.rpartition(":")
-        if prefix == "xacro":
+        if prefix in self.unresolved or local == "include":
             self.refuse(f"element '{element.name}' in {owner}", element.line, RESOLVED)
         elif element.name not in known and element.name not in (plain or ()):
             misspelt = get_close_matches(local.lower(), GEOMETRY, n=1, cutoff=_ALIKE)
             if misspelt or (plain is not None and not prefix):
                 expected = similar_name(local.lower(), known, f"one of {', '.join(known)}")
                 self.refuse(f"unknown element '{element.name}' in {owner}", element.line, expected)
+
+    def is_unresolved(self, element: _Element) -> bool:
+        return element.name.rpartition(":")[0] in self.unresolved
 
     def name_of(self, element: _Element, others: dict[str, int]) -> str:
         """Return the name of a link or joint that no other has, and note its line."""
@@ -185,16 +189,24 @@ class _Reader:
                 self.refuse(what, own[0].line, similar_name(link, links, f"one of {', '.join(links)}"))
             ends.append(link)
         for child in element.children:
-            if child.name.startswith("xacro:"):
+            if self.is_unresolved(child):
                 self.check_child(child, owner, PARTS, PLAIN_PARTS)
         return _Joint(element, name, kind, *ends)
+
+    def check_parts(self, element: _Element, owner: str) -> None:
+        """Refuse text in a joint, and parts of which it may have one."""
+        if text := " ".join(element.text.split()):
+            self.refuse(f"text '{text}' in {owner}", element.line, f"elements {', '.join(PARTS)}")
+        for name in ("origin", "axis"):
+            if len(found := element.called(name)) > 1:
+                self.refuse(f"{owner} has {len(found)} elements '{name}'", found[1].line, "at most one")
 
     def read_geometry(self, joint: _Joint) -> UrdfJoint:
         """Return a joint with its geometry; what is wrong is the identity."""
         element, name, kind, parent, child = joint
         owner = f"joint '{name}'"
         for part in element.children:
-            if not part.name.startswith("xacro:"):
+            if not self.is_unresolved(part):
                 self.check_child(part, owner, PARTS, PLAIN_PARTS)
             if part.name in ATTRIBUTES:
                 of_part = f"{part.name} of {owner}"
@@ -203,9 +215,7 @@ class _Reader:
                 if part.text.strip() or part.children:
                     content = part.text.strip() or f"element '{part.children[0].name}'"
                     self.refuse(f"{content} inside the {of_part}", part.line, f"attributes {', '.join(known)}")
-        for part_name in ("origin", "axis"):
-            if len(found := element.called(part_name)) > 1:
-                self.refuse(f"{owner} has {len(found)} elements '{part_name}'", found[1].line, "at most one")
+        self.check_parts(element, owner)
         T_parent_joint, rpy = self.read_origin(element, owner)
         axis = self.read_axis(element, owner, kind)
         if kind == "floating":
@@ -291,6 +301,8 @@ class _Reader:
         if self.version not in VERSIONS:
             self.refuse(f"version '{self.version}' of the robot", robot.line, f"one of {', '.join(VERSIONS)}")
         self.check_attributes(robot, ("name", "version"), "the robot")
+        spaces = ((name.removeprefix("xmlns:"), value) for name, value in robot.attributes.items())
+        self.unresolved |= {prefix for prefix, space in spaces if "xacro" in space.lower() or "XInclude" in space}
         for child in robot.children:
             self.check_child(child, "the robot", ("link", "joint"), None)
         links = self.read_links(robot)
@@ -378,18 +390,20 @@ def read_urdf(text: str, endpoint_frame: str, source: str) -> tuple[Urdf, list[C
     """
     reader = _Reader(source)
     try:
-        robot = _parse_xml(text)
+        robot = _parse_xml(text, source)
     except expat.ExpatError as error:
         what, expected = f"is not XML: {error}", "a robot description (URDF)"
         return Urdf((), (), ()), [ChainError(what, where=source, expected=expected)]
+    except ChainError as error:
+        return Urdf((), (), ()), [error]
     if robot.name != "robot":
         reader.refuse(f"is not a URDF: its root element is '{robot.name}'", robot.line, "'robot'")
         return Urdf((), (), ()), reader.faults
     return reader.read_robot(robot, endpoint_frame), reader.faults
 
 
-def _parse_xml(text: str) -> _Element:
-    """Return the root element; names keep their prefixes, as in the parser of ROS."""
+def _parse_xml(text: str, source: str) -> _Element:
+    """Return the root element; names keep their prefixes, as in the parser of ROS, which knows no entities either."""
     parser, opened = expat.ParserCreate(), [_Element("", {}, 0)]
 
     def start(name: str, attributes: dict[str, str]) -> None:
@@ -400,7 +414,12 @@ def _parse_xml(text: str) -> _Element:
     def add_text(part: str) -> None:
         opened[-1].text += part
 
+    def refuse_definitions(name: str, *_: object) -> None:
+        where = f"{source}, line {parser.CurrentLineNumber}"
+        raise ChainError(f"has <!DOCTYPE {name}>", where=where, expected="no document type: URDF has no entities")
+
     parser.StartElementHandler, parser.CharacterDataHandler = start, add_text
+    parser.StartDoctypeDeclHandler = refuse_definitions
     parser.EndElementHandler = lambda _: opened.pop()
     parser.Parse(text, True)  # noqa: FBT003  expat takes no keywords
     return opened[0].children[0]
