@@ -35,6 +35,8 @@ Document = TypeVar("Document")
 _MAX_DEPTH = 50
 _MAX_NODES = 200_000
 """Largest number of nodes with all aliases expanded; the largest calibration files have some 10,000."""
+_LARGEST_INTEGER = 2**64
+_HALF_CHARACTER = re.compile("[\ud800-\udfff]")  # of UTF-16, which no file can hold
 _TEXT, _MERGE = "tag:yaml.org,2002:str", "tag:yaml.org,2002:merge"
 _INTEGER = "tag:yaml.org,2002:int"
 _FLOAT = "tag:yaml.org,2002:float"
@@ -100,10 +102,17 @@ class StrictLoader(yaml.SafeLoader):
     def construct_object(self, node: yaml.Node, deep: bool = False) -> object:  # noqa: FBT001, FBT002  PyYAML's
         """Construct an object; report text that Python cannot convert as an error of the file."""
         try:
-            return super().construct_object(node, deep)
+            content = super().construct_object(node, deep)
         except (ValueError, ArithmeticError, LookupError, AttributeError, TypeError) as error:
             problem = str(error) if isinstance(error, ValueError) else f"'{node.value}' does not fit the tag {node.tag}"
             raise yaml.MarkedYAMLError(problem=problem, problem_mark=node.start_mark) from error
+        if isinstance(content, int) and abs(content) > _LARGEST_INTEGER:
+            problem = "it contains a whole number of more than 64 bits"
+            raise yaml.MarkedYAMLError(problem=problem, problem_mark=node.start_mark)
+        if isinstance(content, str) and _HALF_CHARACTER.search(content):
+            problem = "it contains half of a character, \\ud800 to \\udfff"
+            raise yaml.MarkedYAMLError(problem=problem, problem_mark=node.start_mark)
+        return content
 
 
 class FastLoader(StrictLoader):
