@@ -13,12 +13,12 @@ import numpy as np
 from posor.calibration.calibration_file import load_calibration
 from posor.errors import DataFileError
 from posor.tables.channel_ranges import CONTACTS, channels_of, light_sources, likely_unit
-from posor.tables.raw_table import Cells, parse_numbers
+from posor.tables.raw_table import is_number
 from posor.tables.table_file import is_text, open_table, read_bytes
 from posor.tables.table_map import FileLayout
 from posor.tables.table_time import parse_moment
 from posor.tables.table_units import UNITS
-from posor.tables.text_table import byte_order_mark
+from posor.tables.text_table import byte_order_mark, utf_16_without_mark
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -119,7 +119,7 @@ def guess_layout(path: Path) -> tuple[FileLayout, dict[str, str]]:
     data, doubts, encoding = read_bytes(path), dict[str, str](), "utf-8"
     mark = byte_order_mark(data)
     if not mark and b"\0" in data[:4096]:
-        encoding = "utf-16-le" if data[1:2] == b"\0" else "utf-16-be"
+        encoding = utf_16_without_mark(data[:4096]) or encoding
     elif not mark:
         try:
             data.decode("utf-8")
@@ -151,16 +151,12 @@ def _cells(line: str, separator: str) -> list[str]:
     return [cell.strip() for cell in next(csv.reader([line], delimiter=separator, skipinitialspace=True), [])]
 
 
-def _is_number(cell: str, decimal: str) -> bool:
-    return bool(np.isfinite(parse_numbers([cell], decimal, 0, 0, Cells(np.empty(0, dtype=np.int64)))[0]))
-
-
 def _score(lines: Sequence[str], separator: str, decimal: str) -> tuple[int, int]:
     """Return the number of numbers in rows as wide as most rows; for equal numbers, blanks come last."""
     rows = [_cells(line, separator) for line in lines if line.strip() and not line.startswith("#")]
     counts = [len(row) for row in rows]
     width = max(set(counts), key=counts.count) if counts else 0
-    numbers = sum(_is_number(cell, decimal) for row in rows if len(row) == width for cell in row) if width > 1 else 0
+    numbers = sum(is_number(cell, decimal) for row in rows if len(row) == width for cell in row) if width > 1 else 0
     return numbers, int(separator != "space")
 
 
@@ -170,7 +166,7 @@ def _header_of(lines: Sequence[str], separator: str, decimal: str) -> tuple[int,
         (n, _cells(line, separator)) for n, line in enumerate(lines, 1) if line.strip() and not line.startswith("#")
     ]
     width = max((len(row) for _, row in rows), default=0)
-    data = [n for n, row in rows if len(row) == width and 2 * sum(_is_number(cell, decimal) for cell in row) > width]
+    data = [n for n, row in rows if len(row) == width and 2 * sum(is_number(cell, decimal) for cell in row) > width]
     first = data[0] if data else rows[-1][0] + 1 if rows else 1
     above = [(n, row) for n, row in rows if n < first and len(row) == width]
     if not above:

@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
 MISSING = {"", "nan", "na", "n/a", "#n/a", "null", "none", "-", "--", "---"}
 """Texts of a cell without a value, in lower case."""
+OVERLOAD = 9.9e37
+"""Least amount that SCPI instruments give in place of a reading that is too large or invalid (SCPI-99, 7.2.1)."""
 _NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][-+]?\d+)?", re.ASCII)
 
 
@@ -56,6 +58,8 @@ class RawTable(ABC):
     """A file with a table."""
 
     place_word = "row"
+    hint = ""
+    """What may make a column missing, for errors."""
 
     def __init__(self, path: Path, columns: Sequence[Column]) -> None:
         """Store the columns that the file has."""
@@ -89,7 +93,7 @@ class RawTable(ABC):
             )
         found = [n for n, name in enumerate(names) if name == " ".join(column.split())]
         if not found:
-            expected = f"one of {', '.join(repr(name) for name in names)}"
+            expected = f"one of {', '.join(repr(name[:_LONGEST_NAME]) for name in names)}{self.hint}"
             raise DataFileError(f"column '{column}' of {where} is missing", where=str(self.path), expected=expected)
         if len(found) > 1:
             numbers = " and ".join(str(n + 1) for n in found)
@@ -128,8 +132,9 @@ class ArrayTable(RawTable):
             array = wanted[n][:count]
             if array.dtype.kind in "biuf":
                 column = array.astype(np.float64)
-                cells.invalid += [InvalidCell(int(row), n, "inf") for row in np.flatnonzero(np.isinf(column))]
-                column[np.isinf(column)] = np.nan
+                wrong = np.abs(column) >= OVERLOAD
+                cells.invalid += [InvalidCell(int(row), n, f"{column[row]:g}") for row in np.flatnonzero(wrong)]
+                column[wrong] = np.nan
             else:
                 column = parse_numbers(["" if cell is None else str(cell) for cell in array.tolist()], ".", n, 0, cells)
             cells.numbers[n] = column
@@ -140,13 +145,14 @@ class ArrayTable(RawTable):
 def parse_numbers(texts: Sequence[str], decimal: str, column: int, first_row: int, cells: Cells) -> FloatArray:
     """Return the numbers of a column's cells, (r,); NaN: missing, or invalid and added to ``cells``."""
     joined = "\n".join(texts)
-    if joined.isascii() and "_" not in joined and (decimal == "." or "." not in joined):
+    is_plain = joined.isascii() and "_" not in joined and joined.count("\n") == len(texts) - 1
+    if is_plain and (decimal == "." or "." not in joined):
         try:
             parsed = np.array(joined.replace(",", ".").split("\n") if decimal == "," else texts, dtype=np.float64)
         except ValueError:
             pass
         else:
-            if np.isfinite(parsed).all():
+            if (np.abs(parsed) < OVERLOAD).all():
                 return parsed
     numbers = np.full(len(texts), np.nan)
     for n, text in enumerate(texts):
@@ -156,11 +162,17 @@ def parse_numbers(texts: Sequence[str], decimal: str, column: int, first_row: in
         plain = cell.replace(",", ".") if decimal == "," and "." not in cell else "" if decimal == "," else cell
         if decimal == "," and cell.lstrip("+-").isdigit():
             plain = cell
-        if _NUMBER.fullmatch(plain) and np.isfinite(number := float(plain.translate(_EXPONENTS))):
+        if _NUMBER.fullmatch(plain) and abs(number := float(plain.translate(_EXPONENTS))) < OVERLOAD:
             numbers[n] = number
         else:
             cells.invalid.append(InvalidCell(first_row + n, column, text))
     return numbers
 
 
+def is_number(cell: str, decimal: str) -> bool:
+    """Return whether the text of a cell is a number."""
+    return bool(np.isfinite(parse_numbers([cell], decimal, 0, 0, Cells(np.empty(0, dtype=np.int64)))[0]))
+
+
+_LONGEST_NAME = 80
 _EXPONENTS = str.maketrans("dD", "ee")

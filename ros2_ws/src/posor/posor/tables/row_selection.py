@@ -65,6 +65,11 @@ class RowSelection:
         invalid = sorted(cell for cell in self.cells.invalid if cell.column in numeric)
         if not invalid:
             return
+        names = [column.name for column in self.table.columns]
+        for other in invalid:
+            if (text := " ".join(other.text.split())) in names and text != names[other.column]:
+                what, expected = f"another column, '{text}', begins", "one header; a file for each order of the columns"
+                raise DataFileError(what, where=self._place(other.row, other.column), expected=expected)
         cell, rows = invalid[0], sorted({each.row for each in invalid})
         expected = "a number"
         if self.map.file.decimal == "." and "," in cell.text:

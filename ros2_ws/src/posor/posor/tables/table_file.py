@@ -109,12 +109,22 @@ def _parquet(path: Path) -> RawTable:
             array = _iso(chunks.cast(arrow.timestamp("ns")).to_numpy(), zone="Z" if kind.tz else "")
         elif arrow.types.is_decimal(kind):
             array = np.array([None if cell is None else str(cell) for cell in chunks.to_pylist()], dtype=object)
-        elif arrow.types.is_nested(kind):
-            continue
+        elif arrow.types.is_nested(kind):  # each cell is invalid, with the type in the error
+            array = np.full(len(chunks), str(kind), dtype=object)
+        elif arrow.types.is_duration(kind):
+            stated, array = kind.unit, _exact(chunks.cast(arrow.int64()))
         else:
-            array = chunks.to_numpy()
+            array = _exact(chunks.cast(arrow.int8()) if arrow.types.is_boolean(kind) else chunks)
         columns.append((Column(field.name, find_unit(stated) or unit_in_name(field.name)), array))
     return ArrayTable(path, columns)
+
+
+def _exact(chunks: Any) -> NDArray[Any]:
+    """Return a column of Parquet; whole numbers stay exact beside cells without a value."""
+    if chunks.null_count and str(chunks.type).lstrip("u").startswith("int"):
+        return np.array(chunks.to_pylist(), dtype=object)
+    array: NDArray[Any] = chunks.to_numpy()
+    return array
 
 
 def _tdms(path: Path) -> RawTable:
@@ -156,7 +166,7 @@ def _matlab_73(path: Path) -> RawTable:
         array = node[()]
         if node.attrs.get("MATLAB_empty") or (kind not in (b"double", b"single", b"logical") and b"int" not in kind):
             return None
-        return np.squeeze(np.transpose(array))
+        return np.atleast_1d(np.squeeze(np.transpose(array)))
 
     with h5py.File(path, "r") as file:
         return _of_variables(path, content(file))
@@ -178,6 +188,8 @@ def _columns_of(name: str, value: Any) -> Iterator[tuple[str, NDArray[Any]]]:
     if isinstance(value, dict):
         for key, part in value.items():
             yield from _columns_of(f"{name}.{key}".lstrip("."), part)
+    elif isinstance(value, int | float | np.number):
+        yield name, np.array([value])  # one row
     elif isinstance(value, np.ndarray) and value.dtype.names is None and value.dtype.kind in "biufOU":
         if value.ndim == 1:
             yield name, value

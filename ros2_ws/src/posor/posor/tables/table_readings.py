@@ -236,8 +236,12 @@ class _Reader:
             return times_of_texts(np.array(joined, dtype=object), time, zone)
         except LookupError as error:
             where = self.table.place(int(cells.places[int(error.args[0])]), columns[-1])
-            what = f"'{joined[int(error.args[0])]}' has no time zone"
-            raise DataFileError(what, where=where, expected="time_zone of the map, such as UTC") from None
+            text, expected = joined[int(error.args[0])], "time_zone of the map, such as UTC"
+            what = f"'{text}' has no time zone"
+            if zone is not None:
+                what = f"summer time begins or ends in {time.time_zone} at '{text}', which is no time or two times"
+                expected = "time_zone of the map as +01:00 or +02:00"
+            raise DataFileError(what, where=where, expected=expected) from None
 
     def _scan_numbers(self, cells: Cells, keep: BoolArray, columns: list[int]) -> IntArray:
         """Return the number of each scan: that of its row, or of a column; both ascend."""

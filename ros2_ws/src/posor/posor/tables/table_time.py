@@ -45,7 +45,7 @@ def parse_moment(text: str, form: str, zone: dt.tzinfo | None) -> int:
     """Return a moment [ns since 1970]; ``form``: ``iso`` or of ``strptime``; ``zone``: of a text without one.
 
     Raises:
-        ValueError: The text has another form; LookupError: it has no time zone.
+        ValueError: The text has another form; LookupError: it has no time zone, or summer time begins or ends then.
 
     """
     fraction = _FRACTION.search(text)
@@ -58,6 +58,8 @@ def parse_moment(text: str, form: str, zone: dt.tzinfo | None) -> int:
         if zone is None:
             raise LookupError
         moment = moment.replace(tzinfo=zone)
+        if moment.utcoffset() != moment.replace(fold=1).utcoffset():
+            raise LookupError
     whole = (moment - _EPOCH) // dt.timedelta(microseconds=1) * 1000
     return whole + (int(fraction[1].ljust(9, "0")) if fraction else 0)
 
@@ -104,7 +106,8 @@ def times_of_texts(values: NDArray[Any], time: TimeMap, zone: dt.tzinfo | None) 
     """Return the times of texts (n,); MISSING_NS or INVALID_NS where there is none.
 
     Raises:
-        LookupError: A text has no time zone, and the map states none; its argument is the index of the row.
+        LookupError: A text has no time zone, and the map states none, or one in which summer time begins or ends then;
+            its argument is the index of the row.
 
     """
     form, times = str(time.format), np.empty(len(values), dtype=np.int64)

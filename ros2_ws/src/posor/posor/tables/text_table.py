@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from posor.errors import DataFileError
-from posor.tables.raw_table import Cells, Column, RawTable, parse_numbers
+from posor.tables.raw_table import Cells, Column, RawTable, is_number, parse_numbers
 from posor.tables.table_units import find_unit, unit_in_name
 
 if TYPE_CHECKING:
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from posor.tables.table_units import Unit
 
 SEPARATORS = {"tab": "\t", "space": " "}
+_OTHER_SEPARATORS = {"';'": ";", "tab": "\t", "'|'": "|", "','": ",", "space": " "}  # as in a map
 _MARKS = (
     (codecs.BOM_UTF8, "utf-8-sig"),
     (codecs.BOM_UTF32_LE, "utf-32"),
@@ -31,6 +32,9 @@ _MARKS = (
 )
 _CHUNK = 20_000  # rows that are converted at a time
 _ENOUGH_ROWS = 3  # to judge the length of the last cell
+_FEWEST_CELLS = 3  # of a row that a quoted cell of several lines may contain
+_BEGIN = 4096  # number of bytes that show whether a file is text
+_MOST = 0.8  # share of the upper bytes of UTF-16 that are zero, at least
 
 
 def byte_order_mark(data: bytes) -> str:
@@ -38,12 +42,23 @@ def byte_order_mark(data: bytes) -> str:
     return next((name for mark, name in _MARKS if data.startswith(mark)), "")
 
 
+def utf_16_without_mark(begin: bytes) -> str:
+    """Return ``utf-16-le`` or ``utf-16-be`` if the first bytes of a file look like one of them; else empty."""
+    for name, upper, lower in (("utf-16-le", begin[1::2], begin[::2]), ("utf-16-be", begin[::2], begin[1::2])):
+        if upper.count(0) > _MOST * len(upper) and lower.count(0) < (1.0 - _MOST) * len(lower):
+            return name
+    return ""
+
+
 def decode(data: bytes, encoding: str, where: str) -> str:
     """Return the text of a file. Raises DataFileError: the bytes are of another encoding; names the line."""
     encoding = byte_order_mark(data) or encoding
-    if encoding == "utf-8" and b"\0" in data[:4096]:
-        wide = "utf-16-le" if data[1:2] == b"\0" else "utf-16-be"
-        raise DataFileError("holds zero bytes", where=where, expected=f"file: {{encoding: {wide}}} in the map, or text")
+    begin = data[:_BEGIN]
+    if encoding == "utf-8" and b"\0" in (begin.rstrip(b"\0") or begin):  # zeros at the end: the recorder lost power
+        expected = "text, or a Parquet, TDMS or MATLAB file"
+        if wide := utf_16_without_mark(begin):
+            expected = f"file: {{encoding: {wide}}} in the map, or text"
+        raise DataFileError("holds zero bytes", where=where, expected=expected)
     try:
         return data.decode(encoding)
     except UnicodeDecodeError as error:
@@ -51,6 +66,8 @@ def decode(data: bytes, encoding: str, where: str) -> str:
         what = f"byte {error.start} (0x{data[error.start]:02X}) is not {encoding}"
         expected = "the encoding in the map, such as file: {encoding: cp1252}"
         raise DataFileError(what, where=f"{where}, line {line}", expected=expected) from None
+    except UnicodeError:
+        raise DataFileError(f"is not {encoding}", where=where, expected="the encoding in the map") from None
 
 
 class TextTable(RawTable):
@@ -75,6 +92,13 @@ class TextTable(RawTable):
             if self._data_line > number + 1
             else []
         )
+        if header_line is None and all(is_number(cell, layout.decimal) or not cell for cell in header):
+            expected = "names, or file: {header_line: 0} in the map if there are no names, "
+            expected += f"{{header_line: {number}}} if these are the names, {{comment: ''}} if the names follow a '#'"
+            raise DataFileError("holds numbers in place of names", where=f"{path}, line {number}", expected=expected)
+        others = [word for word, sign in _OTHER_SEPARATORS.items() if len(header) == 1 and sign in header[0]]
+        if others:
+            self.hint = f"; file: {{separator: {others[0]}}} in the map if it separates the cells"
         if header_line == 0:
             header = [str(n + 1) for n in range(len(header))]
         while len(header) > 1 and not header[-1]:
@@ -97,12 +121,24 @@ class TextTable(RawTable):
                     yield " ".join(line.split()) if layout.separator == "space" else line
 
         reader = csv.reader(lines(), delimiter=separator, skipinitialspace=True, strict=True)
+        first = 0  # lines before this row
         try:
             for cells in reader:
+                if reader.line_num > first + 1:
+                    self._refuse_swallowed_rows(cells, separator, number)
+                first = reader.line_num
                 yield number, [cell.strip() for cell in cells]
         except csv.Error as error:
             expected = "quotes in pairs, and the separator of the file in the map"
             raise DataFileError(str(error), where=f"{self._where}, line {number}", expected=expected) from None
+
+    def _refuse_swallowed_rows(self, cells: list[str], separator: str, number: int) -> None:
+        """Refuse a cell of several lines of which one has the separators of a row: a quote was left open."""
+        width = sum(cell.count(separator) for cell in cells) + len(cells) - 1
+        for line in (line for cell in cells if "\n" in cell for line in cell.splitlines()):
+            if _FEWEST_CELLS <= len(cells) <= line.count(separator) + 1 <= width + 1:
+                what, expected = "a quote opens before this line and closes in it, around whole rows", "quotes in pairs"
+                raise DataFileError(what, where=f"{self._where}, line {number}", expected=expected)
 
     def read(self, numbers: Collection[int], values: Collection[int]) -> Cells:
         """Return the columns."""

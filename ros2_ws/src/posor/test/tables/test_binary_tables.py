@@ -159,3 +159,38 @@ def test_missing_values_and_columns_of_other_lengths(tmp_path: Path) -> None:
     savemat(path, {"text": "no numbers"})
     with pytest.raises(DataFileError, match="holds no arrays of numbers"):
         read_table(path, write_map(tmp_path, **OF_MATLAB))
+
+
+def test_types_of_parquet_columns(tmp_path: Path) -> None:
+    """Whole numbers stay exact beside empty cells, durations have a unit, and lists are named."""
+    pa = pytest.importorskip("pyarrow")
+    import pyarrow.parquet  # noqa: PLC0415
+
+    path, epoch_ns = tmp_path / "a.parquet", 1_795_600_800_000_000_001
+    joint = {"elbow": {"frame_id": "plate", "gap_voltages": [{"column": "u", "unit": "V"}]}}
+
+    def stamps(times: Any, unit: str, volts: Any) -> list[int]:
+        pyarrow.parquet.write_table(pa.table({"t": times, "u": volts}), path)
+        time = {"column": "t", "unit": unit, "start": "1970-01-01T00:00:00Z"}
+        return read_table(
+            path, write_map(tmp_path, time=time, joints=joint, leave_out=["missing_cells"])
+        ).stamps_ns.tolist()
+
+    assert stamps(pa.array([epoch_ns, None, epoch_ns + 2]), "ns", [0.1, 0.2, 0.3]) == [epoch_ns, epoch_ns + 2]
+    durations = pa.array([7, 9], pa.duration("ms"))
+    assert stamps(durations, "ms", pa.array([True, None])) == [7_000_000]
+    for times, unit, volts, sentence in (
+        (durations, "s", [0.1, 0.2], "column 't' is in ms by the file, in s by the map"),
+        ([1.0, 2.0], "s", [[0.1], [0.2]], "'list<element: double>' is invalid"),
+    ):
+        with pytest.raises(DataFileError, match=sentence):
+            stamps(times, unit, volts)
+
+
+def test_a_matlab_file_of_one_row(tmp_path: Path) -> None:
+    savemat(tmp_path / "a.mat", {"daq": {"t": 0.0, "u": 0.71, "v": -0.25, "plate": 20.0}})
+    time = {"column": "daq.t", "unit": "s", "start": START}
+    scans = read_table(
+        tmp_path / "a.mat", write_map(tmp_path, time=time, joints=joints(("daq.u", "daq.v", "daq.plate")))
+    )
+    np.testing.assert_allclose(scans.gap_voltages, [[0.71e-3, -0.25e-3]])

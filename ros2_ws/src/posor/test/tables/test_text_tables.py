@@ -232,6 +232,41 @@ BAD: dict[str, tuple[str, dict[str, Any], str]] = {
     ),
     "zero bytes": ("\0T\0i\0m\0e", {}, "expected file: {{encoding: utf-16-be}}"),
     "Excel": ("PK\x03\x04...", {}, "{csv}: is a ZIP archive, such as a workbook of Excel; expected a CSV, "),
+    "binary": ("CDF\1\0\0\0\7\2\3", {}, "{csv}: holds zero bytes; expected text, or a Parquet, TDMS or MATLAB file."),
+    "zero bytes at the end": (TEXT + 9 * "\0", {}, "line 12: there are 1 cells; expected 5, as in the header"),
+    "another codec": (
+        "t.t\n1-.\n",
+        {"file": {"encoding": "punycode"}},
+        "{csv}: is not punycode; expected the encoding",
+    ),
+    "overload of SCPI": (change(TEXT, "712.000", "9.9E37"), {}, "column 'AI0 (mV)': '9.9E37' is invalid"),
+    "lines in a cell, decimal commas": (
+        change(csv_of(separator=";", decimal=","), "712,000", '"7\n12"'),
+        {"file": {"separator": ";", "decimal": ","}},
+        "column 'AI0 (mV)': '7 12' is invalid",
+    ),
+    "rows in quotes": (
+        change(TEXT.replace("20.20,ok", '20.20,"ok'), "20.40,ok", '20.40,ok"'),
+        {},
+        "{csv}, line 6: a quote opens before this line and closes in it, around whole rows; expected quotes in pairs.",
+    ),
+    "no names": (
+        TEXT.partition("\n")[2].replace(",ok", ""),
+        {},
+        "{csv}, line 1: holds numbers in place of names; expected names, or file: {{header_line: 0}} in the map if ",
+    ),
+    "names behind #": ("# " + TEXT.replace(",ok", ""), {}, "line 2: holds numbers in place of names"),
+    "another separator": (csv_of(separator=";"), {}, "; file: {{separator: ';'}} in the map if it separates "),
+    "second header in another order": (
+        TEXT + ",".join([NAMES[0], *NAMES[2:0:-1], *NAMES[3:]]) + "\n1,1,2,3,ok\n",
+        {"leave_out": ["invalid_cells"]},
+        "{csv}, line 12, column 'AI0 (mV)': another column, 'AI1 (mV)', begins; expected one header",
+    ),
+    "end of summer time": (
+        TEXT.replace("\n0.0", "\n2026-10-25T02:30:00.0"),
+        {"time": {"column": "Time (s)", "format": "iso", "time_zone": "Europe/Berlin"}},
+        "summer time begins or ends in Europe/Berlin at '2026-10-25T02:30:00.0000', which is no time or two times; ",
+    ),
     "nothing left": (
         change(TEXT, "712.000", "").partition("0.0060")[0].replace("710.000", "").replace("711.000", ""),
         {"leave_out": ["missing_cells"]},
