@@ -268,11 +268,11 @@ class BagTopics:
             path = estimate_raw_scans(path, arm, folder, others)
             filled = _filled_topics(path)
         elif not found:
+            known = ", ".join(f"{arm.namespace}/{topic}" for topic in ENDPOINT_TOPICS)
             raise ParameterError(
                 f"there is no endpoint of arm {arm.name}",
                 where=str(path),
-                expected=f"messages on one of {', '.join(f'{arm.namespace}/{topic}' for topic in ENDPOINT_TOPICS)}, or raw "
-                "scans of all its joints",
+                expected=f"messages on one of {known}, or raw scans of all its joints",
             )
         self._path, self._arm, self.topics = path, arm.name, topics
         _check_types(path, topics, topics.types)

@@ -153,7 +153,9 @@ def estimate_raw_scans(bag: Path, arm: ArmFile, folder: Path, copied: Iterable[s
     ``copied``: topics whose messages are taken over. Raises PosorError: the bag or a file of the arm cannot be used.
     """
     settings = Settings.of_arm(arm)
-    joints = {name: replace(each, topic=f"/{arm.name}/{name}/{RAW_TOPIC}") for name, each in settings.joints.items()}
+    joints = {
+        name: replace(each, topic=f"{arm.namespace}/{name}/{RAW_TOPIC}") for name, each in settings.joints.items()
+    }
     topics, estimator, types = topics_of(bag, joints), ArmEstimator(settings), MessageTypes()
     with BagWriter(folder / arm.name) as writer:
         recording = Recording(writer, arm, estimator, estimator.transforms)
@@ -190,7 +192,7 @@ class Recording:
         self._states = EndpointStates(self.endpoint, arm.endpoint_frame, types)
 
         def add_topic(topic: str, kind: str) -> int:
-            return writer.add_topic(f"/{arm.name}/{topic}", kind, types.definition(kind), [RELIABLE_QOS])
+            return writer.add_topic(f"{arm.namespace}/{topic}", kind, types.definition(kind), [RELIABLE_QOS])
 
         schema = types.schema(JOINT_TRANSFORM)
         self._joints = {
