@@ -274,7 +274,7 @@ class BagTopics:
                 where=str(path),
                 expected=f"messages on one of {known}, or raw scans of all its joints",
             )
-        self._path, self._arm, self.topics = path, arm.name, topics
+        self._path, self._namespace, self.topics = path, arm.namespace, topics
         _check_types(path, topics, topics.types)
         with opened_bag(path) as reader:
             self.begin_ns, self.end_ns = reader.start_time, reader.end_time
@@ -286,7 +286,7 @@ class BagTopics:
 
     def states(self) -> Iterator[StateChange]:
         """Yield the changes of the endpoint's state from begin to end. Raises BagError: the bag is damaged."""
-        store = MessageStore(self._arm, self.topics.types)
+        store = MessageStore(self._namespace, self.topics.types)
         with opened_bag(self._path) as reader:
             selected = [connection for connection in reader.connections if connection.topic == self.topics.endpoint]
             for each, time_ns, data in reader.messages(selected):
