@@ -73,7 +73,7 @@ class Chain:
         beams: The measuring beams of the beams file, in its order.
         beam_joints: The joints of the URDF that they are, in the same order.
         fixed_transforms: The fixed joints of the URDF that are no beams of the beams file, and the places of inserted
-            plates (``chain.urdf_file``).
+            plates (``chain.urdf_plates``).
         left_out: Names of the URDF's moving joints that are not on the way to the endpoint, such as those of a gripper,
             and of all joints beyond them.
         urdf: The robot description (XML text).

@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import pinocchio as pin
 
-from posor.chain.urdf_file import model_text
+from posor.chain.urdf_plates import model_text
 from posor.errors import ChainError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from posor.chain.urdf_file import Urdf
+    from posor.chain.urdf_plates import Urdf
 
 
 class FixedTransform(NamedTuple):

@@ -10,7 +10,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from posor.chain.kinematic_chain import Chain
-from posor.chain.urdf_file import read_urdf, rotation_to
+from posor.chain.urdf_file import read_urdf
+from posor.chain.urdf_plates import rotation_to
 from posor.errors import ChainError
 from posor_lab.harness.case_tables import cases, edited, refusal
 
