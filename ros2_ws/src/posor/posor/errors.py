@@ -214,6 +214,11 @@ def similar_name(name: str, names: Iterable[str], otherwise: str, *, least: floa
     return f"perhaps '{similar[0]}'" if similar else otherwise
 
 
+def clause_of(error: Exception) -> str:
+    """Return the text of a library's error as a clause in one line, without a full stop; its type if it has no text."""
+    return " ".join(str(error).split()).rstrip(".") or type(error).__name__
+
+
 def checked_path(path: object, where: str, expected: str) -> Path:
     """Return an argument of a public function as a path; raise ParameterError if it cannot be one."""
     if not isinstance(path, str | Path):

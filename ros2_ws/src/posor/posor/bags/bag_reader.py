@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 from posor.bags.mcap_file import RECOVER
 from posor.bags.ordered_reader import OrderedReader
 from posor.bags.recorded_topics import EXPECTED, METADATA
-from posor.errors import BagError, PosorError
+from posor.errors import BagError, PosorError, clause_of
 from posor.messages.message_definitions import schema_of_topic
 from posor.messages.raw_scan import check_raw_scan_schema
 from posor.ros_names import RAW_SCAN
@@ -55,9 +55,8 @@ def opened_bag(path: Path, *, log_notes: bool = True) -> Iterator[OrderedReader]
     except PosorError:
         raise
     except Exception as error:
-        reason = " ".join(str(error).split()).rstrip(".") or type(error).__name__
         expected = f"{EXPECTED}; {RECOVER}" if storage_files(path, ".mcap") else EXPECTED
-        raise BagError(f"the bag cannot be read, {reason}", where=str(path), expected=expected) from error
+        raise BagError(f"the bag cannot be read, {clause_of(error)}", where=str(path), expected=expected) from error
 
 
 @cache

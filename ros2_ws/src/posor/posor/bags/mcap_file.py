@@ -23,7 +23,7 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, ChunkIndex, Schema
 from mcap.stream_reader import StreamReader
 
-from posor.errors import BagError
+from posor.errors import BagError, clause_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -438,8 +438,7 @@ def _read_record(data: mmap | bytes, position: int) -> tuple[int, list[Record], 
         try:
             records = list(records_of(chunk_records(data[content:after])))
         except Exception as error:  # each compression raises errors of its own
-            what = " ".join(str(error).split()).rstrip(".").lower()
-            raise _DamagedError(f"a chunk is damaged: {what}") from error
+            raise _DamagedError(f"a chunk is damaged: {clause_of(error).lower()}") from error
     elif opcode not in {Opcode.MESSAGE_INDEX, Opcode.DATA_END}:
         records = [Record(opcode, data[content:after])]
     elif opcode == Opcode.MESSAGE_INDEX:

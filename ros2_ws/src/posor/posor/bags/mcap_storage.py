@@ -22,7 +22,7 @@ from posor.bags.mcap_file import (
 )
 from posor.bags.recorded_topics import StoredTopic, Unread
 from posor.bags.stored_file import LAST_TIME_NS, StoredFile
-from posor.errors import BagError
+from posor.errors import BagError, clause_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -70,7 +70,7 @@ class McapFile(StoredFile):
         try:
             return span_records(content, is_chunk=span.is_chunk)
         except Exception as error:
-            raise self.damage(span, f"a chunk is damaged: {_clause(error)}") from error
+            raise self.damage(span, f"a chunk is damaged: {clause_of(error).lower()}") from error
 
     def read(self, offset: int, length: int) -> bytes:
         """Return bytes of the file."""
@@ -102,7 +102,7 @@ class McapFile(StoredFile):
                     if record.opcode in {Opcode.SCHEMA, Opcode.CHANNEL}:
                         definitions.add(record)
             except ValueError as error:
-                raise self.damage(span, f"a chunk is damaged: {_clause(error)}") from error
+                raise self.damage(span, f"a chunk is damaged: {clause_of(error).lower()}") from error
             more_schemas, more_channels = definitions_by_number(definitions_of(records))
             schemas, channels = schemas | more_schemas, channels | more_channels
             counts.update(
@@ -136,7 +136,3 @@ def topic_of(channel: Channel, schemas: Mapping[int, Schema]) -> StoredTopic:
         schema.data,
         qos=channel.metadata.get("offered_qos_profiles", ""),
     )
-
-
-def _clause(error: Exception) -> str:
-    return " ".join(str(error).split()).rstrip(".").lower() or type(error).__name__

@@ -77,11 +77,11 @@ class _Topics:
             schema = self._schemas.get(channel.schema_id)
             if number in self.channels or (schema is None and channel.schema_id):
                 continue
-            found = connection_of(topic_of(channel, self._schemas), 0, BagMetadata())
+            topic = topic_of(channel, self._schemas)
+            found = connection_of(topic, 0, BagMetadata())
             type_hash = "" if isinstance(found, Unread) else stored_type_hash(found)
-            qos = profiles_of(channel.metadata.get("offered_qos_profiles", ""))
             self.channels[number] = self._writer.add_channel(
-                channel.topic, schema, channel.message_encoding, qos, type_hash, channel.metadata
+                channel.topic, schema, channel.message_encoding, profiles_of(topic.qos), type_hash, channel.metadata
             )
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from posor.bags.recorded_topics import EXPECTED, StoredTopic, Unread
 from posor.bags.stored_file import StoredFile
-from posor.errors import BagError
+from posor.errors import BagError, clause_of
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Mapping
@@ -87,8 +87,8 @@ class SqliteFile(StoredFile):
         try:
             yield
         except (sqlite3.Error, KeyError, TypeError) as error:
-            reason = " ".join(str(error).split())
-            raise BagError(f"cannot be read, {reason}", where=str(self.path), expected=_advice(self.path)) from error
+            what = f"cannot be read, {clause_of(error)}"
+            raise BagError(what, where=str(self.path), expected=_advice(self.path)) from error
 
 
 def _topic_of(row: Mapping[str, Any], definitions: Collection[Mapping[str, Any]]) -> StoredTopic:

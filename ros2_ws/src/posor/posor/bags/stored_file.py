@@ -37,11 +37,6 @@ class StoredFile(ABC):
         self.unread: list[Unread] = []
         self.start_ns, self.end_ns = LAST_TIME_NS, -1
 
-    @property
-    def message_count(self) -> int:
-        """Number of all messages that can be read."""
-        return sum(connection.msgcount for connection in self.connections)
-
     @abstractmethod
     def close(self) -> None:
         """Close the file."""

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from posor.errors import DataFileError, ParameterError
+from posor.errors import DataFileError, ParameterError, clause_of
 from posor.input_text import check_input_file, read_input_bytes
 from posor.tables.raw_table import ArrayTable, Column
 from posor.tables.table_units import find_unit, unit_in_name
@@ -23,9 +23,7 @@ if TYPE_CHECKING:
     from posor.tables.raw_table import RawTable
     from posor.tables.table_map import FileLayout
 
-MAX_BYTES = 1 << 31  # largest text file
-LARGEST_FILE = 1 << 36
-NS = 1_000_000_000
+LARGEST_TEXT, LARGEST_FILE = 1 << 31, 1 << 36  # [bytes]
 _MAGIC_BYTES = 24
 _MATRIX = 2  # dimensions
 
@@ -52,7 +50,7 @@ def is_text(path: Path) -> bool:
 def read_bytes(path: Path) -> bytes:
     """Return the bytes of a text file. Raises DataFileError: it cannot be read."""
     try:
-        return read_input_bytes(path, MAX_BYTES)
+        return read_input_bytes(path, LARGEST_TEXT)
     except OSError as error:
         raise DataFileError(f"cannot be read, {(error.strerror or str(error)).lower()}", where=str(path)) from None
 
@@ -83,8 +81,7 @@ def _read_binary(path: Path, kind: str, reader: Callable[[Path], RawTable]) -> R
     except (DataFileError, ParameterError):
         raise
     except Exception as error:
-        reason = " ".join(str(error).split()).rstrip(".") or type(error).__name__
-        raise DataFileError(f"is not a whole {kind} file, {reason}", where=str(path)) from error
+        raise DataFileError(f"is not a whole {kind} file, {clause_of(error)}", where=str(path)) from error
 
 
 def _library(name: str, extra: str, path: Path) -> Any:
