@@ -13,10 +13,9 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, Self
 
 import numpy as np
-from posor.calibration.file_model import EntryError, FrozenModel
+from posor.calibration.file_model import EntryError, FrozenModel, Name
 from posor.calibration.quantity import Quantity, measured
 from posor.calibration.yaml_document import load_document
-from posor.chain.arm_file import Name
 from posor.uncertainty.budget_quantities import NATIVE
 from pydantic import AfterValidator, Field, model_validator
 

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import re
 import reprlib
 from copy import deepcopy
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, ValidationError, model_validator
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, ValidationError, model_validator
 
 from posor.errors import CalibrationError, similar_name
+from posor.ros_names import ROS_NAME_RULE, is_ros_name
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -53,6 +55,28 @@ class EntryError(CalibrationError, ValueError):
     def __init__(self, what: str, *, key: Location = (), expected: str = "") -> None:
         super().__init__(what, expected=expected)
         self.key = key  # keys and indices from the validated part to the wrong entry; empty for the part itself
+
+
+def _check_expression(text: str) -> str:
+    try:
+        re.compile(text)
+    except re.error as error:
+        raise EntryError(f"'{text}': {error}", expected="a regular expression") from None
+    return text
+
+
+Expression = Annotated[str, AfterValidator(_check_expression)]
+"""A regular expression."""
+
+
+def _check_ros_name(name: str) -> str:
+    if not is_ros_name(name):
+        raise EntryError(f"name {format_value(name)}", expected=ROS_NAME_RULE)
+    return name
+
+
+Name = Annotated[str, AfterValidator(_check_ros_name)]
+"""Part of a ROS namespace."""
 
 
 def format_value(value: object) -> str:

@@ -12,16 +12,16 @@ import re
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated, Literal, Self
 
-from pydantic import AfterValidator, BeforeValidator, Field, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
 from posor.calibration.calibration_file import Calibration, Provenance, load_calibration
-from posor.calibration.file_model import EntryError, FrozenModel, format_value
+from posor.calibration.file_model import EntryError, FrozenModel, Name, format_value
 from posor.calibration.yaml_document import load_document
 from posor.chain.kinematic_chain import Chain, load_chain
 from posor.errors import CalibrationError, ChainError, NodeError, ParameterError, PosorError, similar_name, sum_up
 from posor.node_parameters import ChainParameters, PosorParameters
 from posor.parameter_model import validate_parameters
-from posor.ros_names import OUTER_NAMESPACE_RULE, ROS_NAME_RULE, ROS_OWN_PARAMETERS, is_outer_namespace, is_ros_name
+from posor.ros_names import OUTER_NAMESPACE_RULE, ROS_OWN_PARAMETERS, is_outer_namespace
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -34,12 +34,6 @@ CHAIN_NODE, POSOR_NODE = "chain_node", "posor_node"
 _PLACEHOLDER = re.compile(r"\{(\w+)\}")
 
 
-def _check_ros_name(name: str) -> str:
-    if not is_ros_name(name):
-        raise EntryError(f"name {format_value(name)}", expected=ROS_NAME_RULE)
-    return name
-
-
 def _check_parameter_value(value: object) -> object:
     if isinstance(value, bool | int | float | str) or (
         isinstance(value, list) and all(isinstance(entry, str) for entry in value)
@@ -48,7 +42,6 @@ def _check_parameter_value(value: object) -> object:
     raise EntryError(format_value(value), expected="true, false, a number, a text or a list of texts")
 
 
-Name = Annotated[str, AfterValidator(_check_ros_name)]
 ParameterValue = bool | int | float | str | list[str]
 Filled = dict[str, ParameterValue]
 

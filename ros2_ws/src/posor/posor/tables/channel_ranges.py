@@ -9,6 +9,7 @@ import numpy as np
 from posor.sensors.bumpy_ring import BumpyRingCalibration
 from posor.sensors.diodes import DiodesCalibration
 from posor.sensors.gap_probes import GapProbesCalibration
+from posor.tables.table_map import READINGS
 from posor.tables.table_units import UNITS, units_of
 
 if TYPE_CHECKING:
@@ -30,8 +31,9 @@ class Channel(NamedTuple):
     required: bool = True
 
 
-def likely_unit(number: float, si: str, channel: Channel) -> str:
-    """Return the unit in which a number is within the range of a channel: SI, or the largest one; empty: none."""
+def likely_unit(number: float, channel: Channel) -> str:
+    """Return the unit in which a number is within the range of a channel: SI, or the largest one; empty: no unit."""
+    si = READINGS[channel.reading]
     units = [UNITS[name] for name in units_of(si)]
     fitting = [
         unit for unit in units if channel.lowest <= number * float(unit.factor) + float(unit.shift) <= channel.highest

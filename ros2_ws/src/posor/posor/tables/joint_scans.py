@@ -11,7 +11,7 @@ import numpy as np
 from posor.calibration.quantity import Quantity
 from posor.errors import DataFileError
 from posor.model.scan import DARK_SUBTRACTED, HOME_BUMP, NO_SOURCE, Scans
-from posor.tables.table_map import FLAGS, ColumnEntry
+from posor.tables.table_map import CHANNELS, FLAGS, READINGS, ColumnEntry
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -21,12 +21,12 @@ if TYPE_CHECKING:
     from posor.numerics.array_types import FloatArray, IntArray
     from posor.tables.table_map import Flag, JointMap
 
-_CHANNELS = {"gap_voltages": "V", "ring_voltages": "V", "diode_currents": "A"}
 _SCALARS = {
-    "supply_voltage": ("V", "supply_voltages"),
-    "temperature": ("K", "temperatures"),
-    "reference_voltage": ("V", "reference_voltages"),
+    "supply_voltage": "supply_voltages",
+    "temperature": "temperatures",
+    "reference_voltage": "reference_voltages",
 }
+"""Fields of ``Scans`` by the reading of the map."""
 
 
 @dataclass(frozen=True)
@@ -43,14 +43,14 @@ class JointColumns:
         """Return the scans. Raises DataFileError: a light source or a ratio is impossible."""
         joint = self.joint
         arrays: dict[str, Any] = {"stamps_ns": stamps_ns, "numbers": numbers}
-        for reading, si in _CHANNELS.items():
+        for reading in CHANNELS:
             if part := getattr(joint, reading):
-                arrays[reading] = np.column_stack([self._values(entry, si) for entry in part])
+                arrays[reading] = np.column_stack([self._values(entry, READINGS[reading]) for entry in part])
         if joint.diode_ratios:
             arrays["diode_currents"] = np.hstack([self._currents(n) for n in range(joint.diodes)])
-        for reading, (si, attribute) in _SCALARS.items():
+        for reading, attribute in _SCALARS.items():
             if (entry := getattr(joint, reading)) is not None:
-                arrays[attribute] = self._values(entry, si)
+                arrays[attribute] = self._values(entry, READINGS[reading])
         if joint.lit_sources:
             arrays["lit_sources"] = self._lit_sources(len(stamps_ns))
         if joint.home_mark is not None:

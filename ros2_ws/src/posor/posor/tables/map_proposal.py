@@ -15,7 +15,7 @@ from posor.errors import DataFileError
 from posor.tables.channel_ranges import CONTACTS, channels_of, light_sources, likely_unit
 from posor.tables.raw_table import is_number
 from posor.tables.table_file import is_text, open_table, read_bytes
-from posor.tables.table_map import FileLayout
+from posor.tables.table_map import CHANNELS, READINGS, FileLayout
 from posor.tables.table_time import parse_moment
 from posor.tables.table_units import UNITS
 from posor.tables.text_table import byte_order_mark, utf_16_without_mark
@@ -226,7 +226,7 @@ def _propose_time(draft: _Draft, path: Path) -> None:
     if interval:
         draft.add(f"  rate: {{value: {1.0 / interval:.12g}, unit: Hz}}")
     else:
-        draft.add('  rate: {value: "?", unit: Hz}', "the file has no column of times: write the rate of its rows")
+        draft.add(f'  rate: {{value: "{_UNSURE}", unit: Hz}}', "no column of times: write the rate of its rows")
     draft.add(f"  start: {start}", doubt)
 
 
@@ -235,21 +235,20 @@ def _propose_joint(draft: _Draft, joint: str, path: Path) -> None:
     channels = channels_of(calibration)
     draft.add(f"  {joint}:")
     draft.add(f"    calibration: {_quoted(str(path.resolve()))}")
-    for reading in ("gap_voltages", "ring_voltages", "diode_currents"):
+    for reading in CHANNELS:
         of_reading = [channel for channel in channels if channel.reading == reading]
         if not of_reading:
             continue
         draft.add(f"    {reading}:")
         exact = {channel: _by_name(draft, joint, channel) for channel in of_reading}
         draft.used |= {n for n in exact.values() if n is not None}
-        si = "A" if reading == "diode_currents" else "V"
-        candidates = _candidates(draft, si)
+        candidates = _candidates(draft, READINGS[reading])
         for channel in of_reading:
             n = exact[channel]
             doubt = "" if n is not None else "by the order of the columns only"
             if n is None and candidates:
                 n = candidates.pop(0)
-            _propose_column(draft, "    - ", channel, n, si, doubt)
+            _propose_column(draft, "    - ", channel, n, doubt)
         if reading == "diode_currents":
             diodes = len(of_reading) // len(CONTACTS)
             sources = light_sources(calibration)
@@ -260,8 +259,7 @@ def _propose_joint(draft: _Draft, joint: str, path: Path) -> None:
         found = [n for n in draft.numbers if n not in draft.used and pattern.search(draft.table.columns[n].name)]
         known = next((each for each in channels if each.reading == reading), None)
         if found and known:
-            si = "V" if reading == "supply_voltage" else "K"
-            _propose_column(draft, f"    {reading}: ", known, found[0], si, "by its name")
+            _propose_column(draft, f"    {reading}: ", known, found[0], "by its name")
         elif known:
             draft.add(f"    # {reading}: no column found; without it, its effect is not corrected")
 
@@ -291,8 +289,9 @@ def _candidates(draft: _Draft, si: str) -> list[int]:
     return [n for n in free if (unit := units[n]) and unit.si == si] or [n for n in free if units[n] is None]
 
 
-def _propose_column(draft: _Draft, begin: str, channel: Channel, n: int | None, si: str, doubt: str) -> None:
+def _propose_column(draft: _Draft, begin: str, channel: Channel, n: int | None, doubt: str) -> None:
     """Add the entry of a channel, with the unit of the header or one in which the values are within the range."""
+    si = READINGS[channel.reading]
     if n is None:
         draft.add(f'{begin}{{column: "{_UNSURE}", unit: {si}}}  # {channel.name}', "no column found")
         return
@@ -300,8 +299,8 @@ def _propose_column(draft: _Draft, begin: str, channel: Channel, n: int | None, 
     column = draft.table.columns[n]
     doubts, unit = [doubt] if doubt else [], column.unit.name if column.unit else ""
     if not unit:
-        middle = float(np.nanmedian(draft.numbers[n])) * (2.0 if si == "A" else 1.0)
-        unit = likely_unit(middle, si, channel) or si
+        of_sums = channel.reading == "diode_currents"  # the range is that of sums of two currents
+        unit = likely_unit(float(np.nanmedian(draft.numbers[n])) * (2.0 if of_sums else 1.0), channel) or si
         doubts.append("unit by the size of the values")
     draft.add(f"{begin}{{column: {draft.column(n)}, unit: {_yaml_unit(unit)}}}  # {channel.name}", ", ".join(doubts))
 

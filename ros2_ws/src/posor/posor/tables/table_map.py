@@ -20,13 +20,12 @@ unit of the reading, and the value is converted to SI.
 from __future__ import annotations
 
 import datetime as dt
-import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Literal, Self
 
 from pydantic import AfterValidator, BeforeValidator, Field, StrictInt, StrictStr, model_validator
 
-from posor.calibration.file_model import EntryError, FrozenModel, format_value
+from posor.calibration.file_model import EntryError, Expression, FrozenModel, Name, format_value
 from posor.calibration.quantity import Quantity, measured
 from posor.calibration.yaml_document import FileLocations, load_document
 from posor.errors import similar_name
@@ -59,16 +58,9 @@ def _checked_unit(name: str) -> str:
     return name
 
 
-def _checked_pattern(pattern: str) -> str:
-    try:
-        re.compile(pattern)
-    except re.error as error:
-        raise EntryError(f"'{pattern}', {error}", expected="a regular expression") from None
-    return pattern
-
-
 ColumnName = Annotated[StrictStr, Field(min_length=1)] | Annotated[StrictInt, Field(ge=1)]
 """Name of a column, or its number from 1."""
+TopicName = Annotated[str, Field(pattern=r"^(/[A-Za-z][A-Za-z0-9_]*)+$")]
 UnitName = Annotated[StrictStr, AfterValidator(_checked_unit)]
 
 
@@ -130,7 +122,7 @@ class FlagEntry(FrozenModel):
     """A flag that is set where the text of a column contains a regular expression."""
 
     column: ColumnName
-    pattern: Annotated[str, Field(min_length=1), AfterValidator(_checked_pattern)]
+    pattern: Annotated[Expression, Field(min_length=1)]
 
 
 class RatioEntry(FrozenModel):
@@ -153,6 +145,8 @@ READINGS = {  # readings of a joint, and their SI units
     "temperature": "K",
     "reference_voltage": "V",
 }
+CHANNELS = ("gap_voltages", "ring_voltages", "diode_currents")
+"""Readings with one column for each channel of the calibration."""
 
 
 class JointMap(FrozenModel):
@@ -161,7 +155,7 @@ class JointMap(FrozenModel):
     calibration: Annotated[str, Field(min_length=1)] | None = None
     """Path from the folder of the map; the readings are compared with it."""
     frame_id: Annotated[str, Field(min_length=1)] | None = None
-    topic: Annotated[str, Field(pattern=r"^(/[A-Za-z][A-Za-z0-9_]*)+$")] | None = None
+    topic: TopicName | None = None
     gap_voltages: Annotated[tuple[ColumnEntry, ...], Field(max_length=8)] = ()
     ring_voltages: Annotated[tuple[ColumnEntry, ...], Field(max_length=8)] = ()
     diode_currents: Annotated[tuple[ColumnEntry, ...], Field(max_length=16)] = ()
@@ -232,7 +226,7 @@ class ReferenceMap(FrozenModel):
     """Whose driver publishes it; by default the first joint."""
     frame_id: Annotated[str, Field(min_length=1)]
     child_frame_id: Annotated[str, Field(min_length=1)] | None = None
-    topic: Annotated[str, Field(pattern=r"^(/[A-Za-z][A-Za-z0-9_]*)+$")] | None = None
+    topic: TopicName | None = None
     reading: ColumnEntry | None = None
     standard_uncertainty: Quantity | None = None
     position: tuple[ColumnEntry, ColumnEntry, ColumnEntry] | None = None
@@ -357,14 +351,14 @@ class TableMap(FrozenModel):
 
     format: Literal["posor_table_map"]
     version: Literal[1]
-    name: Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]
+    name: Name
     file: FileLayout = FileLayout()
     time: TimeMap
     number: ColumnName | None = None
     """Column of the scan numbers; default: the number of the row, from 1."""
     leave_out: tuple[LeftOut, ...] = ()
     """Kinds of rows that are left out and counted; the file is refused for all others."""
-    joints: Annotated[dict[Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")], JointMap], Field(min_length=1)]
+    joints: Annotated[dict[Name, JointMap], Field(min_length=1)]
     references: dict[Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$")], ReferenceMap] = Field(default_factory=dict)
 
     @model_validator(mode="after")

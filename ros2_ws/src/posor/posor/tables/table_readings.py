@@ -15,7 +15,7 @@ from posor.tables.channel_ranges import channels_of, compared_values, light_sour
 from posor.tables.joint_scans import JointColumns
 from posor.tables.row_selection import RowSelection
 from posor.tables.table_file import open_table
-from posor.tables.table_map import ColumnEntry, load_table_map
+from posor.tables.table_map import CHANNELS, READINGS, ColumnEntry, load_table_map
 from posor.tables.table_time import parse_zone, start_ns, times_at_rate, times_of_numbers, times_of_texts
 from posor.tables.table_units import UNITS
 
@@ -200,7 +200,7 @@ class _Reader:
                 f"frame_id '{joint.frame_id}'", where=where, expected=f"'{calibration.frames.parent}'"
             )
         channels = channels_of(calibration)
-        for reading in ("gap_voltages", "ring_voltages", "diode_currents"):
+        for reading in CHANNELS:
             names = [channel.name for channel in channels if channel.reading == reading]
             mapped = 4 * joint.diodes if reading == "diode_currents" else len(getattr(joint, reading))
             if mapped < len(names):
@@ -274,13 +274,13 @@ class _Reader:
             return
         beyond = (values < channel.lowest) | (values > channel.highest)
         kind = "sum of opposite currents" if channel.reading == "diode_currents" else "value"
-        si = "V" if "voltage" in channel.reading else "A" if channel.reading == "diode_currents" else "K"
+        si = READINGS[channel.reading]
         text = f"{channel.lowest:g} to {channel.highest:g} {si}"
         if beyond.all():
             joint = self.map.joints[name]
-            likely = _likely_unit(joint, channel, float(np.median(values)), si)
+            likely = _likely_unit(joint, channel, float(np.median(values)))
             what = f"every {kind} of {channel.name} is beyond its calibration, the first {values[0]:g} {si}"
-            key = channel.reading if not joint.diode_ratios or si != "A" else "diode_ratios"
+            key = "diode_ratios" if joint.diode_ratios and channel.reading == "diode_currents" else channel.reading
             where = self._place("joints", name, key, channel.number)
             raise DataFileError(what, where=where, expected=f"{text}{likely}")
         if beyond.any():
@@ -294,11 +294,11 @@ def _same_unit(one: str, other: str) -> bool:
     return one == other or (first is not None and second is not None and first[1:] == second[1:])
 
 
-def _likely_unit(joint: JointMap, channel: Channel, value: float, si: str) -> str:
+def _likely_unit(joint: JointMap, channel: Channel, value: float) -> str:
     """Return the unit in which a value would be within the range of a channel, as a question."""
     part: Any = getattr(joint, channel.reading)
     entry = part[channel.number] if isinstance(part, tuple) and part else part
     if not isinstance(entry, ColumnEntry) or entry.scale is not None:
         return ""
-    unit = likely_unit((value - float(entry.column_unit.shift)) / float(entry.column_unit.factor), si, channel)
+    unit = likely_unit((value - float(entry.column_unit.shift)) / float(entry.column_unit.factor), channel)
     return f"; unit: {unit}?" if unit else ""

@@ -11,6 +11,7 @@ from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 import numpy as np
 
 from posor.errors import DataFileError
+from posor.numerics.stamps import NS
 from posor.tables.raw_table import MISSING
 
 if TYPE_CHECKING:
@@ -19,7 +20,6 @@ if TYPE_CHECKING:
     from posor.numerics.array_types import IntArray
     from posor.tables.table_map import TimeMap
 
-NS = 1_000_000_000
 LAST_NS = NS * 2**31  # end of ROS time
 MISSING_NS, INVALID_NS = -1, -2  # in place of the time of a row
 EXAMPLE = "such as 2026-11-25T10:00:00Z"

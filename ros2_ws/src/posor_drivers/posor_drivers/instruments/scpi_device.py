@@ -42,10 +42,10 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
-from posor.calibration.file_model import EntryError, FrozenModel
+from posor.calibration.file_model import EntryError, Expression, FrozenModel
 from posor.calibration.quantity import Quantity, measured
 from posor.calibration.yaml_document import load_document
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import Field, model_validator
 
 from posor_drivers.instruments.device import Channel, refuse_repeated_numbers, starting_channels
 from posor_drivers.instruments.polled_device import PolledDevice, PolledSettings
@@ -65,17 +65,6 @@ DARK_FRAMES = 3
 """Frames in a row without light."""
 MOST_ERRORS = 20
 """Errors that are read from the queue; it may be as long."""
-
-
-def _check_expression(written: str) -> str:
-    try:
-        re.compile(written)
-    except re.error as error:
-        raise EntryError(f"'{written}': {error}", expected="a regular expression") from None
-    return written
-
-
-Expression = Annotated[str, AfterValidator(_check_expression)]
 
 
 class MeasuringFunction(FrozenModel):
