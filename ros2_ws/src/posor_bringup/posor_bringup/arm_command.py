@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import sys
 from collections import Counter
 from functools import partial
@@ -15,6 +14,7 @@ from posor.chain.identity import ArmIdentity, calibration_id, file_sha256
 from posor.errors import ParameterError, PosorError
 from posor.reporting.command_line_parser import CommandLineParser
 from posor.reporting.program_errors import reports_errors
+from posor.ros_names import ROS_NAME_RULE, is_ros_name
 from posor.uncertainty.protection_level import arm_reliability
 from posor_drivers.instruments.calibrated_readings import readings_of
 from posor_drivers.instruments.instruments_file import load_instruments
@@ -34,7 +34,6 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 MOST_JOINTS = 20
-NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 
 
 def _parse_options(arguments: Sequence[str] | None) -> Namespace:
@@ -85,9 +84,8 @@ def _one_of(known: Sequence[T], text: str) -> T | None:
 
 def _make(options: Namespace) -> int:
     where, count = "arm new", options.joints
-    if not NAME.fullmatch(options.name):
-        expected = "a letter, then letters, digits and underscores"
-        raise ParameterError(f"name '{options.name}'", where=where, expected=expected)
+    if not is_ros_name(options.name):
+        raise ParameterError(f"name '{options.name}'", where=where, expected=ROS_NAME_RULE)
     if not 1 <= count <= MOST_JOINTS:
         raise ParameterError(f"--joints {count}", where=where, expected=f"1 to {MOST_JOINTS}")
     default = ",".join((COMMON_AXES * count)[:count])
@@ -98,8 +96,8 @@ def _make(options: Namespace) -> int:
         "--sensors", options.sensors, count, partial(_one_of, SENSORS), ", ".join(SENSORS)
     )
     names = [f"joint{n + 1}" for n in range(count)] if options.names is None else options.names.split(",")
-    if len(set(names)) != count or not all(map(NAME.fullmatch, names)):
-        expected = f"{count} different names of letters, digits and underscores"
+    if len(set(names)) != count or not all(map(is_ros_name, names)):
+        expected = f"{count} different names, each {ROS_NAME_RULE}"
         raise ParameterError(f"'{options.names}'", where=f"{where}, --names", expected=expected)
     folder = options.folder or Path(options.name)
     write_arm(folder, arm_texts(options.name, new_joints(names, axes, lengths, sensors), str(folder)))

@@ -57,7 +57,7 @@ def find_arm(text: str) -> Path:
 
 
 class CheckedArm(NamedTuple):
-    """An arm of which no file and no parameter is wrong."""
+    """An arm whose files and parameters are all valid."""
 
     arm: ArmFile
     chain: Chain
@@ -109,7 +109,7 @@ def check_arm(
     chain = _check_chain(arm, calibrations, errors)
     if arm.commissioning is not None and arm.commissioning.exists():  # before the first commissioning there is none
         with errors.collecting():
-            _check_record(arm)
+            _check_record(arm, arm.commissioning)
     simulated: Any = None
     scans_per_second: int | None = None
     for program in programs:
@@ -131,7 +131,7 @@ def check_arm(
 
 
 def load_checked_arm(text: str, namespace: str = "") -> ArmFile:
-    """Return an arm, given as for ``find_arm``, in a namespace, whose files are right; the drivers are not checked.
+    """Return an arm, given as for ``find_arm``, in a namespace, whose files are valid; the drivers are not checked.
 
     Raises PosorError: see ``check_arm``.
     """
@@ -192,15 +192,12 @@ def _check_chain(arm: ArmFile, calibrations: Mapping[str, Calibration], errors: 
     return chain
 
 
-def _check_record(arm: ArmFile) -> None:
-    """Check the commissioning record of an arm that has one."""
-    if arm.commissioning is None:
-        return
-    record = load_record(arm.commissioning)
-    commissioned = record.files.calibrations
+def _check_record(arm: ArmFile, path: Path) -> None:
+    """Check the commissioning record."""
+    commissioned = load_record(path).files.calibrations
     if set(commissioned) != set(arm.calibrations):
         raise CalibrationError(
             f"joints {', '.join(commissioned)}",
-            where=f"commissioning record {arm.commissioning}",
+            where=f"commissioning record {path}",
             expected=f"{', '.join(arm.calibrations)}, the joints of {arm.path}",
         )
