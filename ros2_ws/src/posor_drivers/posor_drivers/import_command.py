@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import heapq
 import json
 import sys
@@ -13,6 +12,7 @@ from posor.bags.bag_writer import file_name_of, replace_bag
 from posor.bags.provenance import provenance_of
 from posor.bags.result_folder import writing
 from posor.chain.arm_file import load_arm_file
+from posor.chain.identity import file_sha256
 from posor.errors import BagError, ParameterError
 from posor.messages.message_definitions import MessageTypes
 from posor.reporting.command_line_parser import CommandLineParser
@@ -75,8 +75,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     _print_summary(readings)
     if options.output is not None:
         data = provenance_of(None) | {
-            "posor.table": f"{options.file.name} sha256 {_sha256(options.file)}",
-            "posor.table_map": f"{options.map.name} sha256 {_sha256(options.map)}",
+            "posor.table": f"{options.file.name} sha256 {file_sha256(options.file)}",
+            "posor.table_map": f"{options.map.name} sha256 {file_sha256(options.map)}",
             "posor.table_left_out": json.dumps({"rows": readings.left_out, "columns": readings.unused}),
         }
         count = write_bag(readings, options.output, data)
@@ -148,11 +148,6 @@ def _calibrations(options: Namespace) -> tuple[str, dict[str, Path]]:
     if not calibrations:
         raise ParameterError("no calibration is named", where="import --propose", expected="--arm or --calibration")
     return name, calibrations
-
-
-def _sha256(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 if __name__ == "__main__":

@@ -41,7 +41,8 @@ def file_sha256(path: Path | None) -> str:
     if path is None:
         return ""
     try:
-        return hashlib.sha256(path.read_bytes()).hexdigest()
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
     except OSError as error:
         raise CalibrationError(f"cannot be read: {error.strerror}", where=str(path)) from error
 
