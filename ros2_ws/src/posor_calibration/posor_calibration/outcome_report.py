@@ -83,8 +83,10 @@ def _describe_drifts(outcome: Outcome) -> list[str]:
             found = "; more than its uncertainty" if tested[0].is_found else ""
             sentences.append(f"Drift of {topic} over the recording: {tested[0].text}{found}.")
         if missing:
-            which = topic + (f": {', '.join(filter(None, missing))}" if any(missing) else "")
-            sentences.append(f"No return to the start: drift of the reference is not tested ({which}).")
+            which = ", ".join(filter(None, (topic, *missing)))
+            sentences.append(
+                f"Drift of the reference is not tested ({which}): return to the start, more often or for longer."
+            )
     return sentences
 
 

@@ -19,8 +19,9 @@ if TYPE_CHECKING:
     from posor_calibration.least_squares import Fit
 
 
-LARGEST_DRIFT_SIGMA = 5.0  # standard uncertainty of a drift, in those of the reference, beyond which nothing is tested
-CLEAR_DRIFT = 4.0  # drift in its standard uncertainties that is no chance
+CLEAR_DRIFT = 4.0  # drift in its standard uncertainties that noise exceeds with a probability of 6e-5
+CERTAIN_DRIFT = 6.0  # likewise, 2e-9: also where the fit absorbs nearly all of a drift, and model errors look alike
+LARGEST_DRIFT = 10.0  # drift in standard uncertainties of the reference beyond which the recording is refused
 
 
 class Options(BaseModel):
@@ -110,13 +111,19 @@ class DriftTest:
 
     @property
     def is_tested(self) -> bool:
-        """Whether a drift of some standard uncertainties of the reference would show."""
-        return self.sigma <= LARGEST_DRIFT_SIGMA * self.stated if self.stated else bool(np.isfinite(self.sigma))
+        """Whether a drift of ``LARGEST_DRIFT`` is clear."""
+        limit = LARGEST_DRIFT * self.stated if self.stated else np.inf
+        return bool(np.isfinite(self.sigma) and CLEAR_DRIFT * self.sigma <= limit)
 
     @property
     def is_found(self) -> bool:
-        """Whether the reference drifts by more than its stated uncertainty, beyond doubt."""
+        """Whether the reference clearly drifts by more than its stated uncertainty."""
         return self.is_tested and abs(self.drift) > max(CLEAR_DRIFT * self.sigma, self.stated)
+
+    @property
+    def is_refused(self) -> bool:
+        """Whether the reference drifts too far for a calibration; without a stated uncertainty no drift is refused."""
+        return self.stated > 0.0 and abs(self.drift) > max(CERTAIN_DRIFT * self.sigma, LARGEST_DRIFT * self.stated)
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import replace
 from typing import Any
 
@@ -9,10 +10,11 @@ import numpy as np
 import pytest
 from posor.bags.recording import Recording, Track
 from posor.calibration.designs import STANDOFF
-from posor.errors import FitError, TrackError
+from posor.errors import FitError, PosorError, TrackError
 from posor.numerics.array_types import FloatArray
 from posor_calibration.calibration_fit import FitResult, fit
-from posor_calibration.reference_checks import find_repeated_values
+from posor_calibration.procedure_registry import PROCEDURES
+from posor_calibration.reference_checks import find_drifts, find_repeated_values
 from posor_lab.harness.simulated_recordings import diode_calibration, lifted_recording, tilted_recording
 from scipy.spatial.transform import Rotation
 
@@ -20,7 +22,7 @@ SIGMA = 50e-9
 UP = STANDOFF + np.linspace(-0.4e-3, 0.4e-3, 16)
 TRAVELS = {"one way": UP, "return to the start": np.append(UP, UP[0]), "up and down": np.concatenate([UP, UP[::-1]])}
 ORDER: dict[str, Any] = {"order": 4, "highest_order": 4}
-UNTESTED = "No return to the start: drift of the reference is not tested (/reference)."
+UNTESTED = "Drift of the reference is not tested (/reference): return to the start, more often or for longer."
 
 
 def recorded(travel: str, seed: int = 1) -> Recording:
@@ -52,15 +54,15 @@ def drifting(travel: str, size: float, seed: int = 1) -> FitResult:
     )
 
 
-def test_a_single_travel_does_not_show_a_drift_and_says_so() -> None:
-    result = drifting("one way", 5e-6)
+@pytest.mark.parametrize(("travel", "size"), [("one way", 5e-6), ("return to the start", 0.0)])
+def test_a_travel_that_does_not_show_a_drift_says_so(travel: str, size: float) -> None:
+    result = drifting(travel, size)
     assert UNTESTED in result.report.splitlines()
     assert not any(test.is_tested for test in result.outcome.drifts)
 
 
-@pytest.mark.parametrize("travel", ["return to the start", "up and down"])
-def test_a_drift_is_found_with_its_size_where_the_target_returns(travel: str) -> None:
-    [test] = drifting(travel, 0.0).outcome.drifts
+def test_a_drift_is_found_with_its_size_where_the_target_returns() -> None:
+    [test] = drifting("up and down", 0.0).outcome.drifts
     assert test.is_tested
     assert abs(test.drift) < 4.0 * test.sigma
     result = drifting("up and down", 0.45e-6)
@@ -129,3 +131,27 @@ def test_equal_values_at_rest_are_not_repeated() -> None:
     track = track_of(recording)
     assert np.mean(np.diff(track.values, axis=0) == 0.0) > 0.5
     assert not find_repeated_values(recording, track).any()
+
+
+@pytest.mark.parametrize("count", [9, pytest.param(1000, marks=[pytest.mark.long, pytest.mark.timeout(3600)])])
+def test_sound_recordings_raise_no_alarm(count: int) -> None:
+    procedure, calibration, alarms = PROCEDURES["gap_linearisation"], diode_calibration(), Counter[str]()
+    options = procedure.options(**ORDER)
+    for seed in range(count):
+        rng = np.random.default_rng(seed)
+        sigma, resolution, turns = 10.0 ** rng.uniform(-8.0, -6.3), 10.0 ** rng.uniform(-7.0, -4.7), rng.uniform(1, 9)
+        moving = STANDOFF + 0.4e-3 * np.sin(np.linspace(0.0, turns, 300))
+        swing = lifted_recording(calibration, moving, rng, scans_each=1)
+        coarse = resolution * np.round(track_of(swing).values / resolution)
+        alarms["repeated in motion"] += bool(find_repeated_values(swing, replace(track_of(swing), values=coarse)).any())
+        lifts = [*TRAVELS.values()][seed % len(TRAVELS)]
+        dwells = lifted_recording(calibration, lifts, rng, scans_each=int(rng.integers(12, 40)), sigma=sigma)
+        alarms["repeated at rest"] += bool(find_repeated_values(dwells, track_of(dwells)).any())
+        try:
+            outcome = procedure.identify(dwells, calibration, options)
+            found = find_drifts(procedure, dwells, calibration, options, outcome)
+        except PosorError:
+            alarms["refused"] += 1
+        else:
+            alarms["drift"] += any(test.is_found for test in found)
+    assert not +alarms
