@@ -6,7 +6,7 @@ import signal
 from pathlib import Path
 
 import pytest
-from posor_bringup.arm_command import main as arm
+from posor_bringup.arm_files_command import main as arm
 from posor_lab.harness.graph import Graph
 from posor_lab.harness.program import Program, installed
 from posor_msgs.msg import EndpointState

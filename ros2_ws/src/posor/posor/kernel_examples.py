@@ -94,13 +94,13 @@ def _use_single_steps(posor: Posor, scans: Scans) -> None:
 
 def _use_bytes() -> None:
     """Index, copy, gather and write one message of a chunk; what is read may be read-only."""
-    data, messages = np.frombuffer(bytes(64), dtype=np.uint8), np.frombuffer(bytes(8), dtype=np.uint8)[None]
-    one, out = np.frombuffer(bytes(8), dtype=np.int64), np.zeros(8, dtype=np.uint8)
+    data, two = np.frombuffer(bytes(64), dtype=np.uint8), np.frombuffer(bytes(16), dtype=np.int64)
+    messages, out = np.frombuffer(bytes(32), dtype=np.uint8).reshape(2, 16)[:, :8], np.zeros(8, dtype=np.uint8)
     byte_kernels.index_messages(data, np.zeros(2**16, dtype=np.int64), *np.zeros((4, 3), dtype=np.int64))
-    byte_kernels.copy_messages(data, one, one, out)
+    byte_kernels.copy_messages(data, two, two, out)
     rows, words = np.zeros((2, 16), dtype=np.uint8), np.zeros((2, 2), dtype=np.uint64)
-    byte_kernels.gather_rows(data, one, one, words, rows.view(np.uint64), rows[:, 4:12])
-    byte_kernels.write_records(data[:16], one, messages, 0, np.zeros((1, 24), np.uint8), np.zeros((1, 2), np.int64))
+    byte_kernels.gather_rows(data, two, two, words, rows.view(np.uint64), rows[:, 4:12])
+    byte_kernels.write_records(data[:16], two, messages, 0, np.zeros((2, 24), np.uint8), np.zeros((2, 2), np.int64))
 
 
 def example_stream(count: int = 1) -> MessageStream:

@@ -138,7 +138,7 @@ class LazyProgram:
                 raise
             name = (error.filename if isinstance(error, OSError) else "") or _lost_output()
             where = f"{name}: " if name else ""
-            return self._fail(f"{where}{os.strerror(code).lower()}; expected {SHORTAGES[code]}")
+            return self._fail(f"{where}{os.strerror(shortage).lower()}; expected {SHORTAGES[shortage]}")
         else:
             return code
         finally:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from posor.lazy_program import LazyProgram
 
-arm = LazyProgram("arm", "posor_bringup.arm_command")
+arm = LazyProgram("arm", "posor_bringup.arm_files_command")
 bringup = LazyProgram("bringup", "posor_bringup.bringup")
 view = LazyProgram("view", "posor_bringup.view_command")
 statement = LazyProgram("statement", "posor_bringup.statement_command")

@@ -14,7 +14,7 @@ from posor.chain.arm_file import load_arm_file
 from posor.errors import OutputError, PosorError, SeveralErrors
 from posor.estimation.posor import Posor
 from posor.model.fault import State
-from posor_bringup.arm_command import main
+from posor_bringup.arm_files_command import main
 from posor_bringup.arms import check_arm
 from posor_bringup.new_arm import SENSORS, Axis, Sensors, arm_texts, new_joints, write_arm
 from posor_drivers.instruments.instruments_command import main as instruments

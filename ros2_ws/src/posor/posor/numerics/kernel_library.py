@@ -12,7 +12,7 @@ import hashlib
 import json
 import struct
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar, cast
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar, cast
 
 import numpy as np
 
@@ -91,6 +91,18 @@ class KernelLibrary:
         return cast("Kernel", LibraryKernel(function, code, entry))
 
 
+class _Packed(NamedTuple):
+    """A tuple of arrays and its words; as long as it is kept, no other tuple has its identity."""
+
+    elements: tuple[Any, ...]
+    words: list[int]
+    kept: list[Any]
+
+
+MOST_PACKED = 256
+_PACKED: dict[tuple[int, int], _Packed] = {}
+
+
 class LibraryKernel:
     """A kernel of the library; it takes the arguments of the function of which it was made."""
 
@@ -147,10 +159,8 @@ class LibraryKernel:
         elif expected == "f":
             words.append(struct.unpack("<q", struct.pack("<d", argument))[0])
         elif isinstance(expected, list):
-            if len(argument) != len(expected):
-                self._refuse(f"a tuple of {len(argument)}", f"of {len(expected)}")
-            for element, element_type in zip(argument, expected, strict=True):
-                self._append(words, kept, element, element_type)
+            words.extend(self._words_of(argument, expected))
+            kept.append(argument)
         else:
             # A record of an array shares the memory of the array.
             is_record = expected["dimensions"] is None
@@ -160,6 +170,22 @@ class LibraryKernel:
             words.append(array.ctypes.data)
             words.extend(() if is_record else array.shape)
             words.extend(array.strides if expected["strided"] else ())
+
+    def _words_of(self, elements: tuple[Any, ...], expected: list[Any]) -> list[int]:
+        """Return the words of a tuple; those of the last tuples are kept, because arrays do not move."""
+        key = id(elements), id(expected)
+        known = _PACKED.get(key)
+        if known is not None:
+            return known.words
+        if len(elements) != len(expected):
+            self._refuse(f"a tuple of {len(elements)}", f"of {len(expected)}")
+        packed = _Packed(elements, [], [])
+        for element, element_type in zip(elements, expected, strict=True):
+            self._append(packed.words, packed.kept, element, element_type)
+        if len(_PACKED) >= MOST_PACKED:
+            _PACKED.clear()
+        _PACKED[key] = packed
+        return packed.words
 
     def _check(self, array: Any, expected: dict[str, Any]) -> None:
         """Raise TypeError: an array is not as the kernel expects, which would read and write other memory."""

@@ -172,9 +172,8 @@ def test_types_of_parquet_columns(tmp_path: Path) -> None:
     def stamps(times: Any, unit: str, volts: Any) -> list[int]:
         pyarrow.parquet.write_table(pa.table({"t": times, "u": volts}), path)
         time = {"column": "t", "unit": unit, "start": "1970-01-01T00:00:00Z"}
-        return read_table(
-            path, write_map(tmp_path, time=time, joints=joint, leave_out=["missing_cells"])
-        ).stamps_ns.tolist()
+        written = write_map(tmp_path, time=time, joints=joint, leave_out=["missing_cells"])
+        return [int(stamp) for stamp in read_table(path, written).stamps_ns]
 
     assert stamps(pa.array([epoch_ns, None, epoch_ns + 2]), "ns", [0.1, 0.2, 0.3]) == [epoch_ns, epoch_ns + 2]
     durations = pa.array([7, 9], pa.duration("ms"))
