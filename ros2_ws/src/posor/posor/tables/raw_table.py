@@ -28,11 +28,12 @@ _NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][-+]?\d+)?", re.ASCII)
 
 
 class Column(NamedTuple):
-    """A column: its name, its unit and the time from row to row, where the file states them."""
+    """A column: its name, its unit, the time from row to row and that of the first row, where the file states them."""
 
     name: str
     unit: Unit | None = None
     interval_s: float | None = None
+    begin: str = ""
 
 
 class InvalidCell(NamedTuple):
@@ -118,6 +119,7 @@ class ArrayTable(RawTable):
     def read(self, numbers: Collection[int], values: Collection[int]) -> Cells:
         """Return the columns."""
         wanted = {n: self._arrays[n] for n in sorted({*numbers, *values})}
+        self._check_times([self.columns[n] for n in wanted])
         count = min(map(len, wanted.values()), default=0)
         for n, array in wanted.items():
             if len(array) != count and not self._note:
@@ -140,6 +142,16 @@ class ArrayTable(RawTable):
             cells.numbers[n] = column
         cells.values |= {n: wanted[n][:count] for n in values}
         return cells
+
+    def _check_times(self, columns: Sequence[Column]) -> None:
+        """Raise DataFileError: the rows of two columns are of different times, by what the file states."""
+        timed = [column for column in columns if column.begin]
+        for column in timed[1:]:
+            first = timed[0]
+            if column.begin != first.begin:
+                what = f"column '{column.name}' begins at {column.begin}"
+                expected = f"{first.begin}, as column '{first.name}': columns that were sampled together"
+                raise DataFileError(what, where=str(self.path), expected=expected)
 
 
 def parse_numbers(texts: Sequence[str], decimal: str, column: int, first_row: int, cells: Cells) -> FloatArray:

@@ -135,7 +135,8 @@ def _tdms(path: Path) -> RawTable:
             array = channel[:]
             if array.dtype.kind == "M":
                 array = _iso(array, zone="Z")
-            columns.append((Column(name, unit, float(interval) if interval else None), array))
+            begin = f"{properties.get('wf_start_time', '')} + {float(properties.get('wf_start_offset', 0.0)):g} s"
+            columns.append((Column(name, unit, *((float(interval), begin) if interval else ())), array))
     incomplete = tdms.file_status.incomplete_final_segment
     return ArrayTable(path, columns, note="the last segment of the TDMS file is incomplete" if incomplete else "")
 

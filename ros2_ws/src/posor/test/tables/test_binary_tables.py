@@ -193,3 +193,18 @@ def test_a_matlab_file_of_one_row(tmp_path: Path) -> None:
         tmp_path / "a.mat", write_map(tmp_path, time=time, joints=joints(("daq.u", "daq.v", "daq.plate")))
     )
     np.testing.assert_allclose(scans.gap_voltages, [[0.71e-3, -0.25e-3]])
+
+
+@pytest.mark.parametrize("other", [{"wf_start_offset": 0.001}, {"wf_start_time": np.datetime64("2026-11-25T10:00:00")}])
+def test_channels_of_tdms_that_were_not_sampled_together_are_refused(tmp_path: Path, other: dict[str, Any]) -> None:
+    nptdms = pytest.importorskip("nptdms")
+    path = tmp_path / "a.tdms"
+    with nptdms.TdmsWriter(path) as writer:
+        writer.write_segment(
+            nptdms.ChannelObject("DAQ", f"AI{n}", VOLTS[:, n], {"wf_increment": 0.002, "unit_string": "V"} | added)
+            for n, added in enumerate(({}, other))
+        )
+    joint = {"elbow": {"frame_id": "plate", "gap_voltages": [{"column": f"DAQ/AI{n}", "unit": "V"} for n in range(2)]}}
+    time = {"rate": {"value": 500.0, "unit": "Hz"}, "start": START}
+    with pytest.raises(DataFileError, match="column 'DAQ/AI1' begins at"):
+        read_table(path, write_map(tmp_path, time=time, joints=joint))
