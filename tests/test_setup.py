@@ -136,7 +136,8 @@ def test_pip_leaves_the_sources_clean(tmp_path: Path) -> None:
 
     before = sources()
     pip = [str(THIS.python), "-m", "pip", "wheel", "--quiet", "--no-deps", "--no-build-isolation", "--no-index"]
-    subprocess.run([*pip, "--wheel-dir", str(tmp_path), *map(str, packages)], check=True)
+    environ = os.environ | {"POSOR_KERNEL_LIBRARY": str(THIS.ros2 / "build" / "posor" / "posor_kernels.so")}
+    subprocess.run([*pip, "--wheel-dir", str(tmp_path), *map(str, packages)], check=True, env=environ)
     assert len(list(tmp_path.glob("*.whl"))) == len(packages)
     assert sources() == before
     assert not any(reasons_to_set_up(THIS, {}, official=official))
