@@ -407,7 +407,7 @@ def test_flags_references_and_lit_sources(tmp_path: Path) -> None:
 
 def test_the_maps_of_the_reference_page_are_valid(tmp_path: Path) -> None:
     page = (Path(__file__).parents[5] / "docs/reference/tables.md").read_text(encoding="utf-8")
-    blocks = re.findall(r"^```yaml\n(format.*?|references.*?)^```$", page, re.DOTALL | re.MULTILINE)
+    blocks = re.findall(r"^```yaml\n(?:# excerpt\n)?(format.*?|references.*?)^```$", page, re.DOTALL | re.MULTILINE)
     assert len(blocks) == 2
     times = re.findall(r"`(\{(?:column|rate): .*?\})`[;,| ]", page.partition("### Time")[2].partition("### Rows")[0])
     assert len(times) == 4
