@@ -33,7 +33,7 @@ def read_page(page: str) -> tuple[str, dict[str, str]]:
         name = FILE.match(block)
         if language == "sh":
             commands += block
-        else:
+        elif language != "text":  # an overview that the page repeats step by step
             assert language == "python", block
             assert name, block
             files[name[1]] = block
