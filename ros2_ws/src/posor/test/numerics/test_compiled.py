@@ -93,7 +93,7 @@ sys.exit(kernel_build.main())
 def test_the_inputs_reach_every_end_of_the_solver_that_a_scan_can_take(plain: dict[str, FloatArray]) -> None:
     assert {solve.CONVERGED, solve.ILL_CONDITIONED} <= {int(outcome) for outcome in plain["scans"][:, 0]}
     assert np.isfinite(plain["rows"]).all()
-    assert np.isfinite(plain["raw"]).all()
+    assert not np.isnan(plain["raw"]).any()  # effects of causes that no reading bounds are infinite
 
 
 def import_of(folder: Path, **variables: str) -> subprocess.CompletedProcess[str]:
