@@ -21,6 +21,8 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from posor.errors import SystemRefusal
+
 ENTRIES = {
     "chain.fault_bounds": ("bound_endpoints",),
     "chain.forward_kinematics": ("estimate_endpoint_of_rows", "estimate_endpoints", "write_relative"),
@@ -216,7 +218,7 @@ def is_current(file: Path) -> bool:
         return False
     try:
         import_module("posor.numerics.kernel_library").KernelLibrary(file)
-    except ImportError:
+    except SystemRefusal:
         return False
     return True
 

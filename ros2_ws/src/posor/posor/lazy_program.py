@@ -14,6 +14,8 @@ from contextlib import contextmanager
 from importlib import import_module
 from typing import TYPE_CHECKING, NoReturn
 
+from posor.errors import SystemRefusal
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from types import FrameType
@@ -132,6 +134,8 @@ class LazyProgram:
         except KeyboardInterrupt:
             sys.stderr.write(self._message)
             return EXIT_INTERRUPTED
+        except SystemRefusal as error:  # the library of kernels, which the import loads
+            return self._fail(str(error).rstrip("."))
         except (OSError, MemoryError) as error:
             shortage = error.errno if isinstance(error, OSError) else errno.ENOMEM
             if shortage not in SHORTAGES:

@@ -21,7 +21,8 @@ from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 import numpy as np
 
-from posor.numerics.kernel_library import KernelLibrary, LibraryKernel, find_library
+from posor.errors import SystemRefusal
+from posor.numerics.kernel_library import NEW_BUILD, KernelLibrary, LibraryKernel, find_library
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -43,23 +44,20 @@ def _numba_njit() -> Any | None:
 
 
 def _choose() -> tuple[Mode, KernelLibrary | None, Any | None]:
-    """Return how kernels run, the library, and numba's decorator. Raises ImportError: there is no such way here."""
+    """Return how kernels run, the library, and numba's decorator. Raises SystemRefusal: there is no such way here."""
     wanted = os.environ.get(VARIABLE, "")
     if wanted not in {"", "library", "numba", "python"}:
-        message = f"{VARIABLE} is '{wanted}'; expected 'library', 'numba' or 'python'"
-        raise ImportError(message)
+        raise SystemRefusal(f"is '{wanted}'", where=VARIABLE, expected="'library', 'numba' or 'python'")
     if wanted == "python":
         return "python", None, None
     if wanted in {"", "library"} and (library := find_library()) is not None:
         return "library", library, None
     if wanted == "library":
-        message = f"{VARIABLE} is 'library', but the kernels were not built; expected 'make setup' or 'colcon build'"
-        raise ImportError(message)
+        raise SystemRefusal("is 'library', but there is no library", where=VARIABLE, expected=NEW_BUILD)
     if (njit := _numba_njit()) is not None:
         return "numba", None, njit
     if wanted == "numba":
-        message = f"{VARIABLE} is 'numba', which is not installed"
-        raise ImportError(message)
+        raise SystemRefusal("is 'numba', which is not installed", where=VARIABLE)
     warnings.warn("posor: kernels run as Python, a hundred times slower than compiled", RuntimeWarning, stacklevel=2)
     return "python", None, None
 

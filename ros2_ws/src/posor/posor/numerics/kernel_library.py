@@ -11,10 +11,13 @@ import ctypes
 import hashlib
 import json
 import struct
+from operator import index
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar, cast
 
 import numpy as np
+
+from posor.errors import SystemRefusal
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -31,6 +34,7 @@ KERNEL_FILES = (
 locks of editors."""
 MANIFEST = "posor_kernels_manifest"  # symbol: JSON with the fields "sources" and "kernels"
 RESULTS = 8  # words for the results of a kernel
+NEW_BUILD = "a new build, such as 'make setup' or 'colcon build'"
 
 
 def hash_of_sources() -> str:
@@ -57,7 +61,7 @@ def describe_dtype(dtype: np.dtype[Any]) -> str:
 def find_library() -> KernelLibrary | None:
     """Return the library beside the package or, of a package linked to its sources, in its build folder.
 
-    Raises ImportError: it was built from other sources.
+    Raises SystemRefusal: it was built from other sources.
     """
     for folder in (PACKAGE, PACKAGE.parent):
         if (file := folder / FILE_NAME).is_file():
@@ -69,17 +73,15 @@ class KernelLibrary:
     """The library of one file."""
 
     def __init__(self, file: Path) -> None:
-        """Load the file. Raises ImportError: it was built from other sources, or is invalid."""
+        """Load the file. Raises SystemRefusal: it was built from other sources, or is invalid."""
         try:
             self._code = ctypes.PyDLL(str(file))  # holds the interpreter's lock: releasing it costs more than a scan
             self._code_without_lock = ctypes.CDLL(str(file))
             manifest = json.loads(ctypes.string_at(ctypes.addressof(ctypes.c_char.in_dll(self._code, MANIFEST))))
         except (OSError, ValueError) as error:
-            message = f"{file}: {error}"
-            raise ImportError(message) from None
+            raise SystemRefusal(f"cannot be loaded, {error}", where=str(file), expected=NEW_BUILD) from None
         if manifest["sources"] != hash_of_sources():
-            message = f"{file}: built from other sources; expected a new build, such as 'make setup' or 'colcon build'"
-            raise ImportError(message)
+            raise SystemRefusal("was built from other sources", where=str(file), expected=NEW_BUILD)
         self._kernels: dict[str, dict[str, Any]] = manifest["kernels"]
 
     def kernel(self, function: Kernel) -> Kernel:
@@ -99,8 +101,13 @@ class _Packed(NamedTuple):
     kept: list[Any]
 
 
-MOST_PACKED = 256
+MOST_PACKED, MOST_BYTES = 256, 2**20  # tuples that are kept, and bytes of the arrays of each
 _PACKED: dict[tuple[int, int], _Packed] = {}
+
+
+def _bytes_of(element: Any) -> int:
+    """Return the bytes of all arrays of a tuple."""
+    return sum(map(_bytes_of, element)) if isinstance(element, tuple) else int(getattr(element, "nbytes", 0))
 
 
 class LibraryKernel:
@@ -116,21 +123,28 @@ class LibraryKernel:
 
     def __call__(self, *arguments: Any) -> Any:
         """Run the kernel. Raises TypeError: an argument is not of the type that the kernel was compiled for."""
+        if len(arguments) != len(self._types):
+            self._refuse(f"{len(arguments)} arguments", f"{len(self._types)}")
         return self.bind(arguments)()
 
     def bind(self, arguments: tuple[Any, ...]) -> Callable[..., Any]:
         """Return a function of the remaining arguments, integers. Raises TypeError: see ``__call__``."""
         words: list[int] = []
         kept: list[Any] = []
-        for argument, expected in zip(arguments, self._types[: len(arguments)], strict=True):
+        bound, others = self._types[: len(arguments)], self._types[len(arguments) :]
+        if others != ["i"] * len(others):
+            self._refuse(f"the first {len(arguments)} arguments", "all but integers")
+        for argument, expected in zip(arguments, bound, strict=True):
             self._append(words, kept, argument, expected)
-        begin, missing = len(words), len(self._types) - len(arguments)
+        begin, missing = len(words), len(others)
         table = (ctypes.c_int64 * (begin + missing))(*words)
         out = (ctypes.c_int64 * RESULTS)()
         run, at, to = self._code, ctypes.addressof(table), ctypes.addressof(out)
         results = self._reader(out)
 
         def call(*integers: int) -> Any:
+            if len(integers) != missing:
+                self._refuse(f"{len(integers)} further arguments", f"{missing}")
             for word, integer in enumerate(integers, begin):
                 table[word] = integer
             run(at, to)
@@ -155,7 +169,7 @@ class LibraryKernel:
     def _append(self, words: list[int], kept: list[Any], argument: Any, expected: Any) -> None:
         """Append the words of an argument; ``kept``: objects that own the memory of words."""
         if expected == "i":
-            words.append(int(argument))
+            words.append(int(argument) if isinstance(argument, np.bool_) else index(argument))
         elif expected == "f":
             words.append(struct.unpack("<q", struct.pack("<d", argument))[0])
         elif isinstance(expected, list):
@@ -172,7 +186,7 @@ class LibraryKernel:
             words.extend(array.strides if expected["strided"] else ())
 
     def _words_of(self, elements: tuple[Any, ...], expected: list[Any]) -> list[int]:
-        """Return the words of a tuple; those of the last tuples are kept, because arrays do not move."""
+        """Return the words of a tuple; those of small tuples are kept, because arrays do not move."""
         key = id(elements), id(expected)
         known = _PACKED.get(key)
         if known is not None:
@@ -182,9 +196,10 @@ class LibraryKernel:
         packed = _Packed(elements, [], [])
         for element, element_type in zip(elements, expected, strict=True):
             self._append(packed.words, packed.kept, element, element_type)
-        if len(_PACKED) >= MOST_PACKED:
-            _PACKED.clear()
-        _PACKED[key] = packed
+        if _bytes_of(elements) <= MOST_BYTES:
+            if len(_PACKED) >= MOST_PACKED:
+                _PACKED.clear()
+            _PACKED[key] = packed
         return packed.words
 
     def _check(self, array: Any, expected: dict[str, Any]) -> None:

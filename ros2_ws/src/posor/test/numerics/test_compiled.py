@@ -2,21 +2,30 @@
 
 from __future__ import annotations
 
+import gc
 import importlib
 import os
 import shutil
 import subprocess
 import sys
+import weakref
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from posor import kernel_build
+from posor.calibration.designs import design
+from posor.chain.kinematic_chain import Chain
 from posor.estimation import solver as solve
+from posor.estimation.posor import Posor
+from posor.kernel_examples import ARM, example_stream
+from posor.messages.byte_kernels import write_records
+from posor.messages.message_stream import estimate_messages
 from posor.model.reading_rows import prepare_rows
 from posor.numerics.array_types import FloatArray
-from posor.numerics.compiled import MODE
-from posor.numerics.kernel_library import FILE_NAME, PACKAGE, LibraryKernel
+from posor.numerics.compiled import MODE, bind
+from posor.numerics.kernel_library import FILE_NAME, NEW_BUILD, PACKAGE, LibraryKernel
 from posor.numerics.summary_statistics import FIGURES, figures_of
 
 PROGRAM = Path(__file__).resolve().parent / "kernel_outputs.py"
@@ -79,6 +88,8 @@ def test_a_library_that_fuses_operations_gives_other_bits(plain: dict[str, Float
 FUSING_BUILD = """
 import re, sys
 from posor import kernel_build
+from posor.calibration.designs import design
+from posor.chain.kinematic_chain import Chain
 kernel_build.PROCESSOR = "x86-64-v3"
 compile_entry = kernel_build.compile_entry
 def compile_fusing(*arguments):
@@ -96,37 +107,39 @@ def test_the_inputs_reach_every_end_of_the_solver_that_a_scan_can_take(plain: di
     assert not np.isnan(plain["raw"]).any()  # effects of causes that no reading bounds are infinite
 
 
-def import_of(folder: Path, **variables: str) -> subprocess.CompletedProcess[str]:
-    """Import the kernels of a copy of the package in a new process."""
+SHOWN = "from posor.numerics import compiled\nmain = lambda: print(compiled.MODE, compiled.__file__) or 0\n"
+
+
+def run_program(folder: Path, **variables: str) -> tuple[int, str, str]:
+    """Run a program with the kernels of a copy of the package; return exit code and both outputs."""
+    (folder / "shown.py").write_text(SHOWN, encoding="utf-8")
     path = f"{folder}{os.pathsep}{os.environ.get('PYTHONPATH', '')}"
-    code = "from posor.numerics import compiled; print(compiled.MODE, compiled.__file__)"
+    code = "import sys; from posor.lazy_program import LazyProgram; sys.exit(LazyProgram('program', 'shown')())"
     environ = os.environ | {"PYTHONPATH": path} | variables
-    return subprocess.run(
-        [sys.executable, "-c", code], env=environ, capture_output=True, text=True, check=False, timeout=110
-    )
+    done = subprocess.run([sys.executable, "-c", code], env=environ, capture_output=True, text=True, check=False)
+    return done.returncode, done.stdout, done.stderr
 
 
-def test_a_library_of_other_sources_is_refused(tmp_path: Path) -> None:
+def test_a_library_of_other_sources_ends_a_program_with_one_sentence(tmp_path: Path) -> None:
     """After an update of the package no process may go on with yesterday's formula."""
     copy = tmp_path / "posor"
     shutil.copytree(PACKAGE, copy, ignore=shutil.ignore_patterns("__pycache__"))
     library = next(folder / FILE_NAME for folder in (PACKAGE, PACKAGE.parent) if (folder / FILE_NAME).is_file())
     shutil.copy(library, copy)
-    assert import_of(tmp_path).stdout.split() == ["library", str(copy / "numerics" / "compiled.py")]
+    assert run_program(tmp_path) == (0, f"library {copy / 'numerics' / 'compiled.py'}\n", "")
     with (copy / "model" / "gap.py").open("a", encoding="utf-8") as file:
         file.write("# another formula\n")
-    refused = import_of(tmp_path)
-    assert refused.returncode == 1
-    assert refused.stderr.splitlines()[-1] == (
-        f"ImportError: {copy / FILE_NAME}: built from other sources; "
-        "expected a new build, such as 'make setup' or 'colcon build'"
-    )
+    sentence = f"program: {copy / FILE_NAME}: was built from other sources; expected {NEW_BUILD}.\n"
+    assert run_program(tmp_path) == (1, "", sentence)
     (copy / FILE_NAME).write_bytes(b"no library")
-    assert "ImportError" in import_of(tmp_path).stderr
+    code, out, err = run_program(tmp_path)
+    assert (code, out, err.count("\n")) == (1, "", 1)
     (copy / FILE_NAME).unlink()
-    assert "ImportError" in import_of(tmp_path, POSOR_KERNELS="library").stderr
-    assert "expected 'library', 'numba' or 'python'" in import_of(tmp_path, POSOR_KERNELS="fast").stderr
-    assert import_of(tmp_path, POSOR_KERNELS="python").stdout.split()[0] == "python"
+    for mode in ("library", "fast"):
+        code, out, err = run_program(tmp_path, POSOR_KERNELS=mode)
+        assert (code, out) == (1, "")
+        assert err.startswith(f"program: POSOR_KERNELS: is '{mode}'")
+    assert run_program(tmp_path, POSOR_KERNELS="python")[1].startswith("python")
 
 
 @pytest.mark.parametrize(
@@ -147,3 +160,37 @@ def test_an_array_that_a_kernel_does_not_expect_is_refused(values: FloatArray, w
 def test_records_of_another_layout_are_refused() -> None:
     with pytest.raises(TypeError, match="prepare_rows received an array of"):
         prepare_rows(np.zeros(1, dtype=[("kind", "i8")]))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "what"),
+    [
+        ((np.array([1, 2]), 3), "2 arguments; expected 3"),
+        ((np.array([1, 2]), 3, np.empty(FIGURES), 1), "4 arguments; expected 3"),
+        ((np.array([1, 2]), 3.5, np.empty(FIGURES)), "float"),
+    ],
+)
+def test_wrong_arguments_are_refused(arguments: tuple[Any, ...], what: str) -> None:
+    """A missing argument would be an address of zero."""
+    with pytest.raises(TypeError, match=what):
+        figures_of(*arguments)
+
+
+def test_a_bound_kernel_takes_all_of_its_further_arguments() -> None:
+    kernel: Any = write_records
+    with pytest.raises(TypeError, match="all but integers"):
+        kernel.bind((np.zeros(16, dtype=np.uint8),))
+    posor = Posor(design("triad_diodes"))
+    run = bind(estimate_messages, (posor.model, example_stream()))
+    with pytest.raises(TypeError, match="2 further arguments; expected 3"):
+        run(0, 0)
+
+
+def test_arrays_of_a_call_are_released() -> None:
+    """Estimates of millions of scans take gigabytes."""
+    estimator = Chain(ARM, "endpoint").estimator()
+    endpoints = estimator.estimate_all(np.tile(estimator.poses, (3000, 1, 1)), *np.zeros((2, 3000, 1, 6, 6)))
+    released = weakref.ref(endpoints.covariances_random)
+    del endpoints
+    gc.collect()
+    assert released() is None
