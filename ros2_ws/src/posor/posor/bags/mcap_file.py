@@ -5,7 +5,6 @@ A checksum of 0 means that the writer stated none.
 
 from __future__ import annotations
 
-import re
 from contextlib import ExitStack, contextmanager, suppress
 from io import BytesIO
 from itertools import pairwise
@@ -41,8 +40,6 @@ FOOTER = Struct("<BQQQI")  # head, offset of the index, offset of its table of c
 OF_MESSAGES = {Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE}
 OF_DATA = OF_MESSAGES | {Opcode.CHUNK, Opcode.MESSAGE_INDEX, Opcode.ATTACHMENT, Opcode.METADATA, Opcode.DATA_END}
 """Records between the header and the index."""
-OF_SUMMARY = {0x02, 0x03, 0x04, 0x08, 0x0A, 0x0B, 0x0D, 0x0E}
-"""Records after the end of the data."""
 SHORTEST = {Opcode.MESSAGE: 22, Opcode.CHUNK: 40, Opcode.MESSAGE_INDEX: 6, Opcode.DATA_END: 4}
 """Bytes of the shortest content of a record. Longer ones may end with fields of a later version, but for messages."""
 UNKNOWN = range(0x10, 0x100)
@@ -52,9 +49,6 @@ PIECE_BYTES = 4 << 20
 MESSAGE = Struct("<QHIQ")  # of a message after its opcode: length, channel, sequence number, log time
 CHANNEL = Struct("<H")  # first of a message's content
 CHUNK_TIMES = Struct("<QQQ")  # first of a chunk's content: first and last log time, size of the decompressed records
-MAY_BE_CHUNK = re.compile(rb"(?s)(?=\x06.{5}\x00{3})")  # where a chunk of less than 2^40 bytes may begin
-MAY_BE_MESSAGE = re.compile(rb"(?s)(?=\x05.{5}\x00{3})")
-HEADS = 4  # number of successive heads of records that arbitrary bytes do not resemble
 
 
 class Record(NamedTuple):
@@ -88,7 +82,7 @@ class Span(NamedTuple):
 NOT_MCAP = Damage(0, len(MAGIC), "the file does not begin as MCAP files do")
 
 
-class _DamagedError(Exception):
+class DamagedError(Exception):
     """A record is damaged; the text is a clause that says how."""
 
 
@@ -126,7 +120,7 @@ def damage_error(path: Path, damage: Damage) -> BagError:
 
 def read_index(data: mmap | bytes) -> list[McapRecord] | Damage:
     """Return the records of the index at the end of a file, or how it is damaged."""
-    index = _index_begin(data)
+    index = index_begin(data)
     if isinstance(index, Damage):
         return index
     try:
@@ -142,14 +136,14 @@ def read_spans(path: Path, data: mmap | bytes, index: Iterable[McapRecord]) -> I
     Raises BagError: a record is damaged.
     """
     listed = {each.chunk_start_offset: each for each in index if isinstance(each, ChunkIndex)}
-    begin = _index_begin(data)
+    begin = index_begin(data)
     end = len(data) if isinstance(begin, Damage) else begin.offset
-    position, piece, has_chunks = _after_header(data), _Piece(), False
+    position, piece, has_chunks = after_header(data), _Piece(), False
     while position < end:
         try:
-            opcode, after = _read_head(data, position, end)
-            _check_place(opcode, has_chunks=has_chunks, is_last=after == end)
-        except _DamagedError as error:
+            opcode, after = read_head(data, position, end)
+            check_place(opcode, has_chunks=has_chunks, is_last=after == end)
+        except DamagedError as error:
             raise damage_error(path, Damage(position, end - position, str(error))) from error
         if piece.size and (opcode not in OF_MESSAGES or piece.size + after - position > PIECE_BYTES):
             yield piece.span(position)
@@ -170,12 +164,12 @@ def read_spans(path: Path, data: mmap | bytes, index: Iterable[McapRecord]) -> I
         raise damage_error(path, Damage(min(listed), 0, "there is no chunk, which the index lists"))
 
 
-def _check_place(opcode: int, *, has_chunks: bool, is_last: bool) -> None:
+def check_place(opcode: int, *, has_chunks: bool, is_last: bool) -> None:
     """Refuse the end of the data before the last record, and a message index before any chunk."""
     if opcode == Opcode.DATA_END and not is_last:
-        raise _DamagedError("the record that ends the data is not the last one")
+        raise DamagedError("the record that ends the data is not the last one")
     if opcode == Opcode.MESSAGE_INDEX and not has_chunks:
-        raise _DamagedError("an index record follows no chunk")
+        raise DamagedError("an index record follows no chunk")
 
 
 class _Piece:
@@ -273,104 +267,6 @@ class Definitions:
         return (Channel, number) in self._known
 
 
-def read_records(data: mmap | bytes) -> Iterator[list[Record] | Damage]:
-    """Yield the records of every whole chunk, every whole record outside of chunks, and what is damaged, in order.
-
-    After a damaged record, reading resumes at the next intact chunk; in a file with messages outside of chunks, at the
-    next message, if that comes first.
-    Message indices are left out; records of unknown types are not.
-    """
-    index, records = _index_begin(data), read_index(data)
-    position, end = _after_header(data), len(data)
-    if not isinstance(index, Damage) and index.checked:
-        end = index.offset
-    search = _Search(data, end, [] if isinstance(records, Damage) else records)
-    if data[: len(MAGIC)] != MAGIC:
-        yield NOT_MCAP
-    while position < end:
-        try:
-            opcode, found, after = search.read_record(position)
-        except _DamagedError as error:
-            after = search.find_next(position)
-            yield Damage(position, after - position, str(error))
-        else:
-            if opcode == Opcode.DATA_END:
-                return
-            if found:
-                yield found
-        position = after
-    if isinstance(index, Damage):
-        yield index
-
-
-class _Search:
-    """Reads the data of a file that may be damaged."""
-
-    def __init__(self, data: mmap | bytes, end: int, index: Iterable[McapRecord]) -> None:
-        self._data, self._end = data, end
-        index = list(index)
-        self._listed = {each.chunk_start_offset for each in index if isinstance(each, ChunkIndex)}
-        self._definitions = Definitions(index)
-        self._has_chunks, self._has_messages = bool(self._listed), False  # messages outside of chunks
-        self._may_have_chunks = True
-
-    def read_record(self, position: int) -> tuple[int, list[Record], int]:
-        """Return type, content and end of the record at an offset."""
-        opcode, found, after = _read_record(self._data, position)
-        if position in self._listed and opcode != Opcode.CHUNK:
-            raise _DamagedError(f"a chunk is damaged: its type is 0x{opcode:02x}")
-        is_last = after == self._end or self._data[after] in OF_SUMMARY
-        _check_place(opcode, has_chunks=self._has_chunks, is_last=is_last)
-        self._has_chunks |= opcode == Opcode.CHUNK
-        self._has_messages |= opcode == Opcode.MESSAGE
-        if opcode in OF_MESSAGES and not self._is_followed(after) and self._find_message(position + 1, after) < after:
-            raise _DamagedError("the length of a record is damaged")
-        self._add_definitions(found, is_chunk=opcode == Opcode.CHUNK)
-        return opcode, found, after
-
-    def _add_definitions(self, records: Iterable[Record], *, is_chunk: bool) -> None:
-        """Add the definitions among some records; in a chunk, invalid ones are left out."""
-        for each in records:
-            if each.opcode in {Opcode.SCHEMA, Opcode.CHANNEL}:
-                try:
-                    self._definitions.add(each)
-                except ValueError as error:
-                    if not is_chunk:
-                        raise _DamagedError(f"a definition is damaged: {error}") from error
-
-    def find_next(self, position: int) -> int:
-        """Return the offset where reading resumes after a damaged record."""
-        chunk = _find_chunk(self._data, position + 1, self._end) if self._may_have_chunks else self._end
-        self._may_have_chunks = chunk < self._end
-        may_be_chunk = self._has_chunks or not self._has_messages
-        is_chunk = position in self._listed or (self._data[position] == Opcode.CHUNK and may_be_chunk)
-        is_in_chunks = not self._has_messages and (self._has_chunks or self._may_have_chunks)
-        return chunk if is_chunk or is_in_chunks else self._find_message(position + 1, chunk)
-
-    def _find_message(self, begin: int, end: int) -> int:
-        """Return the offset of the next whole message of a known channel between two offsets; ``end`` without any."""
-        for candidate in MAY_BE_MESSAGE.finditer(self._data, begin, end):
-            position = candidate.start()
-            with suppress(_DamagedError):
-                _, after = _read_head(self._data, position, self._end)
-                _, channel, _, _ = MESSAGE.unpack_from(self._data, position + 1)
-                if self._definitions.has_channel(channel) and self._is_followed(after):
-                    return position
-        return end
-
-    def _is_followed(self, position: int) -> bool:
-        """Return whether the heads of the next records are sane."""
-        with suppress(_DamagedError):
-            for _ in range(HEADS):
-                if position == self._end:
-                    return True
-                opcode, position = _read_head(self._data, position, self._end)
-                if opcode == Opcode.DATA_END:
-                    return True
-            return True
-        return False
-
-
 class _IndexBegin(NamedTuple):
     """Where the index begins, and whether its checksum shows that this is true."""
 
@@ -378,7 +274,7 @@ class _IndexBegin(NamedTuple):
     checked: bool
 
 
-def _index_begin(data: mmap | bytes) -> _IndexBegin | Damage:
+def index_begin(data: mmap | bytes) -> _IndexBegin | Damage:
     """Return where the index begins, or how it is damaged."""
     footer_at = len(data) - FOOTER.size - len(MAGIC)
     if footer_at < len(MAGIC) or data[-len(MAGIC) :] != MAGIC:
@@ -405,7 +301,7 @@ def records_of(data: bytes) -> Iterator[Record]:
         yield Record(opcode, data[content:position])
 
 
-def _after_header(data: mmap | bytes) -> int:
+def after_header(data: mmap | bytes) -> int:
     """Return the offset after the header record; after the magic bytes if there is no whole header."""
     begin = len(MAGIC)
     if len(data) < begin + RECORD_HEAD.size:
@@ -415,36 +311,36 @@ def _after_header(data: mmap | bytes) -> int:
     return int(after) if opcode == Opcode.HEADER and after <= len(data) else begin
 
 
-def _read_head(data: mmap | bytes, position: int, end: int) -> tuple[int, int]:
+def read_head(data: mmap | bytes, position: int, end: int) -> tuple[int, int]:
     """Return type and end of the record at an offset in the data, which end at ``end``."""
     if position + RECORD_HEAD.size > end:
-        raise _DamagedError("the file is cut short within a record")
+        raise DamagedError("the file is cut short within a record")
     opcode, length = RECORD_HEAD.unpack_from(data, position)
     after = position + RECORD_HEAD.size + length
     if opcode not in OF_DATA and opcode not in UNKNOWN:
-        raise _DamagedError(f"there is no record, but a byte 0x{opcode:02x}")
+        raise DamagedError(f"there is no record, but a byte 0x{opcode:02x}")
     if after > end:
-        raise _DamagedError(f"the file is cut short within a record of {length} bytes, or its length is damaged")
+        raise DamagedError(f"the file is cut short within a record of {length} bytes, or its length is damaged")
     if length < SHORTEST.get(opcode, 0):
-        raise _DamagedError(f"a record of type 0x{opcode:02x} has only {length} bytes")
+        raise DamagedError(f"a record of type 0x{opcode:02x} has only {length} bytes")
     return opcode, after
 
 
-def _read_record(data: mmap | bytes, position: int) -> tuple[int, list[Record], int]:
+def read_record(data: mmap | bytes, position: int) -> tuple[int, list[Record], int]:
     """Return type, records of messages, and end of the record at an offset."""
-    opcode, after = _read_head(data, position, len(data))
+    opcode, after = read_head(data, position, len(data))
     content, records = position + RECORD_HEAD.size, list[Record]()
     if opcode == Opcode.CHUNK:
         try:
             records = list(records_of(chunk_records(data[content:after])))
         except Exception as error:  # each compression raises errors of its own
-            raise _DamagedError(f"a chunk is damaged: {clause_of(error).lower()}") from error
+            raise DamagedError(f"a chunk is damaged: {clause_of(error).lower()}") from error
     elif opcode not in {Opcode.MESSAGE_INDEX, Opcode.DATA_END}:
         records = [Record(opcode, data[content:after])]
     elif opcode == Opcode.MESSAGE_INDEX:
         _, _, _, size = INDEX_HEAD.unpack_from(data, position)
         if position + INDEX_HEAD.size + size > after or size % INDEX_ENTRY_SIZE:
-            raise _DamagedError("the sizes in an index record contradict one another")
+            raise DamagedError("the sizes in an index record contradict one another")
     return opcode, records, after
 
 
@@ -468,14 +364,3 @@ def chunk_records(content: bytes) -> bytes:
     if chunk.uncompressed_crc and crc32(data) != chunk.uncompressed_crc:
         raise ValueError("chunk checksum mismatch")
     return data
-
-
-def _find_chunk(data: mmap | bytes, begin: int, end: int) -> int:
-    """Return the offset of the next whole chunk between two offsets; ``end`` without any."""
-    for candidate in MAY_BE_CHUNK.finditer(data, begin, end):
-        try:
-            _read_record(data, candidate.start())
-        except _DamagedError:
-            continue
-        return candidate.start()
-    return end

@@ -15,7 +15,8 @@ from mcap.records import Statistics
 
 from posor.bags.bag_reader import storage_files
 from posor.bags.bag_writer import BagWriter
-from posor.bags.mcap_file import UNKNOWN, Damage, definitions_of, mapped, read_index, read_records
+from posor.bags.mcap_file import UNKNOWN, Damage, definitions_of, mapped, read_index
+from posor.bags.mcap_search import read_records
 from posor.bags.mcap_storage import definitions_by_number, topic_of
 from posor.bags.provenance import custom_data
 from posor.bags.recorded_topics import BagMetadata, Unread, connection_of, profiles_of

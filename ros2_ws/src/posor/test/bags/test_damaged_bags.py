@@ -16,7 +16,8 @@ from posor.bags import recover_command
 from posor.bags.bag_reader import opened_bag
 from posor.bags.bag_writer import BagWriter, TopicMessages, file_name_of
 from posor.bags.block_reader import read_messages
-from posor.bags.mcap_file import OF_MESSAGES, Damage, read_index, read_records
+from posor.bags.mcap_file import OF_MESSAGES, Damage, read_index
+from posor.bags.mcap_search import read_records
 from posor.bags.provenance import PENDING
 from posor.bags.recorded_topics import METADATA
 from posor.bags.recover_command import Rescue, recover
