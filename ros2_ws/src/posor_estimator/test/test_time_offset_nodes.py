@@ -113,8 +113,9 @@ def rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
         program("posor_estimator", "chain_node", "/stated", urdf=urdf, endpoint_frame="endpoint"),
     ):
         rig = Rig(graph)
-        for name in ("/arm/joint/posor_node: estimate", "/stated/chain_node: endpoint"):
-            graph.wait_for_status(name, "yet")
+        for node in ("/arm/joint/posor_node", "/stated/joint/posor_node", "/stated/chain_node"):
+            name = f"{node}: lifecycle"
+            graph.wait_until(lambda: getattr(graph.latest(name), "message", "") == "active", name)  # noqa: B023  used at once
         with program("posor_drivers", "driver_node", "/arm/joint", wait_for_subscribers=1, **simulated):
             yield rig
 
