@@ -210,4 +210,3 @@ def test_an_arm_at_rest_with_known_temperatures_has_small_levels() -> None:
     assert describe_rest(found).verdict is Verdict.HOLDS
     assert np.all(found.worst >= found.median)
     assert describe_rest(found._replace(worst=found.worst + 1e-4)).verdict is Verdict.FAILS
-    assert describe_rest(found._replace(arm="another")).verdict is Verdict.NOT_JUDGED
