@@ -2,7 +2,7 @@
 
 Scan numbers count the ticks of the scan clock; stamps are the time of exposure by the ROS clock. The line ``stamp = a +
 period * number`` is fitted recursively by least squares (the gains of a growing-memory filter of degree one, later with
-a memory of MEMORY scans; A. Gelb, Applied Optimal Estimation, 1974). A stamp that is further from the line than the
+a memory of MEMORY_SCANS; A. Gelb, Applied Optimal Estimation, 1974). A stamp that is further from the line than the
 scatter of the stamps explains contradicts the numbers: the scan is refused. Where LATE_RUN scans in a row contradict
 the old line and agree with one another, the clock was set, and the line continues from there. A scan whose number does
 not come after the last one is late and refused alone; a run of such scans is a restart.
@@ -14,8 +14,8 @@ The tracker has a time of its own that only moves forward, so a step of the cloc
 * where the two clocks contradict each other, by the smaller of both, which accepts the least motion; a count of theta
   is given up.
 
-A step of the stamps shows that they were or are wrong by as much: it is the least largest error of the stamps until an
-acknowledgement.
+A step of the stamps shows that they were or are wrong by as much. Until an acknowledgement, the largest error of the
+stamps is taken as at least this step.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ if TYPE_CHECKING:
 
 IN_ORDER, LATE, CONTRADICTORY = 0, -103, -104
 """Results of ``follow_clocks``, and codes of the estimate of a refused scan."""
-CLOCK_STEP_S = 1.0  # smallest step back by which stamps show, beside the numbers, that a recording has started over [s]
+CLOCK_STEP_S = 1.0  # step back of the stamps [s] that, with numbers that go back, shows a new start of a recording
 FITTED_SCANS = 16  # scans after which the line can be contradicted
-MEMORY = 256  # scans in the memory of the line and of the scatter
+MEMORY_SCANS = 256  # of the line and of the scatter
 NEW_RATE_RUN = 14  # scans in a row off the line after which a new line begins, because their rate is another one
 FAILED_LINES = 3  # lines in a row, left within FITTED_SCANS, after which the stamps scatter
 LATE_RUN = 10  # scans in a row, below the last number or off the line, that are a restart or a clock that was set
@@ -42,8 +42,8 @@ RESTART_NUMBERS = 64
 LEAST_DEVIATION, GREATEST_DEVIATION = 0.5, 8.0  # limits of the deviation that contradicts the line, in periods
 CLOCK_DRIFT = 1e-4  # largest change of the ratio of both clocks while no scan comes
 SCATTER_SIGMAS = 5.0  # standard deviations of the scatter that a stamp may deviate from the line
-DEVIATION_SIGMAS = 3.0  # standard deviations that the deviation of one stamp is at most taken for
-SCATTERED = 0.02  # scatter in periods above which an unstated stamp is replaced by its number times the period
+DEVIATION_SIGMAS = 3.0  # the deviation of one stamp counts as at most as many standard deviations
+SCATTER_LIMIT = 0.02  # scatter in periods above which an unstated stamp is replaced by its number times the period
 
 
 @inlined
@@ -75,7 +75,7 @@ def stamp_sigma(tracker: Any, scan: Any) -> float:
 def _uses_numbers(tracker: Any, scan: Any) -> bool:
     """Return whether time is taken from the numbers, because unstated stamps scatter."""
     stated = scan.stamp_uncertainty > 0.0
-    return bool(not stated and scatter_of(tracker) > SCATTERED * tracker.clocks.period)
+    return bool(not stated and scatter_of(tracker) > SCATTER_LIMIT * tracker.clocks.period)
 
 
 @inlined
@@ -184,7 +184,7 @@ def _tolerance(clocks: Any, steps: float) -> float:
 def _fit(clocks: Any, steps: float, deviation: float) -> None:
     """Add a scan to the line, ``steps`` numbers after the last one and ``deviation`` [s] off the predicted line."""
     clocks.deviation = abs(deviation) if clocks.fitted > 1 else 0.0
-    clocks.fitted = min(clocks.fitted + 1, MEMORY)
+    clocks.fitted = min(clocks.fitted + 1, MEMORY_SCANS)
     n = clocks.fitted
     if n == FITTED_SCANS:
         clocks.held, clocks.failed = 1, 0
@@ -229,8 +229,8 @@ def _follow_back(model: Model, scan: Any, stamp: float, elapsed: float) -> int:
     clocks.late = clocks.late + 1 if clocks.late > 0 and advances and stamp > clocks.refused_stamp else 1
     clocks.refused = 0
     _follow_run(clocks, scan, stamp)
-    far = clocks.number - scan.number >= RESTART_NUMBERS or elapsed < -CLOCK_STEP_S
-    if clocks.late < (RESTART_RUN if far else LATE_RUN):
+    is_restart_step = clocks.number - scan.number >= RESTART_NUMBERS or elapsed < -CLOCK_STEP_S
+    if clocks.late < (RESTART_RUN if is_restart_step else LATE_RUN):
         return LATE
     missing = clocks.late * clocks.period - elapsed  # at least one interval went by for each scan of the run
     tracker.time += elapsed if elapsed > 0.0 else clocks.period

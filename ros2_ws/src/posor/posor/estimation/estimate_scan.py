@@ -18,7 +18,7 @@ from posor.estimation.covariance import (
     write_covariances,
     write_shared_effects,
 )
-from posor.estimation.exposure import TIME, add_stamp_variance, move_to_stamp, write_twist
+from posor.estimation.exposure import TIME_FAULT, add_stamp_variance, move_to_stamp, write_twist
 from posor.estimation.fault_effects import write_fault_effects
 from posor.estimation.frozen import NOT_FROZEN, count_repetitions
 from posor.estimation.linearise import add_unmeasured, environment_is_valid, linearise_scan, missing, unmeasured
@@ -228,8 +228,8 @@ def _solve(model: Model, extrapolate: bool) -> tuple[int, int]:  # noqa: FBT001 
     if workspace.is_dark:
         copy_pose(workspace.pose, workspace.start_pose)
     write_twist(workspace, elapsed)
-    if workspace.is_skewed and move_to_stamp(workspace):
-        faults |= TIME
+    if workspace.has_offsets and move_to_stamp(workspace):
+        faults |= TIME_FAULT
     for r in range(m):
         workspace.weights[r] = 1.0 / workspace.variances[r]
     bridging = tracked and settings.max_velocity < math.inf

@@ -1,4 +1,4 @@
-"""Exposure: each reading at its own time, and the uncertainty that time gives to a pose.
+"""Exposure times of the readings, and the uncertainty that they add to a pose.
 
 A multiplexing converter reads the channels of a scan one after another, while the target moves on (thesis 8.3.3: eleven
 conversions of 100 us). With the tracker's twist xi and the offset t of a reading's exposure from the stamp, the reading
@@ -11,7 +11,7 @@ The ratio ``u = (A - C)/(A + C)`` of two contact currents that are read at times
 ``M diag(t_u, t_v) M^-1``, which acts on the rates of both coordinates of the spot.
 
 A stamp with the standard uncertainty s displaces the pose along its motion: the random covariance grows by
-``s^2 xi xi'``.
+``s^2 (xi xi' + diag(sigma_xi^2))``.
 """
 
 from __future__ import annotations
@@ -30,15 +30,15 @@ if TYPE_CHECKING:
     from posor.estimation.workspace import Model
     from posor.numerics.array_types import FloatArray
 
-INVALID_EXPOSURE = -105  # code of the estimate of a scan whose statement on time is invalid
+INVALID_EXPOSURE = -105  # code of the estimate: offsets, span, or uncertainty or limit of the stamp are invalid
 LONGEST_OFFSET_S = 1.0  # largest offset of an exposure from the stamp that is accepted [s]
-TIME_SHARE = 0.5  # DEGRADED where time contributes this share of the rest of the standard uncertainty
-TIME = int(Fault.TIME)
+TIME_SHARE = 0.5  # TIME is set where the part from time exceeds this share of the rest of the standard uncertainty
+TIME_FAULT = int(Fault.TIME)
 
 
 @inlined
 def _exposures_are_valid(scan: Any) -> bool:
-    """Return whether a scan states no offset, or one for each channel; each within LONGEST_OFFSET_S or unknown."""
+    """Return whether all that a scan states about time is valid: offsets, span, uncertainty and limit of the stamp."""
     channels = scan.gap_count + scan.ring_count + scan.current_count
     valid = scan.offset_count in (0, channels) and 0.0 <= scan.exposure_span <= LONGEST_OFFSET_S
     for i in range(scan.offset_count):
@@ -48,14 +48,14 @@ def _exposures_are_valid(scan: Any) -> bool:
 
 @inlined
 def begin_exposures(model: Model, scan: Any) -> bool:
-    """Assume readings at the stamp, or with unknown offsets; return whether the scan's statement on time is valid."""
+    """Set all offsets to zero with the variance of an unknown one; return whether the scan's times are valid."""
     workspace = model.workspace[0]
-    workspace.is_skewed = 1 if scan.offset_count > 0 else 0
-    if workspace.is_skewed:
+    workspace.has_offsets = 1 if scan.offset_count > 0 else 0
+    if workspace.has_offsets:
         for r in range(workspace.reading_count):
             workspace.offsets[r] = workspace.cross_offsets[r] = 0.0
             workspace.partners[r] = r
-            workspace.unknown[r] = _unknown_variance(workspace.tracker, scan)
+            workspace.offset_variances[r] = _unknown_variance(workspace.tracker, scan)
     return _exposures_are_valid(scan)
 
 
@@ -71,7 +71,7 @@ def write_voltage_offset(workspace: Any, scan: Any, r: int, channel: int) -> Non
     """Write the offset of a probe's reading; ``channel``: index of its offset in the scan."""
     offset = scan.exposure_offsets[channel]
     if not math.isnan(offset):
-        workspace.offsets[r], workspace.unknown[r] = offset, 0.0
+        workspace.offsets[r], workspace.offset_variances[r] = offset, 0.0
 
 
 @inlined
@@ -85,21 +85,21 @@ def write_spot_offsets(workspace: Any, scan: Any, r: int, diode: int) -> None:
     if math.isnan(t_u + t_v):
         return
     m = spot.slope
-    whole = m[0, 0] * m[1, 1] - m[0, 1] * m[1, 0]
-    workspace.offsets[r] = (m[0, 0] * m[1, 1] * t_u - m[0, 1] * m[1, 0] * t_v) / whole
-    workspace.cross_offsets[r] = m[0, 0] * m[0, 1] * (t_v - t_u) / whole
-    workspace.offsets[r + 1] = (m[0, 0] * m[1, 1] * t_v - m[0, 1] * m[1, 0] * t_u) / whole
-    workspace.cross_offsets[r + 1] = m[1, 0] * m[1, 1] * (t_u - t_v) / whole
+    determinant = m[0, 0] * m[1, 1] - m[0, 1] * m[1, 0]
+    workspace.offsets[r] = (m[0, 0] * m[1, 1] * t_u - m[0, 1] * m[1, 0] * t_v) / determinant
+    workspace.cross_offsets[r] = m[0, 0] * m[0, 1] * (t_v - t_u) / determinant
+    workspace.offsets[r + 1] = (m[0, 0] * m[1, 1] * t_v - m[0, 1] * m[1, 0] * t_u) / determinant
+    workspace.cross_offsets[r + 1] = m[1, 0] * m[1, 1] * (t_u - t_v) / determinant
     workspace.partners[r], workspace.partners[r + 1] = r + 1, r
-    workspace.unknown[r] = workspace.unknown[r + 1] = 0.0
+    workspace.offset_variances[r] = workspace.offset_variances[r + 1] = 0.0
 
 
 @inlined
 def write_twist(workspace: Any, elapsed: float) -> None:
     """Write the twist of the target and its standard uncertainties, ROS order, ``elapsed`` [s] after the previous pose.
 
-    The inclinations hardly change; their rates are taken as zero. An unknown rate is zero, uniformly distributed within
-    the largest motion where the calibration states it.
+    The inclinations hardly change; their rates are taken as zero. An unknown rate is taken as zero too, with the
+    uncertainty of a uniform distribution over the largest motion, or zero where the calibration states no limit.
     """
     settings, tracker, rotation = workspace.settings, workspace.tracker, workspace.pose.rotation
     known = rate_is_known(tracker, elapsed)
@@ -121,6 +121,7 @@ def move_to_stamp(workspace: Any) -> bool:
     more than TIME_SHARE allows.
     """
     rotation, m = workspace.pose.rotation, workspace.reading_count
+    # Residuals and weights are free until the solution.
     jacobian, rates, sigmas = workspace.jacobian, workspace.residuals, workspace.weights
     for i in range(6):
         workspace.step_sum[i] = 0.0
@@ -139,7 +140,7 @@ def move_to_stamp(workspace: Any) -> bool:
         own, cross, partner = workspace.offsets[r], workspace.cross_offsets[r], workspace.partners[r]
         workspace.values[r] -= own * rates[r] + cross * rates[partner]
         added = square(own * sigmas[r]) + square(cross * sigmas[partner])
-        added += workspace.unknown[r] * (square(rates[r]) + square(sigmas[r]))
+        added += workspace.offset_variances[r] * (square(rates[r]) + square(sigmas[r]))
         doubtful = doubtful or added > square(TIME_SHARE) * workspace.variances[r]
         workspace.variances[r] += added
     return doubtful
@@ -172,7 +173,7 @@ def add_stamp_variance(
     for i in range(6):
         added = square(sigma) * (square(workspace.twist[i]) + square(workspace.twist_sigmas[i]))
         if added > square(TIME_SHARE) * (random[i, i] + systematic[i, i]):
-            fault = TIME
+            fault = TIME_FAULT
         random[i, i] += square(sigma * workspace.twist_sigmas[i])
         for j in range(6):
             random[i, j] += square(sigma) * workspace.twist[i] * workspace.twist[j]

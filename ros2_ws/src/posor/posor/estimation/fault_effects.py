@@ -1,16 +1,16 @@
 """What the causes of faults may do to a pose unseen by the residual test, for the pose of one scan.
 
 Baarda's test of several parameters: a fault D b (D the columns of its hypothesis, (m, 1) or (m, 2)) makes the
-chi-square of the redundant readings non-central, lambda = |Z D b|^2, with Z the whitened directions of the residual
-space (``estimation.scan_checks``), ``Z (R + S) Z' = 1``. A scan passes with at least the probability of a missed
-detection where lambda <= lambda_0. Undetected are therefore the b with
+chi-square of the redundant readings non-central, lambda = |Z D b|^2. The rows of Z are the directions of the residual
+space (``estimation.scan_checks``), scaled so that ``Z (R + S) Z' = 1`` with the random and systematic covariances R and
+S of the readings. A fault with lambda <= lambda_0 is missed with at least the stated probability. Such b satisfy
 
     |Z D b|^2 <= lambda_0    and    |b| <= bound,
 
-an intersection of two ellipsoids, which changes the pose by G D b. Causes that are always there may mask a fault:
-sqrt(lambda_0) grows by the sum of their own largest parts in the residual space. A direction of b is not tested where
-the readings show less than UNCHECKED of its square. Where the scan has been compared with an encoder, a fault that
-turns theta by more than the encoder's test passes with the same probability is detected too.
+an intersection of two ellipsoids. They change the pose by G D b, with G the gain of the solver. Causes that are always
+there may mask a fault: sqrt(lambda_0) grows by the sum of their own largest parts in the residual space. A direction of
+b is not tested where the readings show less than LEAST_SHOWN_SHARE of its square. Where the scan has been compared with
+an encoder, a fault that turns theta by more than the encoder's test passes with the same probability is detected too.
 
 ``write_fault_effects`` writes for each column its change of the pose with b along a principal axis of the intersection,
 and a number ``cut``. With f1, f2 the effects of both columns of a hypothesis along any axis and c1, c2 their cuts, the
@@ -59,21 +59,22 @@ if TYPE_CHECKING:
     from posor.numerics.array_types import FloatArray
 
 MISSED_DETECTION = 1e-2  # probability that a fault of the smallest detectable size passes the test of one scan
-LINEAR = 0.01  # effects up to this size are linear [m], [rad]; an encoder does not bound larger ones
-MISSED_SIGMAS = float(-ndtri(MISSED_DETECTION))  # by which a fault that is missed so rarely exceeds a test of one side
-UNCHECKED = 1e-4  # a direction of which the readings show less is not tested: faults of hundreds of sigmas would pass
+LINEAR_LIMIT = 0.01  # effects up to this size are linear [m], [rad]; an encoder does not bound larger ones
+MISSED_SIGMAS = float(-ndtri(MISSED_DETECTION))  # a fault that is missed so rarely exceeds the limit by these
+LEAST_SHOWN_SHARE = 1e-4
+"""A direction that the readings show less is not tested: faults of hundreds of standard deviations would pass."""
 LOST, ILL_CONDITIONED = int(State.LOST), int(Fault.ILL_CONDITIONED)
 
 
 @lru_cache
 def noncentrality(redundant: int, limit: float, missed_detection: float) -> float:
-    """Return the non-centrality at which chi-square of ``redundant`` degrees of freedom passes a limit that rarely."""
+    """Return the non-centrality at which chi-square of ``redundant`` degrees of freedom is below a limit so rarely."""
     return float(chndtrinc(limit, redundant, missed_detection))
 
 
 @inlined
 def in_double(value: float) -> float:
-    """Return a number of four bytes in eight, where it is compiled and where it is not."""
+    """Convert float32 to float64, in compiled and in Python code."""
     return float(value) * 1.0
 
 
@@ -121,10 +122,10 @@ def write_fault_effects(model: Model, scan: Any, estimate: Any, effects: FloatAr
         if columns[c].kind & ALWAYS:
             own = bound * math.sqrt(_dot(model.faults.components, c, c))
             size, cut = bound, 1.0
-            if not paired and own > root + (always - own) and _shown(model, c, 1.0, 0.0) > UNCHECKED:
+            if not paired and own > root + (always - own) and _shown(model, c, 1.0, 0.0) > LEAST_SHOWN_SHARE:
                 size = bound * (root + (always - own)) / own
             for k in range(2 if paired else 1):
-                _store(shifts, effects, c + k, size, cut)
+                _write_effect(shifts, effects, c + k, size, cut)
         elif paired:
             _write_pair(model, effects, c, root + always)
         else:
@@ -160,7 +161,7 @@ def _shorten(effects: FloatArray, c: int, partner: int, largest: float) -> None:
         largest += math.inf if math.isinf(effects[partner, 6]) else abs(in_double(effects[partner, 5]))
     for k in range(6):
         size = max(size, abs(in_double(effects[c, k])))
-    if not (math.isinf(effects[c, 6]) or turn > largest) or not size * largest <= LINEAR * turn:
+    if not (math.isinf(effects[c, 6]) or turn > largest) or not size * largest <= LINEAR_LIMIT * turn:
         return
     for k in range(6):
         effects[c, k] = in_double(effects[c, k]) * (largest / turn)
@@ -170,7 +171,7 @@ def _shorten(effects: FloatArray, c: int, partner: int, largest: float) -> None:
 
 
 @inlined
-def _store(shifts: FloatArray, effects: FloatArray, c: int, size: float, cut: float) -> None:
+def _write_effect(shifts: FloatArray, effects: FloatArray, c: int, size: float, cut: float) -> None:
     """Write the effect of a size of column c."""
     for k in range(6):
         effects[c, k] = size * shifts[c, k]
@@ -182,11 +183,11 @@ def _write_single(model: Model, effects: FloatArray, c: int, root: float) -> Non
     faults = model.faults
     bound, seen = faults.columns[c].bound, math.sqrt(_dot(faults.components, c, c))
     size, cut = bound, 1.0
-    if seen > 0.0 and root < bound * seen and _shown(model, c, 1.0, 0.0) > UNCHECKED:
+    if seen > 0.0 and root < bound * seen and _shown(model, c, 1.0, 0.0) > LEAST_SHOWN_SHARE:
         size = root / seen
     if size == math.inf:
         size, cut = 1.0, math.inf
-    _store(faults.shifts, effects, c, size, cut)
+    _write_effect(faults.shifts, effects, c, size, cut)
 
 
 @inlined
@@ -199,9 +200,9 @@ def _write_pair(model: Model, effects: FloatArray, c: int, root: float) -> None:
     u, v = math.cos(angle), math.sin(angle)
     middle, half = 0.5 * (a + d), math.sqrt(square(0.5 * (a - d)) + b * b)
     seen = math.sqrt(middle + half), math.sqrt(max(middle - half, 0.0))
-    first = seen[0] if root < math.inf and _shown(model, c, u, v) > UNCHECKED else 0.0
-    second = seen[1] if root < math.inf and _shown(model, c, -v, u) > UNCHECKED else 0.0
-    size, other = _least(bound, root, first), _least(bound, root, second)
+    first = seen[0] if root < math.inf and _shown(model, c, u, v) > LEAST_SHOWN_SHARE else 0.0
+    second = seen[1] if root < math.inf and _shown(model, c, -v, u) > LEAST_SHOWN_SHARE else 0.0
+    size, other = _largest_undetected(bound, root, first), _largest_undetected(bound, root, second)
     cut = other_cut = 1.0
     if (size < bound) != (other < bound) and bound < math.inf:  # the test cuts the bound along one axis
         cut = square(size / bound) if size < bound else square(bound * first / root)
@@ -217,7 +218,7 @@ def _write_pair(model: Model, effects: FloatArray, c: int, root: float) -> None:
 
 
 @inlined
-def _least(bound: float, root: float, seen: float) -> float:
+def _largest_undetected(bound: float, root: float, seen: float) -> float:
     """Return the largest size that is neither beyond the bound nor detected."""
     return root / seen if seen > 0.0 and root < bound * seen else bound
 

@@ -6,7 +6,7 @@ import math
 from typing import TYPE_CHECKING, Any
 
 from posor.estimation.ambient import NO_DARK_SCAN, NO_POSE
-from posor.estimation.clocks import CONTRADICTORY, LATE, SCATTERED
+from posor.estimation.clocks import CONTRADICTORY, LATE, SCATTER_LIMIT
 from posor.estimation.estimate import NO_STAMP, OTHER_FRAME
 from posor.estimation.exposure import INVALID_EXPOSURE, LONGEST_OFFSET_S
 from posor.estimation.frozen import ALL
@@ -72,7 +72,7 @@ def fault_sentence(stack: Stack, settings: Any, tracker: Any, scan: Scan, estima
         found = [f"latched after {Fault(faults & ~Fault.LATCHED).name}, {RELEASE}"]
     clocks, offset = tracker["clocks"], tracker["offset"]
     scatter_s = math.sqrt(clocks["variance"])
-    if faults & Fault.INNOVATION and scatter_s > SCATTERED * clocks["period"]:
+    if faults & Fault.INNOVATION and scatter_s > SCATTER_LIMIT * clocks["period"]:
         found.append(
             f"the stamps scatter by {1e3 * scatter_s:.3g} ms beside the scan numbers; expected the time of exposure"
         )

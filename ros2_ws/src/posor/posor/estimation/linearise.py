@@ -127,7 +127,7 @@ def _linearise_voltages(model: Model, sensor: Any, scan: Any) -> int:
             channel, volt, scan.supply_voltage, scan.temperature, model.by_channel[r]
         )
         workspace.gain_effects[r] = measured * model.by_channel[r].zero_shift * gain_sigma
-        if workspace.is_skewed:
+        if workspace.has_offsets:
             write_voltage_offset(workspace, scan, r, i if is_gap else scan.gap_count + i)
     return VALID
 
@@ -175,7 +175,7 @@ def _linearise_spots(model: Model, sensor: Any, scan: Any) -> int:
             workspace.variances[r + axis] = square(by_x) + square(by_y)
         if workspace.has_common_effects:
             write_ambient_effects(workspace, r, i, ambient_sigma)
-        if workspace.is_skewed:
+        if workspace.has_offsets:
             write_spot_offsets(workspace, scan, r, i)
     return VALID
 

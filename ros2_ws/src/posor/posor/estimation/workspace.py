@@ -185,11 +185,11 @@ WORKSPACE = np.dtype(  # memory of fixed capacity for one POSOR
         ("spot_partners", "i8", (READINGS,)),  # the other coordinate of the same spot, else the reading itself
         ("gain_effects", "f8", (READINGS,)),  # of the uncertainty of the converter's gain [m]
         # Exposure of each reading (``estimation.exposure``)
-        ("is_skewed", "i8"),  # 1: not all channels were read at the stamp
+        ("has_offsets", "i8"),  # 1: not all channels were read at the stamp
         ("offsets", "f8", (READINGS,)),  # [s]
         ("cross_offsets", "f8", (READINGS,)),  # by the rate of the partner, the other coordinate of a spot [s]
         ("partners", "i8", (READINGS,)),
-        ("unknown", "f8", (READINGS,)),  # variance of an unknown offset [s^2]
+        ("offset_variances", "f8", (READINGS,)),  # variance of an unknown offset [s^2]
         ("twist", "f8", (6,)),  # of the target, ROS order [m/s], [rad/s]
         ("twist_sigmas", "f8", (6,)),
         ("sensitivities", "f8", (READINGS, 2)),  # of each reading to supply and temperature [m/V], [m/K]

@@ -26,7 +26,7 @@ from scipy.special import chdtrc
 
 from posor.calibration.causes import EXCEEDED
 from posor.chain.fault_bounds import SMALLEST
-from posor.estimation.fault_effects import MISSED_DETECTION, UNCHECKED, largest_of_pair
+from posor.estimation.fault_effects import LEAST_SHOWN_SHARE, MISSED_DETECTION, largest_of_pair
 from posor.estimation.fault_model import SECOND
 from posor.model.native_coordinates import native_from_rotation
 from posor.model.scan import Scans
@@ -124,7 +124,7 @@ def joint_reliability(posor: Posor, scan: Scan, T_R_T: pin.SE3) -> Reliability:
     if math.isfinite(posor.residual_limit):
         false_alarm = float(chdtrc(posor.redundancy, posor.residual_limit)) / EXCEEDED
     gains, biases = sensitivity.gain.T, np.full(len(sensitivity.gain.T), math.inf)
-    checked = sensitivity.redundancy_numbers > UNCHECKED
+    checked = sensitivity.redundancy_numbers > LEAST_SHOWN_SHARE
     biases[checked] = root / np.sqrt(sensitivity.chi_square[checked])
     other = copy.deepcopy(posor)
     other.settings["residual_limit"] = math.inf

@@ -1,4 +1,4 @@
-"""Base classes of all sources, and their registry. Read this file to add an instrument.
+"""Base classes of all sources, and their registry. An instrument is not a source: see ``instruments/device.py``.
 
 How to add a source:
 
