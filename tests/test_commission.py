@@ -22,6 +22,7 @@ from sensor_msgs.msg import JointState
 pytestmark = [pytest.mark.usefixtures("ros_domain"), pytest.mark.timeout(300)]
 JOINT = "elbow"
 SWEEP_S = 12.0
+MOST_ROWS = 3  # of the recording between two scans: 0.5 degrees, a small part of a bump, also where the host is busy
 
 
 class RobotProgram:
@@ -30,6 +31,7 @@ class RobotProgram:
     def __init__(self, sound: SimulatedCommissioning, graph: Graph) -> None:
         self._types, self._number, self._recording = MessageTypes(), 0, sound.recording
         self._rows, self._begin_s, self._duration_s = self._rows_of(Step("rest", JOINT)), 0.0, 1.0
+        self._at = 0
         self._raw = {j: graph.node.create_publisher(RawScan, f"/five_axis/{j}/raw", 10) for j in sound.calibrations}
         self._encoders = graph.node.create_publisher(JointState, "/five_axis/encoders", 10)
         graph.node.create_subscription(CommissioningStep, "/five_axis/commissioning/step", self._on_step, 10)
@@ -45,15 +47,16 @@ class RobotProgram:
         sweeps = message.action == "sweep"
         if message.phase == (CommissioningStep.PHASE_BEGIN if sweeps else CommissioningStep.PHASE_ANNOUNCED):
             self._rows = self._rows_of(Step(message.action, message.joint, message.channel))
-            self._begin_s, self._duration_s = time.monotonic(), SWEEP_S if sweeps else 1.0
+            self._begin_s, self._duration_s, self._at = time.monotonic(), SWEEP_S if sweeps else 1.0, 0
         elif message.phase == CommissioningStep.PHASE_ANNOUNCED:
-            self._rows = self._rows_of(Step("rest", JOINT))
+            self._rows, self._at = self._rows_of(Step("rest", JOINT)), 0
 
     def publish(self) -> None:
         """Publish a scan of every joint with the present time."""
         self._number += 1
         share, stamp_ns = (time.monotonic() - self._begin_s) / self._duration_s, time.time_ns()
-        row = int(self._rows[min(int(share * len(self._rows)), len(self._rows) - 1)])
+        self._at = min(int(share * len(self._rows)), self._at + MOST_ROWS, len(self._rows) - 1)
+        row = int(self._rows[self._at])
         for joint, publisher in self._raw.items():
             scan = self._recording.scans[joint][row]
             fields = scan_fields(scan) | {"status": 128 * scan.at_home, "scan": self._number}
