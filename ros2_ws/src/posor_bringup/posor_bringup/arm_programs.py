@@ -78,10 +78,11 @@ def arm_programs(
             driver = {**_driver_parameters(arm, joint, source), **common, **given}
             programs.append(_arm_node(arm, joint, "posor_drivers", DRIVER_NODE, driver))
     names, places = [full_name(program) for program in programs], dict[tuple[str, str], str]()
+    elsewhere = [] if drivers else [f"{arm.namespace}/{joint}/{DRIVER_NODE}" for joint in arm.calibrations]
     for path in parameter_files:
         with errors.collecting():
             for section in load_parameter_file(path):
-                if not any(map(section.is_for, names)):
+                if not any(map(section.is_for, [*names, *elsewhere])):
                     what, expected = f"no node of the arm is called '{section.name}'", f"one of {', '.join(names)}"
                     expected = similar_name(section.name, names, expected)
                     errors.add(ParameterError(what, where=section.place, expected=expected))

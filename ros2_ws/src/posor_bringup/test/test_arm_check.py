@@ -180,6 +180,9 @@ def test_sections_of_parameter_files_name_nodes_of_the_arm(tmp_path: Path) -> No
     file.write_text(yaml.safe_dump({name: {"ros__parameters": each} for name, each in sections.items()}))
     chain, posor, _ = check_arm(str(folder), parameter_files=[file]).programs
     assert (chain.parameters["tf_rate"], posor.parameters["limits.latency"]) == (5.0, 0.5)
+    sections["/own/joint1/driver_node"] = {"simulated.sag": False}
+    file.write_text(yaml.safe_dump({name: {"ros__parameters": each} for name, each in sections.items()}))
+    assert len(check_arm(str(folder), drivers=False, parameter_files=[file]).programs) == 2
     file.write_text("chain_node:\n  ros__parameters: {tf_rate: 5.0}\n/**:\n  ros__parameters: {lossles: true}\n")
     found = sentences(folder, parameter_files=[file])
     assert found[0] == (

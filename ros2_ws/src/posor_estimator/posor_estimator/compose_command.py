@@ -11,6 +11,7 @@ from posor.errors import NodeError, ParameterError, PosorError
 from posor.reporting.program_errors import reports_errors
 from posor_ros.node_program import NodeGroup, non_ros_arguments, ros_context
 from posor_ros.parameter_files import check_sections, parameter_files_of
+from rclpy.logging import get_logger
 
 from posor_estimator.composition_file import error_location, load_composition, registered_nodes
 
@@ -50,7 +51,8 @@ def _compose(arguments: Sequence[str]) -> None:
         if len(own) != 1:
             raise ParameterError(f"{len(own)} arguments", where="compose", expected="one, a composition file")
         composition, locations = load_composition(Path(own[0]))
-        check_sections(parameter_files_of(arguments), [entry.full_name for entry in composition.nodes])
+        names = [entry.full_name for entry in composition.nodes]
+        check_sections(parameter_files_of(arguments), names, get_logger("compose"))
         with NodeGroup(composition.realtime) as nodes:
             for number, entry in enumerate(composition.nodes):
                 location = partial(error_location, locations, number, entry)

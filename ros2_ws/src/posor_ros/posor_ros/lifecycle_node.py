@@ -93,7 +93,7 @@ class PosorNode(LifecycleNode, Generic[ParametersT]):
         self._cleanups = ExitStack()
         self._retired: list[Callable[[], object]] = []
         try:
-            check_sections(parameter_files, [self.get_fully_qualified_name()])
+            check_sections(parameter_files, [self.get_fully_qualified_name()], self.get_logger())
             overrides = take_overrides(self)
             qos_names = [name for name in self.get_parameters_by_prefix("") if name.startswith(PREFIX)]
             qos_values = {name: self.get_parameter(name).value for name in qos_names}

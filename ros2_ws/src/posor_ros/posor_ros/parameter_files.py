@@ -9,14 +9,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from posor.calibration.yaml_document import FileLocations, parse_yaml, read_text
-from posor.errors import ParameterError
+from posor.errors import ParameterError, similar_name
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
+    from rclpy.impl.rcutils_logger import RcutilsLogger
+
 OPTION = "--params-file"
 PARAMETERS = "ros__parameters"
 ALL_NODES = "/**"
+SIMILAR = 0.8
+"""Similarity of names, 0 to 1, above which one is taken for a misspelling of the other: that of other nodes is 0.6."""
 
 
 @dataclass(frozen=True)
@@ -39,17 +43,22 @@ class ParameterSection:
 def load_parameter_file(path: Path) -> list[ParameterSection]:
     """Read a parameter file.
 
-    Raises CalibrationError: the file cannot be read or is not YAML; ParameterError: it has no section.
+    Raises CalibrationError: the file cannot be read or is not YAML; ParameterError: it has no section, or a section has
+    no parameters.
     """
     root, content = parse_yaml(read_text(path, "parameter file"), str(path))
     sections = list(_sections(content, (), FileLocations(str(path), root)))
     if not sections:
-        expected = f"a node's full name or {ALL_NODES}, below it {PARAMETERS}"
-        raise ParameterError("has no section", where=f"parameter file {path}", expected=expected)
+        raise ParameterError("has no section", where=f"parameter file {path}", expected=_SECTION)
     return sections
 
 
+_SECTION = f"a node's full name or {ALL_NODES}, below it {PARAMETERS}"
+
+
 def _sections(content: Any, path: tuple[str, ...], locations: FileLocations) -> Iterator[ParameterSection]:
+    if path and not isinstance(content, dict):
+        raise ParameterError(f"is not below {PARAMETERS}", where=locations.describe(*path), expected=_SECTION)
     for key, part in content.items() if isinstance(content, dict) else ():
         if key == PARAMETERS:
             name = "/" + "/".join(path).lstrip("/")
@@ -74,14 +83,28 @@ def parameter_files_of(arguments: Sequence[str]) -> list[Path]:
     return [Path(path) for option, path in pairwise(arguments) if option == OPTION]
 
 
-def check_sections(files: Sequence[Path], nodes: Sequence[str]) -> None:
-    """Check that each parameter file has a section for at least one of the nodes, by their full names.
+def check_sections(files: Sequence[Path], nodes: Sequence[str], logger: RcutilsLogger) -> None:
+    """Check that each parameter file has a section for at least one of a program's nodes, by their full names.
 
-    Raises ParameterError: a file has none; CalibrationError: a file cannot be read.
+    A file may serve several programs, so that sections for other nodes are logged; as a warning if the name of the node
+    resembles a name of these. Raises ParameterError: a file has no section for the nodes, or a section has no
+    parameters; CalibrationError: a file cannot be read.
     """
+    own = {node.rpartition("/")[2]: node for node in nodes}
     for path in files:
         sections = load_parameter_file(path)
-        if not any(section.is_for(node) for section in sections for node in nodes):
-            names = ", ".join(f"'{section.name}'" for section in sections)
+        others = [section for section in sections if not any(map(section.is_for, nodes))]
+        names = ", ".join(f"'{section.name}'" for section in others)
+        where = f"parameter file {path}"
+        if len(others) == len(sections):
             what = f"has no section for {' or '.join(nodes)}, only for {names}"
-            raise ParameterError(what, where=f"parameter file {path}", expected=f"'{nodes[0]}' or '{ALL_NODES}'")
+            raise ParameterError(what, where=where, expected=f"'{nodes[0]}' or '{ALL_NODES}'")
+        for section in others:
+            name = section.name.rpartition("/")[2]
+            meant = "" if name in own else similar_name(name, own, "", least=SIMILAR)
+            text = f"{section.place}: no node of this program is called '{section.name}', {meant}"
+            if meant:
+                logger.warning(text)
+        text = f"{where}: sections that no node of this program reads: {names}"
+        if others:
+            logger.info(text)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 import rclpy
@@ -47,16 +49,45 @@ def test_a_section_is_for_the_nodes_to_which_rclpy_gives_it(name: str, tmp_path:
         context.shutdown()
 
 
+def make_log() -> Any:
+    """Return a logger that keeps what is logged."""
+    warnings, informations = list[str](), list[str]()
+    return SimpleNamespace(
+        warnings=warnings, informations=informations, warning=warnings.append, info=informations.append
+    )
+
+
 def test_a_file_without_a_section_for_the_node_is_refused(tmp_path: Path) -> None:
-    file, empty = tmp_path / "file.yaml", tmp_path / "empty.yaml"
+    file = tmp_path / "file.yaml"
     file.write_text(text_of("some_node") + text_of("/other"), encoding="utf-8")
-    assert str(refusal(ParameterError, check_sections, [file], [NODE])) == (
+    assert str(refusal(ParameterError, check_sections, [file], [NODE], make_log())) == (
         f"parameter file {file}: has no section for {NODE}, only for '/some_node', '/other'; "
         f"expected '{NODE}' or '/**'."
     )
-    check_sections([file], [NODE, "/other"])
-    empty.write_text("some_node: {number: 1}\n", encoding="utf-8")
-    assert "has no section" in refusal(ParameterError, check_sections, [empty], [NODE]).what
+
+
+def test_sections_that_no_node_of_the_program_reads_are_logged_and_misspelt_names_are_warnings(tmp_path: Path) -> None:
+    file, log = tmp_path / "file.yaml", make_log()
+    own, others = ["/arm/*/some_node", "/**"], ["/arm/jiont2/some_node", "/arm/chain_node"]
+    file.write_text("".join(map(text_of, [*own, "some_nod", "/**/somenode", *others])), encoding="utf-8")
+    check_sections([file], [NODE, "/other"], log)
+    assert log.warnings == [
+        f"{file}, line {line}, key {key}: no node of this program is called '{name}', perhaps 'some_node'"
+        for line, key, name in [(5, "some_nod", "/some_nod"), (7, "/**/somenode", "/**/somenode")]
+    ]
+    names = "'/some_nod', '/**/somenode', '/arm/jiont2/some_node', '/arm/chain_node'"
+    assert log.informations == [f"parameter file {file}: sections that no node of this program reads: {names}"]
+    file.write_text("".join(map(text_of, own)), encoding="utf-8")
+    check_sections([file], [NODE], quiet := make_log())
+    assert quiet.warnings == quiet.informations == []
+
+
+@pytest.mark.parametrize("second", ["{ros_parameters: {number: 1}}", "{number: 1}", "1", "[ros__parameters]", ""])
+def test_a_section_without_parameters_is_refused_also_beside_another(second: str, tmp_path: Path) -> None:
+    file = tmp_path / "file.yaml"
+    file.write_text(f"/**: {{ros__parameters: {{}}}}\nsome_node: {second}\n", encoding="utf-8")
+    error = refusal(ParameterError, load_parameter_file, file)
+    assert (error.what, "line 2, key some_node" in error.where) == ("is not below ros__parameters", True)
 
 
 def test_ros_arguments_are_split_from_others() -> None:
