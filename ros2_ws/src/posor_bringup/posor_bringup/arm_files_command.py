@@ -138,7 +138,7 @@ def _summary(checked: CheckedArm) -> Iterator[str]:
         yield f"joint {joint}: {sensors} ({numbers}); calibration {calibration.name}"
     angles = dict.fromkeys(calibrations, 0.0)
     reach = sum(float(np.linalg.norm(link.T_nominal.translation)) for link in chain.links)
-    x, y, z = chain.nominal_endpoint(angles).translation
+    x, y, z = chain.nominal_endpoint(angles).translation.round(4) + 0.0  # -0.0 is 0.0
     place = f"{x:.4f}, {y:.4f}, {z:.4f} m in {chain.base_frame}"
     yield f"nominal reach: {reach:.4f} m; endpoint with all angles zero: {place}"
     yield f"driver: source {arm.driver.source}, {_rate(checked)}"

@@ -31,7 +31,11 @@ _UNIT_TOLERANCE = 1e-6
 Nested = Number | list[Number] | list[list[Number]]
 CONVERTED_UNITS = {"mm": ("m", Decimal("1e-3")), "um": ("m", Decimal("1e-6")), "deg": ("rad", Decimal(math.pi) / 180)}
 """Units that files may use besides those of SI: the SI unit, and its amount in one of them."""
-_NUMBER_WITH_UNIT = re.compile(r"([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*([a-zA-Zµ°/]+)", re.ASCII)
+_NUMBER_WITH_UNIT = re.compile(
+    r"""([-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?)  # a number
+    (?![eExob][-+]?[0-9])\s*((?:(?<=\s)1/)?[^\W0-9_]\S*|[°%"']\S*)  # a unit, such as mm2, kg/m^3, 1/K or %""",
+    re.VERBOSE,
+)
 
 
 class Quantity(FrozenModel):
@@ -44,8 +48,9 @@ class Quantity(FrozenModel):
     @model_validator(mode="before")
     @classmethod
     def _require_unit(cls, data: object) -> object:
-        if isinstance(data, int | float | list):
-            raise EntryError(f"{format_value(data)} has no unit", expected="a mapping such as {value: 1.0, unit: m}")
+        if isinstance(data, int | float | list | str):
+            what = format_value(data) if isinstance(data, str) else f"{format_value(data)} has no unit"
+            raise EntryError(what, expected="a mapping such as {value: 1.0, unit: m}")
         if not isinstance(data, dict) or not isinstance(data.get("unit"), str):
             return data
         unit, factor = CONVERTED_UNITS.get(data["unit"], (data["unit"], Decimal(1)))
@@ -148,12 +153,26 @@ class _UnitAndShape:
             raise EntryError(f"unit {describe_units(quantity.unit)}", key=("unit",), expected=describe_units(self.unit))
         actual = np.shape(quantity.value)
         if len(actual) != len(self.shape) or any(w not in (ANY, a) for a, w in zip(actual, self.shape, strict=True)):
-            raise EntryError(f"value has {describe_shape(actual)}", key=("value",), expected=describe_shape(self.shape))
+            commas = " (decimal commas?)" if _may_have_decimal_commas(quantity.array, self.shape) else ""
+            expected = f"{describe_shape(self.shape)}{commas}"
+            raise EntryError(f"value has {describe_shape(actual)}", key=("value",), expected=expected)
         sigma_shape = np.shape(quantity.sigma)
         if sigma_shape not in ((), actual):
             expected = describe_shape(()) + (f" or {describe_shape(actual)}" if actual else "")
             raise EntryError(f"sigma has {describe_shape(sigma_shape)}", key=("sigma",), expected=expected)
         return quantity
+
+
+def _may_have_decimal_commas(numbers: FloatArray, shape: tuple[int, ...]) -> bool:
+    """Return whether a list of another shape has that shape if commas between whole numbers are decimal ones."""
+    if numbers.ndim != 1 or len(shape) > 1 or ANY in shape:
+        return False
+    excess, n = numbers.size - math.prod(shape), 0
+    pairs = 0
+    while n + 1 < numbers.size:
+        is_pair = numbers[n].is_integer() and numbers[n + 1].is_integer() and numbers[n + 1] >= 0.0
+        pairs, n = pairs + is_pair, n + 1 + is_pair
+    return 0 < excess <= pairs
 
 
 def describe_shape(shape: tuple[int, ...]) -> str:

@@ -1,6 +1,7 @@
 """Read YAML files strictly, and name file, line and key of every problem.
 
-Duplicate keys, several documents, recursive aliases, aliases that expand to too much, and deep nesting are refused.
+Duplicate keys, several documents, recursive aliases, aliases that expand to too much, deep nesting, and lists and
+mappings with what may be a decimal comma (``[0,5, 1,2]``, ``{a: 0,5}``) are refused.
 
 Scalars without quotes: ``1_000``, ``0x1F``, ``0o17``, ``0b101``, ``.5``, ``+1.5`` and ``2e-5`` are numbers. What YAML
 1.1 and 1.2 read differently (``010`` is 8 or 10, ``1:30`` is 90 or text) is text, which is refused, with a hint,
@@ -15,6 +16,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import yaml
@@ -36,18 +38,35 @@ _MAX_DEPTH = 50
 _MAX_NODES = 200_000
 """Largest number of nodes with all aliases expanded; the largest calibration files have some 10,000."""
 _LARGEST_INTEGER = 2**64
+_FEW = 2  # numbers in a list whose comma may be a decimal one in silence: their count is checked
 _HALF_CHARACTER = re.compile("[\ud800-\udfff]")  # of UTF-16, which no file can hold
 _TEXT, _MERGE = "tag:yaml.org,2002:str", "tag:yaml.org,2002:merge"
 _INTEGER = "tag:yaml.org,2002:int"
 _FLOAT = "tag:yaml.org,2002:float"
+_DECIMAL_POINT = "with a decimal point"
+_DECIMAL_COMMA = re.compile(r"[0-9],[0-9]")
+_WHOLE, _DIGITS = re.compile(r"[-+]?[0-9]+"), re.compile(r"[0-9]+")
 _HINTS = (
     (r"[-+]?0[0-9_]+", "without leading zeros, octal as 0o17"),
     (r"[-+]?[0-9_]+(:[0-9_]+)+(\.[0-9_]*)?", "without colons, which YAML 1.1 reads as base 60"),
-    (r"[-+]?[0-9_. ]*,[0-9_. ]*", "with a decimal point"),
+    (r"[-+]?[0-9_. ]*,[0-9_. ]*", _DECIMAL_POINT),
     (r"[-+]?[0-9]+([ _.][0-9]+)+", "with underscores, or nothing, between groups of digits"),
     (r"[\u2010-\u2015\u2212][0-9.].*", "with the minus sign '-'"),
 )
 """Text that its author takes for a number, and how to write the number."""
+
+
+def _are_adjacent(first: yaml.Node, second: yaml.Node) -> bool:
+    """Return whether only a comma is between two nodes."""
+    return bool(second.start_mark.index - first.end_mark.index == 1)
+
+
+def _refuse_decimal_comma(first: yaml.Node, second: yaml.Node) -> None:
+    """Refuse two scalars that may be one number with a decimal comma."""
+    scalars = isinstance(first, yaml.ScalarNode) and isinstance(second, yaml.ScalarNode)
+    if scalars and _are_adjacent(first, second) and _WHOLE.fullmatch(first.value) and _DIGITS.fullmatch(second.value):
+        problem = f"{first.value},{second.value} is one number, to be written {first.value}.{second.value}, or two"
+        raise yaml.MarkedYAMLError(problem=f"{problem}, with a space after the comma", problem_mark=first.start_mark)
 
 
 class StrictLoader(yaml.SafeLoader):
@@ -97,6 +116,21 @@ class StrictLoader(yaml.SafeLoader):
                     problem = f"duplicate key '{key.value}', also in line {lines[key.value]}"
                     raise yaml.MarkedYAMLError(problem=problem, problem_mark=key.start_mark)
                 lines[key.value] = key.start_mark.line + 1
+        if node.flow_style:
+            for (_, former), (key, value) in pairwise(node.value):
+                if isinstance(value, yaml.ScalarNode) and not (value.value or value.style):
+                    _refuse_decimal_comma(former, key)
+        return node
+
+    def compose_sequence_node(self, anchor: Any) -> yaml.SequenceNode:
+        """Compose a list; refuse numbers with decimal commas where spaces show them, as in ``[0,5, 1,2]``."""
+        node: yaml.SequenceNode = super().compose_sequence_node(anchor)
+        if node.flow_style and len(node.value) > _FEW:
+            adjacent = [_are_adjacent(*pair) for pair in pairwise(node.value)]
+            if not all(adjacent) and not any(a and b for a, b in pairwise(adjacent)):
+                for pair, is_adjacent in zip(pairwise(node.value), adjacent, strict=True):
+                    if is_adjacent:
+                        _refuse_decimal_comma(*pair)
         return node
 
     def construct_object(self, node: yaml.Node, deep: bool = False) -> object:  # noqa: FBT001, FBT002  PyYAML's
@@ -222,10 +256,10 @@ class FileLocations:
         line, key, _ = self._find(location)
         return line, key
 
-    def plain_scalar(self, *location: str | int) -> str | None:
-        """Return the scalar at a location as it is written; None for anything else, and for a scalar in quotes."""
+    def scalar(self, *location: str | int) -> yaml.ScalarNode | None:
+        """Return the scalar at a location, whose ``style`` is empty without quotes; None for anything else."""
         node = self._find(location)[2]
-        return str(node.value) if isinstance(node, yaml.ScalarNode) and not node.style else None
+        return node if isinstance(node, yaml.ScalarNode) else None
 
     def _find(self, location: Sequence[str | int]) -> tuple[int, str, yaml.Node | None]:
         """Return line, key and node of an entry."""
@@ -309,9 +343,12 @@ def parse_document(
 
 def _error_of(problem: Problem, locations: FileLocations) -> CalibrationError:
     """Return the error of one problem, with the notation of the value as it stands in the file."""
-    what, expected, written = problem.what, problem.expected, locations.plain_scalar(*problem.location)
+    what, expected, scalar = problem.what, problem.expected, locations.scalar(*problem.location)
+    written = scalar.value if scalar is not None and not scalar.style else ""
     if written and expected == TEXT:
         what = f"{written} without quotes"
     elif written and what == format_value(written) and "number" in expected:
         expected += next((f", {hint}" for text, hint in _HINTS if re.fullmatch(text, written)), "")
+    elif scalar is not None and "number" in expected and _DECIMAL_COMMA.search(scalar.value):
+        expected += f", {_DECIMAL_POINT}"
     return CalibrationError(what, where=locations.describe(*problem.location), expected=expected)

@@ -269,9 +269,9 @@ class _Reader:
         numbers = np.array([float(word) for word in words]) if is_valid else np.array([math.nan])
         if np.isfinite(numbers).all():
             return numbers
-        self.refuse(
-            f"{name}={quoteattr(text)} of {owner}", element.line, f"{count} finite numbers, with spaces between"
-        )
+        points = ", and decimal points" if "," in text else ""
+        expected = f"{count} finite numbers, with spaces between{points}"
+        self.refuse(f"{name}={quoteattr(text)} of {owner}", element.line, expected)
         return None
 
     def read_robot(self, robot: _Element, endpoint_frame: str) -> Urdf:

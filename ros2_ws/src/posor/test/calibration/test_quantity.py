@@ -28,13 +28,17 @@ from pydantic import ValidationError
             "rad",
         ),
         ({"value": "3 V", "unit": "V"}, 3.0, 0.0, "V"),
+        ({"value": "2700 kg/m^3", "sigma": "5 kg/m^3", "unit": "kg/m^3"}, 2700.0, 5.0, "kg/m^3"),
+        ({"value": "23e-6 1/K", "unit": "1/K"}, 23e-6, 0.0, "1/K"),
     ],
 )
 def test_a_number_with_a_unit_is_converted_exactly(written: Any, value: Any, sigma: float, unit: str) -> None:
     assert Quantity.model_validate(written) == Quantity(value=value, sigma=sigma, unit=unit)
 
 
-@pytest.mark.parametrize("number", ["1e99999999999999999999 mm", "1e-99999999999999999999 mm", "\u0662 mm"])
+@pytest.mark.parametrize(
+    "number", ["1e99999999999999999999 mm", "1e-99999999999999999999 mm", "\u0662 mm", "2e5", "23e-61/mm"]
+)
 def test_a_number_that_cannot_be_read_is_refused(number: object) -> None:
     with pytest.raises(ValidationError):
         Quantity.model_validate({"value": [number], "unit": "mm"})

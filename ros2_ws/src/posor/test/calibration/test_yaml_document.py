@@ -78,7 +78,14 @@ def test_ambiguous_numbers_are_refused(
 
 
 @pytest.mark.parametrize(
-    ("number", "hint"), [("1,5", "decimal point"), ("1 000", "underscores"), ("\N{MINUS SIGN}1", "minus sign")]
+    ("number", "hint"),
+    [
+        *(
+            (text, "decimal point")
+            for text in ("1,5", "'1,5'", "'1,5 mm'", "|\n    1,5\n    2,5", ">-\n    -1,5", "'[1,5, 2]'")
+        ),
+        *[("1 000", "underscores"), ("\N{MINUS SIGN}1", "minus sign")],
+    ],
 )
 def test_a_number_of_other_notations_is_refused_with_the_right_one(number: str, hint: str, file: Path) -> None:
     file.write_text(f"format: x\nversion: 1\nnumber:\n  {number}\n", encoding="utf-8")
@@ -91,6 +98,21 @@ def test_a_number_of_other_notations_is_refused_with_the_right_one(number: str, 
     error = refusal(CalibrationError, load_document, file, "file", "number", 1, OneNumber.model_validate)
     assert error.where == f"{file}, line 3, key number"
     assert hint in error.expected
+
+
+@pytest.mark.parametrize(
+    ("text", "content"),
+    [
+        ("[0,5]", [0, 5]),
+        ("[1,2,3, 4,5,6]", [1, 2, 3, 4, 5, 6]),
+        ("[1, 2,\n 3]", [1, 2, 3]),
+        ("[a,b, 0.5,1]", ["a", "b", 0.5, 1]),
+        ("[[1,2], [3,4]]", [[1, 2], [3, 4]]),
+        ("{a: 1, 5: , b: }", {"a": 1, "5": None, "b": None}),
+    ],
+)
+def test_lists_and_mappings_without_decimal_commas_are_read(text: str, content: object) -> None:
+    assert parse_yaml(text, "text")[1] == content
 
 
 @pytest.mark.parametrize(
