@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 import yaml
-from posor_bringup.arms import find_arm
+from posor.arm_names import find_arm
 from posor_lab.arm_study.arm_command import main
 from posor_lab.harness.program import Program, installed
 

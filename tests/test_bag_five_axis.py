@@ -13,11 +13,12 @@ from typing import Any
 import numpy as np
 import pytest
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
+from posor.arm_names import find_arm
 from posor.bags.reprocess_command import main as reprocess
 from posor.chain.arm_file import ArmFile, DriverFile
 from posor.numerics.array_types import FloatArray
 from posor_bringup.arm_programs import arm_programs
-from posor_bringup.arms import find_arm, load_checked_arm
+from posor_bringup.arms import load_checked_arm
 from posor_bringup.supervisor import Parameter
 from posor_lab.harness.graph import Graph, wait_for_value
 from posor_lab.harness.message_conversion import stamp_ns

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from posor.arm_names import find_arm
 from posor.bags import chunk_reader, ordered_reader
 from posor.bags.calibration_recording import load_recording, read_scans
 from posor.bags.offline_pipeline import load_arm
@@ -22,7 +23,7 @@ from posor.bags.reprocess_command import main as reprocess
 from posor.errors import BagError
 from posor.messages.message_definitions import MessageTypes
 from posor.messages.raw_scan import ScanTemplate, scan_of
-from posor_bringup.arms import find_arm, load_checked_arm
+from posor_bringup.arms import load_checked_arm
 from posor_bringup.view_messages import BagTopics
 from posor_drivers.sources.bag_source import BagParameters, BagSource
 from posor_drivers.sources.looped_source import LoopedParameters, LoopedSource

@@ -16,7 +16,7 @@ ROOT = Path(__file__).resolve().parents[1]
 WITHOUT_ROS = {"posor", "posor_calibration", "posor_design"}
 ROS_LIBRARIES = {"posor_msgs", "rclpy", "ament_index_python", "launch", "rosidl_parser", "tf2_msgs"}
 LAYERS_OF_POSOR = (  # lowest first; parts of one line may import each other
-    ("errors", "input_text", "lazy_program", "library_programs", "reporting", "ros_names"),
+    ("arm_names", "errors", "input_text", "lazy_program", "library_programs", "reporting", "ros_names"),
     ("numerics",),
     ("model",),
     ("calibration", "sensors", "node_parameters", "parameter_model"),

@@ -11,11 +11,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from posor.arm_names import find_arm
 from posor.calibration.calibration_file import load_calibration
 from posor.chain.arm_file import load_arm_file
 from posor.sensors.diodes import DiodesCalibration
 from posor.sensors.gap_probes import GapProbesCalibration
-from posor_bringup.arms import find_arm, load_checked_arm
+from posor_bringup.arms import load_checked_arm
 from posor_drivers.instruments.instruments_command import main as instruments
 from posor_drivers.instruments.instruments_file import load_instruments
 from posor_drivers.simulator.arm_simulation import ArmSimulation

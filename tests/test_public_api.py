@@ -19,12 +19,12 @@ import posor
 import posor_calibration
 import pytest
 from geometry_msgs.msg import PoseStamped
+from posor.arm_names import find_arm
 from posor.bags.recording import Recording
 from posor.calibration.designs import design
 from posor.chain.arm_file import ParameterValue
 from posor.model.fault import State
 from posor.model.native_coordinates import rotation_from_native
-from posor_bringup.arms import find_arm
 from rclpy.serialization import deserialize_message
 
 from tests.rig_replay import read_bag_messages

@@ -9,12 +9,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from posor.arm_names import find_arm
 from posor.bags.provenance import custom_data, provenance_of
 from posor.bags.recover_command import recover
 from posor.bags.reprocess_task import Settings
 from posor.chain.arm_file import load_arm_file
 from posor.errors import BagError
-from posor_bringup.arms import find_arm
 from posor_lab.harness.graph import Graph
 from posor_lab.harness.program import Program, installed
 from rclpy.qos import QoSProfile, ReliabilityPolicy

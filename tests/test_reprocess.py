@@ -17,11 +17,12 @@ import pyarrow.csv
 import pyarrow.parquet
 import pytest
 from geometry_msgs.msg import PoseStamped
+from posor.arm_names import find_arm
 from posor.bags.bag_writer import BagWriter
 from posor.bags.reprocess_command import main
 from posor.messages.message_definitions import Definition
 from posor.model.fault import State
-from posor_bringup.arms import find_arm, load_checked_arm
+from posor_bringup.arms import load_checked_arm
 from posor_bringup.installed import calibration_path, urdf_path
 from posor_lab.harness.full_disk import file_size_limit
 from posor_lab.harness.message_conversion import pose_from_message

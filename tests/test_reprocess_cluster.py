@@ -13,9 +13,10 @@ from pathlib import Path
 
 import dask
 import pytest
+from posor.arm_names import find_arm
 from posor.bags.reprocess_command import main
 from posor.bags.result_folder import UNFINISHED
-from posor_bringup.arms import find_arm, load_checked_arm
+from posor_bringup.arms import load_checked_arm
 from posor_bringup.installed import bag_path, calibration_path
 from posor_lab.benchmark.offline_benchmark import repeat_bag
 from posor_lab.harness.program import Program, installed, wait_until, writes_below

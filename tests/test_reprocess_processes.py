@@ -9,8 +9,9 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+from posor.arm_names import find_arm
 from posor.bags.result_folder import UNFINISHED
-from posor_bringup.arms import find_arm, load_checked_arm
+from posor_bringup.arms import load_checked_arm
 from posor_lab.benchmark.offline_benchmark import repeat_bag
 from posor_lab.harness.program import Program, installed, wait_until, writes_below
 

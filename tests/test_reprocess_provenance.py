@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from posor.arm_names import find_arm
 from posor.bags.bag_writer import BagWriter
 from posor.bags.offline_pipeline import load_arm
 from posor.bags.provenance import SOFTWARE, custom_data, provenance_of
@@ -18,7 +19,6 @@ from posor.chain.arm_file import load_arm_file
 from posor.errors import BagError
 from posor.messages.message_definitions import MessageTypes
 from posor.ros_names import RAW_SCAN
-from posor_bringup.arms import find_arm
 from rosbags.rosbag2 import Reader
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -12,12 +12,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from posor.arm_names import find_arm
 from posor.chain.arm_file import load_arm_file
 from posor.reporting.command_line_parser import CommandLineParser
 from posor.reporting.program_errors import reports_errors
 from posor.reporting.report_console import report_console
 from posor.reporting.report_table import ReportTable
-from posor_bringup.arms import find_arm
 
 from posor_lab.arm_study.statement_truth import Drawn, StatementTruth, write_four_joint_arm
 from posor_lab.output_files import check_writable, write_json

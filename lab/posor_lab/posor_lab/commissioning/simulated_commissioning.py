@@ -13,13 +13,13 @@ from xml.etree import ElementTree as ET
 import numpy as np
 import yaml
 from numpy.polynomial import polynomial
+from posor.arm_names import ARM_FILE, find_arm
 from posor.bags.recording import Track
 from posor.calibration.calibration_file import calibration_from
 from posor.chain.arm_file import load_arm_file
 from posor.model.scan import HOME_BUMP
 from posor.numerics.stamps import tick_stamp_ns
 from posor.ros_names import COMMISSIONING_STEP, COMMISSIONING_TOPIC, JOINT_STATE, POINT_STAMPED
-from posor_bringup.arms import ARM_FILE, find_arm
 from posor_calibration.commissioning.commissioning_recording import BEGIN, END, CommissioningRecording, RecordedStep
 from posor_calibration.commissioning.plan import CommissioningSettings, diodes_of, probe_gaps, probes_of, steps_of
 from posor_drivers.calibration_bag import TYPES, Entry, raw, write_bag

@@ -11,11 +11,11 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
+from posor.arm_names import find_arm
 from posor.chain.arm_file import load_arm_file
 from posor.estimation.posor import Posor
 from posor.model.fault import State
 from posor.model.scan import NO_SOURCE
-from posor_bringup.arms import find_arm
 from posor_drivers.simulator.arm_simulation import ArmSimulation
 from posor_drivers.simulator.electronics import JointElectronics
 

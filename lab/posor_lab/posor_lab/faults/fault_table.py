@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 import yaml
+from posor.arm_names import ARM_FILE, find_arm
 from posor.calibration.calibration_file import load_calibration
 from posor.calibration.designs import design
 from posor.chain.arm_file import ArmFile, load_arm_file
-from posor_bringup.arms import ARM_FILE, find_arm
 from posor_drivers.simulator.imperfections import Imperfections
 
 from posor_lab.instruments.simulated_readings import quantity

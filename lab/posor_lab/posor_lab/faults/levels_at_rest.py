@@ -5,12 +5,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from posor.arm_names import find_arm
 from posor.calibration.causes import DEFAULT_CAUSES
 from posor.chain.arm_file import load_arm_file
 from posor.chain.beams_file import BeamsFile, load_beams
 from posor.chain.kinematic_chain import Chain
 from posor.uncertainty.protection_level import arm_reliability
-from posor_bringup.arms import find_arm
 from posor_drivers.simulator.arm_simulation import ArmSimulation
 from posor_drivers.simulator.imperfections import Imperfections
 

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pinocchio as pin
+from posor.arm_names import find_arm
 from posor.calibration.designs import sized_design
 from posor.chain.arm_file import load_arm_file
 from posor.errors import PosorError
@@ -24,7 +25,6 @@ from posor.numerics.vector import thetas_of
 from posor.sensors.diodes import DiodesCalibration
 from posor.uncertainty.protection_level import joint_protection_levels
 from posor.uncertainty.reliability import joint_reliability
-from posor_bringup.arms import find_arm
 from posor_drivers.simulator.pose_array import PoseArray
 
 from posor_lab.faults.cause_injection import draw_sensors

@@ -11,11 +11,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import yaml
+from posor.arm_names import ARM_FILE
 from posor.chain.arm_file import ArmFile, load_arm_file
 from posor.numerics.stamps import NS
 from posor.ros_names import ENDPOINT_COVARIANCE_TOPIC
 from posor_bringup.arm_programs import arm_programs, group_programs
-from posor_bringup.arms import ARM_FILE, load_checked_arm
+from posor_bringup.arms import load_checked_arm
 from scipy.stats import chi2
 
 from posor_lab.accuracy.consistency import REGION, normalised_squares

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import pinocchio as pin
 import yaml
+from posor.arm_names import find_arm
 from posor.calibration.calibration_file import parse_calibration
 from posor.calibration.designs import THETA_OF_TWO_SOURCES, DesignName, design
 from posor.chain.arm_file import load_arm_file
@@ -27,7 +28,6 @@ from posor.estimation.posor import Posor
 from posor.model.fault import USABLE_STATES
 from posor.model.native_coordinates import rotation_from_native
 from posor.numerics.vector import thetas_of
-from posor_bringup.arms import find_arm
 from scipy.spatial.transform import Rotation
 
 from posor_lab.accuracy.golden_command import StackName, case_errors, read_cases

@@ -182,7 +182,7 @@ def test_program_prints_the_budget_and_writes_it(tmp_path: Path, capsys: pytest.
         (["--draws", "0"], "arm_budget: --draws 0; expected 1 or more."),
         (["--draws", "many"], "arm_budget: argument --draws: invalid int value: 'many'; expected options as"),
         (["--arms", "x"], "arm_budget: unrecognized arguments: --arms x; expected options as"),
-        (["--arm", "no/arm.yaml"], "arm file no/arm.yaml: does not exist; expected the path of an arm file"),
+        (["--arm", "no/arm.yaml"], "arm 'no/arm.yaml': no such arm; expected the path of an arm file"),
     ],
 )
 def test_wrong_command_line_is_refused_with_a_sentence(

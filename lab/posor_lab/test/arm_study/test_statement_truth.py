@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from posor.arm_names import find_arm
 from posor.chain.arm_file import load_arm_file
-from posor_bringup.arms import find_arm
 from posor_design.endpoint_components import Kind, total_covariance
 from posor_lab.arm_study.statement_truth import Drawn, StatementTruth, write_four_joint_arm
 from posor_lab.arm_study.statement_truth_command import main

@@ -9,9 +9,9 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import yaml
+from posor.arm_names import find_arm
 from posor.chain.arm_file import load_arm_file
 from posor.errors import CalibrationError
-from posor_bringup.arms import find_arm
 from posor_drivers.simulator.arm_simulation import ArmSimulation
 from posor_drivers.simulator.imperfections import Imperfections
 from posor_lab.faults.fault_table import write_fault_arm

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
+from posor.arm_names import describe_argument
 from posor.chain.commissioning_record import load_record
 from posor.chain.identity import ArmIdentity, calibration_id, file_sha256
 from posor.errors import ParameterError, PosorError
@@ -21,7 +22,7 @@ from posor_drivers.instruments.instruments_file import load_instruments
 from posor_ros.parameter_files import OPTION
 from rich.console import Console
 
-from posor_bringup.arms import check_arm, installed_arms
+from posor_bringup.arms import check_arm
 from posor_bringup.bringup_options import add_driver_parameters
 from posor_bringup.new_arm import AXES, COMMON_AXES, LONGEST, SENSORS, SHORTEST, arm_texts, new_joints, write_arm
 
@@ -53,8 +54,7 @@ def _parse_options(arguments: Sequence[str] | None) -> Namespace:
     new.add_argument("--names", metavar="NAMES", help="names of the joints (default: joint1, joint2, ...)")
     summary = "check all files and parameters of an arm; print everything that is wrong, or a summary"
     check = actions.add_parser("check", help=summary, description=summary)
-    arms = ", ".join(installed_arms())
-    check.add_argument("arm", metavar="ARM", help=f"path of an arm file, or name of an installed arm: {arms}")
+    check.add_argument("arm", metavar="ARM", help=describe_argument())
     check.add_argument("--no-driver", action="store_true", help="do not check the drivers")
     add_driver_parameters(check)
     text = "ROS parameter file of the nodes; may be repeated"

@@ -1,4 +1,4 @@
-"""Finds an arm by name or path, and checks all its files and parameters before any node starts.
+"""Checks all files and parameters of an arm before any node starts.
 
 Everything that is wrong is reported at once. ``posor arm check``, ``bringup``, the launch file and all programs that
 read an arm use this check.
@@ -6,9 +6,9 @@ read an arm use this check.
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from posor.arm_names import find_arm
 from posor.calibration.calibration_file import load_calibration
 from posor.calibration.shared_terms import check_same_terms
 from posor.calibration.yaml_document import FileLocations, parse_yaml, read_text
@@ -16,7 +16,7 @@ from posor.chain.arm_file import ArmFile, load_arm_file
 from posor.chain.beams_file import load_beams
 from posor.chain.commissioning_record import load_record
 from posor.chain.kinematic_chain import load_chain
-from posor.errors import CalibrationError, ChainError, ErrorCollector, ParameterError, PosorError
+from posor.errors import CalibrationError, ChainError, ErrorCollector, PosorError
 from posor.messages.message_definitions import MessageTypes
 from posor.parameter_model import validate_parameters
 from posor_drivers.driver_parameters import driver_parameters_for
@@ -26,34 +26,15 @@ from posor_drivers.sources.simulated_source import SimulatedParameters
 from posor_drivers.sources.source import load_source_class
 
 from posor_bringup.arm_programs import DRIVER_NODE, arm_programs, own_parameters
-from posor_bringup.installed import share
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
+    from pathlib import Path
 
     from posor.calibration.calibration_file import Calibration
     from posor.chain.kinematic_chain import Chain
 
     from posor_bringup.supervisor import Parameter, ProgramCommand
-
-ARM_FILE = "arm.yaml"
-
-
-def installed_arms() -> list[str]:
-    """Return the names of the arms that this package installs."""
-    return sorted(path.parent.name for path in (share() / "arms").glob(f"*/{ARM_FILE}"))
-
-
-def find_arm(text: str) -> Path:
-    """Return the path of an arm file, from its path, its folder's path, or the name of an installed arm.
-
-    Raises ParameterError: there is no such arm.
-    """
-    for path in (Path(text), Path(text) / ARM_FILE, share() / "arms" / text / ARM_FILE):
-        if path.is_file():
-            return path
-    names = ", ".join(installed_arms())
-    raise ParameterError("no such arm", where=f"arm '{text}'", expected=f"the path of an arm file, or one of {names}")
 
 
 class CheckedArm(NamedTuple):

@@ -9,6 +9,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from posor.arm_names import describe_argument
 from posor.chain.arm_file import CHAIN_NODE, load_arm_file
 from posor.errors import ParameterError, PosorError
 from posor.node_parameters import RECORDING
@@ -20,7 +21,7 @@ from posor_ros.ros_arguments import split_ros_arguments
 from rich.console import Console
 
 from posor_bringup.arm_programs import LAYOUTS, frame_prefix_of, full_name, group_programs
-from posor_bringup.arms import check_arm, find_arm, installed_arms
+from posor_bringup.arms import check_arm
 from posor_bringup.bringup_options import LOGS, add_driver_parameters, add_namespace, prepare_output_folder
 from posor_bringup.graph_observer import GraphObserver
 from posor_bringup.supervisor import Supervisor
@@ -42,9 +43,7 @@ def parse_options(arguments: Sequence[str]) -> Namespace:
     parser = CommandLineParser(
         prog="posor bringup", description="Start all nodes of an arm and watch them until Ctrl-C."
     )
-    parser.add_argument(
-        "arm", metavar="ARM", help=f"path of an arm file, or name of an installed arm: {', '.join(installed_arms())}"
-    )
+    parser.add_argument("arm", metavar="ARM", help=describe_argument())
     parser.add_argument("--no-driver", action="store_true", help="without drivers: the scans come from elsewhere")
     parser.add_argument("--recording", action="store_true", help="accept stamps of any age, as those of a bag")
     parser.add_argument("--use-sim-time", action="store_true", help="all nodes take the time from /clock")
@@ -95,7 +94,7 @@ def _enclave(options: Namespace) -> str:
     if os.environ.get("ROS_SECURITY_ENABLE") == "true":
         with suppress(PosorError):
             process = CHAIN_NODE if options.layout == "separate" else "compose"
-            arm = load_arm_file(find_arm(options.arm)).in_namespace(options.namespace)
+            arm = load_arm_file(options.arm).in_namespace(options.namespace)
             return f"{arm.namespace}/{process}"
     return ""
 

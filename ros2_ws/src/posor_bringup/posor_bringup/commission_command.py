@@ -13,6 +13,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
+from posor.arm_names import describe_argument
 from posor.bags.provenance import provenance_of
 from posor.bags.reprocess_task import Settings
 from posor.bags.result_folder import prepare_outputs, writing
@@ -27,7 +28,7 @@ from posor_calibration.commissioning.commissioning_report import check_commissio
 from posor_calibration.commissioning.plan import CommissioningSettings, steps_of
 from posor_ros.node_program import non_ros_arguments, ros_context
 
-from posor_bringup.arms import installed_arms, load_checked_arm
+from posor_bringup.arms import load_checked_arm
 from posor_bringup.bringup_options import add_namespace
 from posor_bringup.commissioning_guide import Guide, StepTimes, recording
 from posor_bringup.view_messages import ArmTopics
@@ -74,8 +75,7 @@ SETTINGS = (
 def parse_options(arguments: Sequence[str]) -> Namespace:
     """Return the options. Raises ParameterError: an option is unknown or its value is invalid."""
     parser = CommandLineParser(prog="posor commission", description="Check plugs, motions and files of an arm.")
-    arms = ", ".join(installed_arms())
-    parser.add_argument("arm", metavar="ARM", help=f"path of an arm file, or name of an installed arm: {arms}")
+    parser.add_argument("arm", metavar="ARM", help=describe_argument())
     text = "check this recording of the steps; default: record the running arm, guided step by step"
     parser.add_argument("--bag", type=Path, metavar="PATH", help=text)
     add_namespace(parser)

@@ -10,6 +10,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from posor.arm_names import describe_argument
 from posor.bags.calibration_recording import Reference, bag_sha256, load_recording
 from posor.bags.offline_pipeline import load_arm, topics_of
 from posor.bags.recording import POINT, POSE
@@ -23,8 +24,6 @@ from posor.reporting.report_table import ReportTable
 from posor_calibration.dwells import find_dwells
 from posor_design.iso9283 import COMPONENTS, LEAST_CYCLES, PATH_CYCLES, POSE_CYCLES
 from posor_design.iso9283_cycles import distance_pairs, motion_of, path_cycles, pose_cycles
-
-from posor_bringup.arms import find_arm
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -57,7 +56,7 @@ def parse_options(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser = CommandLineParser(
         prog="posor iso9283", description="Accuracy and repeatability of poses, distances and paths (ISO 9283:1998)."
     )
-    parser.add_argument("arm", metavar="ARM", help="arm file, its folder, or the name of an installed arm")
+    parser.add_argument("arm", metavar="ARM", help=describe_argument())
     parser.add_argument("--bag", type=Path, required=True, help="raw scans of the arm, and the reference")
     text = "topic of the commanded or measured poses or points of the endpoint, in the base of the arm"
     parser.add_argument("--reference", required=True, metavar="TOPIC", help=text)
@@ -103,7 +102,7 @@ def _stated_dwells(path: Path) -> list[tuple[int, int]]:
 
 def _read(options: argparse.Namespace) -> tuple[Motion, Track, list[str]]:
     """Return the motion, the reference, and sentences on what is left out."""
-    arm = load_arm(find_arm(options.arm))
+    arm = load_arm(options.arm)
     topics = topics_of(options.bag, Settings.of_arm(arm).joints).raw
     recording = load_recording(
         options.bag, topic=next(iter(topics.values())), references=[Reference(options.reference)]

@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from posor.arm_names import describe_argument
 from posor.chain.arm_file import load_arm_file
 from posor.errors import ParameterError
 from posor.reporting.command_line_parser import CommandLineParser
@@ -18,8 +19,6 @@ from posor_design.statement import make_statement
 from posor_design.statement_poses import bag_poses, given_pose, grid_poses, path_poses
 from posor_design.statement_records import Records
 from posor_design.statement_report import print_statement, write_statement
-
-from posor_bringup.arms import find_arm
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -62,7 +61,7 @@ def parse_options(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser = CommandLineParser(
         prog="posor statement", description="State the uncertainty of an arm's endpoint: page, PDF and JSON."
     )
-    parser.add_argument("arm", metavar="ARM", help="arm file, its folder, or the name of an installed arm")
+    parser.add_argument("arm", metavar="ARM", help=describe_argument())
     parser.add_argument(
         "--angles",
         type=_angles,
@@ -101,7 +100,7 @@ def compute_statement(options: argparse.Namespace) -> Statement:
 
     Raises PosorError: a file of the arm, the bag or the path is invalid, or a POSOR has no valid pose.
     """
-    arm = load_arm_file(find_arm(options.arm))
+    arm = load_arm_file(options.arm)
     model = ArmUncertainty(arm, deviation=options.temperature_deviation)
     poses = _poses(options, model, arm)
     return make_statement(arm, model, poses, Records(arm, options.bag, options.path), options.average)

@@ -15,12 +15,13 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
 import numpy as np
+from posor.arm_names import describe_argument
 from posor.numerics.stamps import NS
 from posor.reporting.command_line_parser import CommandLineParser
 from posor.reporting.program_errors import reports_errors
 from posor_ros.node_program import non_ros_arguments, ros_context
 
-from posor_bringup.arms import installed_arms, load_checked_arm
+from posor_bringup.arms import load_checked_arm
 from posor_bringup.bringup_options import add_namespace
 from posor_bringup.view_geometry import ArmGeometry
 from posor_bringup.view_history import POINTS
@@ -55,9 +56,7 @@ def _port(text: str) -> int:
 def parse_options(arguments: Sequence[str]) -> Namespace:
     """Return the options. Raises ParameterError: an option is unknown or its value is invalid."""
     parser = CommandLineParser(prog="posor view", description="Show an arm on a web page of this host until Ctrl-C.")
-    parser.add_argument(
-        "arm", metavar="ARM", help=f"path of an arm file, or name of an installed arm: {', '.join(installed_arms())}"
-    )
+    parser.add_argument("arm", metavar="ARM", help=describe_argument())
     add_namespace(parser)
     parser.add_argument("--bag", type=Path, metavar="PATH", help="replay this bag; default: the running arm")
     text = f"port of the page; 0: any free port; default: {PORT}"

@@ -5,12 +5,13 @@ import shutil
 from pathlib import Path
 
 import pytest
+from posor.arm_names import find_arm, installed_arms
 from posor.bags.reprocess_command import parser, tasks_of
 from posor.chain.arm_file import load_arm_file
 from posor.errors import CalibrationError, ChainError, NodeError, ParameterError, PosorError
 from posor.node_parameters import RECORDING
 from posor_bringup.arm_programs import arm_programs
-from posor_bringup.arms import find_arm, installed_arms, load_checked_arm
+from posor_bringup.arms import load_checked_arm
 from posor_bringup.bringup_options import parse_driver_parameters
 from posor_bringup.installed import share
 from posor_lab.harness.case_tables import refusal

@@ -66,6 +66,11 @@ def test_an_unknown_subcommand_is_one_sentence(name: str, expected: str, capsys:
         (("calibrate", "bundle"), {"--parameters", "--output"}, {"list"}),
         (("bringup", "five_axis"), {"--layout"}, {"bundle"}),
         (("design",), {"posor", "arm"}, {"five_axis"}),
+        *(((name,), {"five_axis", "--arm"}, {"bundle"}) for name in ("reprocess", "import", "record", "budget")),
+        *(
+            (words, {"five_axis"}, {"bundle"})
+            for words in (("design", "arm"), ("instruments", "start"), ("statement",))
+        ),
     ],
 )
 def test_options_arms_and_procedures_are_completed(

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import json
 from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from posor.arm_names import describe_argument
 from posor.chain.arm_file import load_arm_file
 from posor.errors import ParameterError
 from posor.reporting.command_line_parser import CommandLineParser
@@ -36,7 +36,8 @@ def _parser() -> CommandLineParser:
         help_call=f"posor {WHERE} --help",
         allow_abbrev=False,
     )
-    parser.add_argument("arm", type=Path, metavar="ARM.yaml", help="geometry, and present POSORs and beams")
+    text = f"geometry, and present POSORs and beams: {describe_argument()}"
+    parser.add_argument("arm", metavar="ARM", help=text)
     for option, unit, metavar, text in (
         ("--displacement", "m", "QUANTITY", "largest uncertainty along each axis of the base"),
         ("--orientation", "rad", "QUANTITY", "largest uncertainty about each axis of the base"),
@@ -91,9 +92,6 @@ def postures_of(texts: Sequence[str], joints: Sequence[str]) -> list[Mapping[str
 def main(arguments: Sequence[str]) -> int:
     """Run the program; exit code 0: the requirement is allotted, and with ``--layouts`` every POSOR is designed."""
     options = _parser().parse_args(list(arguments))
-    if not options.arm.is_file():
-        expected = "the path of an arm file (arm.yaml); 'posor bringup --help' lists the installed arms"
-        raise ParameterError("no such file", where=f"{WHERE}, {options.arm}", expected=expected)
     arm = load_arm_file(options.arm)
     if options.layouts and arm.scenario is None:
         what = f"arm '{arm.name}' has no scenario"

@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from posor.arm_names import describe_argument
 from posor.bags.result_folder import writing
 from posor.calibration.calibration_file import load_calibration
 from posor.chain.arm_file import load_arm_file
@@ -90,7 +91,8 @@ def parse_options(arguments: Sequence[str] | None) -> argparse.Namespace:
     draws, seed = _count(2 * BATCH, "number of draws"), _count(0, "seed, a whole number")
     parser.add_argument("--draws", type=draws, default=10 * BATCH, help="largest number of Monte Carlo draws")
     parser.add_argument("--seed", type=seed, default=SEED, help=f"seed of the draws (default: {SEED})")
-    parser.add_argument("--arm", type=Path, metavar="ARM.yaml", help="arm whose endpoint gets a protection level")
+    text = f"arm whose endpoint gets a protection level: {describe_argument()}"
+    parser.add_argument("--arm", metavar="ARM", help=text)
     parser.add_argument(
         "--angles", type=_angles, metavar="a,b,...", help="of the arm's joints in rad, written --angles=...; default: 0"
     )
@@ -107,9 +109,9 @@ def _angles(text: str) -> tuple[float, ...]:
     return _numbers([f"angle {number + 1}" for number in range(text.count(",") + 1)])(text)
 
 
-def _arm_reliability(path: Path, given: Sequence[float] | None) -> ArmReliability:
+def _arm_reliability(name: str, given: Sequence[float] | None) -> ArmReliability:
     """Return the reliability of an arm at the given angles of its joints [rad]; None: all zero."""
-    arm = load_arm_file(path)
+    arm = load_arm_file(name)
     chain = arm.chain()
     names = [joint.name for joint in chain.joints]
     angles = [0.0] * len(names) if given is None else given

@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from posor.arm_names import describe_argument
 from posor.bags.bag_writer import file_name_of, replace_bag
 from posor.bags.provenance import provenance_of
 from posor.bags.result_folder import writing
@@ -43,9 +44,8 @@ def _parse_options(arguments: Sequence[str] | None) -> Namespace:
     parser.add_argument("--force", action="store_true", help="replace an existing bag")
     text = "print a map to be completed, from the header of the file and the calibrations"
     parser.add_argument("--propose", action="store_true", help=text)
-    parser.add_argument(
-        "--arm", type=Path, metavar="ARM.yaml", help="of --propose: arm file that names the calibrations"
-    )
+    text = f"of --propose: arm that names the calibrations: {describe_argument()}"
+    parser.add_argument("--arm", metavar="ARM", help=text)
     text = "of --propose: calibration file of a joint; may be repeated"
     parser.add_argument("--calibration", action="append", default=[], metavar="JOINT=FILE", help=text)
     return parser.parse_args(arguments)

@@ -13,6 +13,7 @@ from queue import SimpleQueue
 from threading import Thread
 from typing import TYPE_CHECKING, Any
 
+from posor.arm_names import describe_argument
 from posor.bags.bag_writer import BagWriter
 from posor.bags.provenance import provenance_of
 from posor.errors import BagError, ParameterError, PosorError
@@ -273,8 +274,8 @@ def _single_type(topic: str, type_names: Sequence[str]) -> str:
 def _parse_arguments(arguments: Sequence[str]) -> Namespace:
     parser = CommandLineParser(prog="posor record", description="Record topics into a rosbag2 bag until interrupted.")
     parser.add_argument("--output", type=Path, required=True, metavar="FOLDER", help="the bag; must not exist yet")
-    text = "arm file of the recorded arm: the bag states the hashes of its calibrations, URDF and beams"
-    parser.add_argument("--arm", type=Path, metavar="FILE.yaml", help=text)
+    text = "recorded arm, of whose calibrations, URDF and beams the bag states the hashes"
+    parser.add_argument("--arm", metavar="ARM", help=f"{text}: {describe_argument()}")
     choice = parser.add_mutually_exclusive_group(required=True)
     choice.add_argument("--topics", nargs="+", default=[], metavar="TOPIC", help="topics to record")
     choice.add_argument("--all", action="store_true", help="record every topic that appears")
@@ -288,7 +289,7 @@ def _parse_arguments(arguments: Sequence[str]) -> Namespace:
     return options
 
 
-def _custom_data(arm: Path | None) -> dict[str, str]:
+def _custom_data(arm: str | None) -> dict[str, str]:
     """Return the version of the software, and the hashes of the files of an arm."""
     if arm is None:
         return provenance_of(None)

@@ -11,11 +11,12 @@ import numpy as np
 import pytest
 import yaml
 from geometry_msgs.msg import PoseStamped
+from posor.arm_names import find_arm
 from posor.estimation.posor import Posor
 from posor.model.fault import State
 from posor.model.scan import NO_SOURCE
 from posor.node_parameters import RECORDING
-from posor_bringup.arms import find_arm, load_checked_arm
+from posor_bringup.arms import load_checked_arm
 from posor_lab.harness.graph import Graph
 from posor_lab.harness.message_conversion import pose_from_message, scan_from_message, stamp_ns
 from posor_lab.harness.program import Program, installed

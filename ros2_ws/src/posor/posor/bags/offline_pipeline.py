@@ -186,10 +186,12 @@ class Arm(ArmFile):
 
 
 def load_arm(path: Path | str) -> Arm:
-    """Read an arm file; the files that it names are read by ``Arm.estimate``.
+    """Read an arm file, given by its path, its folder or the name of an installed arm.
+
+    The files that it names are read by ``Arm.estimate``.
 
     Raises:
-        ParameterError: The argument is not a path.
+        ParameterError: The argument is not a path, or there is no such arm.
         CalibrationError: The file cannot be read, is not YAML, or has invalid content.
 
     """

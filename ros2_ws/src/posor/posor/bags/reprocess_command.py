@@ -14,6 +14,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from posor.arm_names import describe_argument
 from posor.bags.executors import dask_cluster, local_processes, run_tasks
 from posor.bags.offline_pipeline import reprocess_bag, topics_of
 from posor.bags.reprocess_task import FORMATS, JointSettings, Settings, Summary, Task
@@ -39,7 +40,7 @@ def parser() -> CommandLineParser:
         prog="posor reprocess", description="From recorded raw scans to transforms and endpoint poses."
     )
     command.add_argument("bags", type=Path, nargs="+", metavar="BAG", help="folder of a rosbag2 bag, or its file")
-    command.add_argument("--arm", type=Path, metavar="FILE.yaml", help="arm file: URDF, beams and calibrations")
+    command.add_argument("--arm", metavar="ARM", help=f"URDF, beams and calibrations: {describe_argument()}")
     text = "calibration file of a joint's POSOR; may be repeated; replaces that of the arm file"
     command.add_argument("--calibration", action="append", default=[], metavar="JOINT=FILE", help=text)
     text = "session of the joint's calibration file"

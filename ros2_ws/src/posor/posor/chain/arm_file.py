@@ -14,11 +14,12 @@ from typing import TYPE_CHECKING, Annotated, Literal, Self
 
 from pydantic import BeforeValidator, Field, model_validator
 
+from posor.arm_names import find_arm
 from posor.calibration.calibration_file import Calibration, Provenance, load_calibration
 from posor.calibration.file_model import EntryError, FrozenModel, Name, format_value
 from posor.calibration.yaml_document import load_document
 from posor.chain.kinematic_chain import Chain, load_chain
-from posor.errors import CalibrationError, ChainError, NodeError, ParameterError, PosorError, similar_name, sum_up
+from posor.errors import ChainError, NodeError, ParameterError, PosorError, similar_name, sum_up
 from posor.node_parameters import ChainParameters, PosorParameters
 from posor.parameter_model import validate_parameters
 from posor.ros_names import OUTER_NAMESPACE_RULE, ROS_OWN_PARAMETERS, is_outer_namespace
@@ -192,17 +193,13 @@ class ArmFile:
         return {name: place for (owner, name), place in self.parameter_locations.items() if owner == joint}
 
 
-def load_arm_file(path: Path) -> ArmFile:
-    """Read an arm file, without opening the files that it names.
+def load_arm_file(arm: str | Path) -> ArmFile:
+    """Read an arm file, given as for ``find_arm``, without opening the files that it names.
 
-    Raises CalibrationError: the file cannot be read, is not YAML, or has invalid content.
+    Raises ParameterError: there is no such arm; CalibrationError: the file cannot be read, is not YAML, or has invalid
+    content.
     """
-    if path.is_dir() or not path.exists():
-        raise CalibrationError(
-            "does not exist",
-            where=f"arm file {path}",
-            expected="the path of an arm file, such as share/posor_bringup/arms/five_axis/arm.yaml",
-        )
+    path = find_arm(arm)
     keys = "format, version, name, provenance, urdf, joints, driver"
     content, locations = load_document(path, "arm file", keys, VERSION, ArmFileContent.model_validate)
     folder = path.resolve().parent

@@ -1,11 +1,13 @@
 from __future__ import annotations
 
+import os
 import shutil
 from pathlib import Path
 
 import pytest
+from posor.arm_names import installed_arms
 from posor.chain.arm_file import load_arm_file
-from posor.errors import CalibrationError, ChainError
+from posor.errors import CalibrationError, ChainError, ParameterError
 from posor_lab.harness.case_tables import cases, edited, refusal
 
 
@@ -40,10 +42,29 @@ def test_a_wrong_arm_file_is_refused_with_its_line(path: Path, old: str, new: st
 
 
 @pytest.mark.parametrize("name", ["five_axis", "none.yaml", "."])
-def test_a_missing_arm_file_is_named(tmp_path: Path, name: str) -> None:
-    assert str(refusal(CalibrationError, load_arm_file, tmp_path / name)) == (
-        f"arm file {tmp_path / name}: does not exist; expected the path of an arm file, "
-        "such as share/posor_bringup/arms/five_axis/arm.yaml."
+def test_a_missing_arm_file_is_named(tmp_path: Path, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("AMENT_PREFIX_PATH", raising=False)
+    error = refusal(ParameterError, load_arm_file, tmp_path / name)
+    assert str(error) == f"arm '{tmp_path / name}': no such arm; expected the path of an arm file."
+
+
+def test_an_arm_is_found_by_name_in_the_first_workspace(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A file or folder of the name comes first; an empty entry of the path is not the current folder."""
+    workspaces = [path.parent / "over", path.parent / "under"]
+    for n, workspace in enumerate(workspaces):
+        for name in ("both", f"only_{n}"):
+            (folder := workspace / "share" / "cell" / "arms" / name).mkdir(parents=True)
+            shutil.copy(path, folder / "arm.yaml")
+    monkeypatch.setenv("AMENT_PREFIX_PATH", os.pathsep.join(["", *map(str, workspaces), "/nowhere"]))
+    monkeypatch.chdir(path.parent)
+    assert list(installed_arms()) == ["both", "only_0", "only_1"]
+    assert load_arm_file("both").path == workspaces[0] / "share" / "cell" / "arms" / "both" / "arm.yaml"
+    assert load_arm_file(Path("only_1")).path.is_relative_to(workspaces[1])
+    (path.parent / "both").mkdir()
+    shutil.copy(path, path.parent / "both" / "arm.yaml")
+    assert load_arm_file("both").path == Path("both") / "arm.yaml"
+    assert "expected the path of an arm file, or one of both, only_0, only_1." in str(
+        refusal(ParameterError, load_arm_file, "bot")
     )
 
 

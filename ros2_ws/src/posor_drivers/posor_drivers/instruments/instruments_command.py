@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import yaml
+from posor.arm_names import describe_argument
 from posor.calibration.calibration_file import load_calibration
 from posor.calibration.save import save_calibration
 from posor.chain.arm_file import ArmFile, load_arm_file
@@ -49,13 +50,13 @@ def _parse_options(arguments: Sequence[str] | None) -> Namespace:
         action.add_argument("file", type=Path, metavar="FILE", help="instruments file (YAML)")
     summary = "print an instruments file for an arm, to be completed"
     start = actions.add_parser("start", help=summary, description=summary)
-    start.add_argument("file", type=Path, metavar="ARM", help="arm file (YAML)")
+    start.add_argument("file", metavar="ARM", help=describe_argument())
     start.add_argument("--device", default="stream", metavar="KIND", help="kind of the devices (default: stream)")
     start.add_argument("--probes", metavar="KIND", help="kind of the devices of the gap probes (default: as --device)")
     summary = "noise of the readings while the arm moves: that of the calibrations and the interpolation error"
     noise = actions.add_parser("noise", help=summary, description=summary)
     noise.add_argument("file", type=Path, metavar="FILE", help="instruments file (YAML)")
-    noise.add_argument("arm", type=Path, metavar="ARM", help="arm file (YAML)")
+    noise.add_argument("arm", metavar="ARM", help=describe_argument())
     noise.add_argument("--output", type=Path, metavar="FOLDER", help="write calibrations that state this noise")
     return parser.parse_args(arguments)
 

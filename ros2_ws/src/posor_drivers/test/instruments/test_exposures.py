@@ -20,11 +20,11 @@ from typing import Any
 import numpy as np
 import pytest
 from posor import Fault, Posor, State, load_calibration, simulate
+from posor.arm_names import find_arm
 from posor.messages.message_definitions import MessageTypes
 from posor.messages.raw_scan import scan_of
 from posor.model.scan import Scan, Scans
 from posor.numerics.array_types import FloatArray
-from posor_bringup.arms import find_arm
 from posor_drivers.instruments.channel_exposures import ExposureEntry, find_exposures
 from posor_drivers.instruments.device import DeviceError, Frames
 from posor_drivers.instruments.device_reader import DeviceReader
