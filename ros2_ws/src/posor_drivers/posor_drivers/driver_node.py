@@ -96,6 +96,8 @@ class DriverNode(PosorNode[DriverParameters]):
         self.add_cleanup(self._source.close)
         self._classes = {topic.name: message_class(topic.type_name) for topic in topics}
         self._topic_publishers = {topic.name: self._new_publisher(topic.name) for topic in topics}
+        if isinstance(self._source, RecordedSource):
+            self._source.stopping = self._is_stopping
         if isinstance(self._source, LiveSource):
             self._pace = self._pace or self.diagnostics.add_status("pace")
             self._pace.report(Level.OK, "in time")

@@ -130,7 +130,7 @@ def schedule_replay(
             if message.topic == RAW_TOPIC:
                 scans.add(message.time_ns)
             after_ns = pass_number * length_ns + message.time_ns - everything.first
-            after_s = after_ns / NS / speed if options.rate else 0.0
+            after_s = after_ns / NS / speed if options.rate and not source.has_own_pace else 0.0
             yield SourceMessage(message.topic, 0, stamps.rewrite(message), after_s)
         if not scans.count:
             what = f"between 'start_offset' {options.start_offset} and 'stop_offset' {options.stop_offset}"

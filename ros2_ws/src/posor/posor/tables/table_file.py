@@ -28,18 +28,23 @@ _MAGIC_BYTES = 24
 _MATRIX = 2  # dimensions
 
 
-def open_table(path: Path, layout: FileLayout) -> RawTable:
+def open_table(path: Path, layout: FileLayout, *, growing: bool = False) -> RawTable:
     """Open a table; its content, not its name, decides on the format.
 
+    ``growing``: another program is still writing the table; a last line without end is left out.
+
     Raises:
-        DataFileError: The file cannot be read, or is of another format.
+        DataFileError: The file cannot be read, is of another format, or is growing and no text.
         ParameterError: The library of an optional format is not installed.
 
     """
     found = _binary_format(path)
-    if found is not None:
-        return _read_binary(path, *found)
-    return TextTable(path, decode(read_bytes(path), layout.encoding, str(path)), layout)
+    if found is None:
+        return TextTable(path, decode(read_bytes(path), layout.encoding, str(path), growing=growing), layout)
+    if growing:
+        what = f"is a {found[0]} file, which cannot be read while another program writes it"
+        raise DataFileError(what, where=str(path), expected="a text file, or no parameter 'follow'")
+    return _read_binary(path, *found)
 
 
 def is_text(path: Path) -> bool:

@@ -92,10 +92,10 @@ def only_joint(readings: TableReadings, joint: str, where: str) -> str:
     return joint
 
 
-def load_readings(path: Path, map_path: Path) -> TableReadings:
-    """Return the readings of a table by a map. Raises the errors of ``read_table``."""
+def load_readings(path: Path, map_path: Path, *, growing: bool = False) -> TableReadings:
+    """Return the readings of a table by a map. ``growing``: see ``open_table``. Raises the errors of ``read_table``."""
     loaded = load_table_map(map_path)
-    return _Reader(loaded, open_table(path, loaded.map.file)).read()
+    return _Reader(loaded, open_table(path, loaded.map.file, growing=growing)).read()
 
 
 @dataclass

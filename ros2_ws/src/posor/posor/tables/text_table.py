@@ -50,8 +50,11 @@ def utf_16_without_mark(begin: bytes) -> str:
     return ""
 
 
-def decode(data: bytes, encoding: str, where: str) -> str:
-    """Return the text of a file. Raises DataFileError: the bytes are of another encoding; names the line."""
+def decode(data: bytes, encoding: str, where: str, *, growing: bool = False) -> str:
+    """Return the text of a file. Raises DataFileError: the bytes are of another encoding; names the line.
+
+    ``growing``: another program is still writing the file; its last line is left out until it has an end.
+    """
     encoding = byte_order_mark(data) or encoding
     begin = data[:_BEGIN]
     if encoding == "utf-8" and b"\0" in (begin.rstrip(b"\0") or begin):  # zeros at the end: the recorder lost power
@@ -60,7 +63,10 @@ def decode(data: bytes, encoding: str, where: str) -> str:
             expected = f"file: {{encoding: {wide}}} in the map, or text"
         raise DataFileError("holds zero bytes", where=where, expected=expected)
     try:
-        return data.decode(encoding)
+        if not growing:
+            return data.decode(encoding)
+        text = codecs.getincrementaldecoder(encoding)().decode(data)
+        return text[: max(text.rfind("\n"), text.rfind("\r")) + 1]
     except UnicodeDecodeError as error:
         line = data.count(b"\n", 0, error.start) + 1
         what = f"byte {error.start} (0x{data[error.start]:02X}) is not {encoding}"

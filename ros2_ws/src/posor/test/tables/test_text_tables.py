@@ -11,6 +11,7 @@ import pytest
 from posor import CalibrationError, DataFileError, ParameterError, PosorError, Scans, read_table
 from posor.tables.table_map import load_table_map
 from posor.tables.table_readings import load_readings
+from posor.tables.text_table import decode
 
 from .sample_files import CELSIUS, COUNT, NAMES, READINGS, START, START_NS, TIMES, VOLTS, rows, write_csv, write_map
 
@@ -434,3 +435,15 @@ def test_several_joints_need_a_name(tmp_path: Path) -> None:
 def test_a_file_that_cannot_be_read(path: str, tmp_path: Path) -> None:
     with pytest.raises(PosorError, match="cannot be read"):
         read_table(tmp_path / path, write_map(tmp_path))
+
+
+@pytest.mark.parametrize(
+    ("text", "whole"),
+    [("a\n1\n2\n", "a\n1\n2\n"), ("a\n1\n2", "a\n1\n"), ("a\r1\r2", "a\r1\r"), ("a\n\u00e9", "a\n"), ("a", "")],
+)
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-16", "utf-16-be", "utf-8-sig", "utf-32"])
+def test_the_last_line_of_a_growing_file_counts_when_it_has_an_end(text: str, whole: str, encoding: str) -> None:
+    data = text.encode(encoding)
+    assert decode(data, encoding, "file", growing=True) == whole
+    if not whole.endswith(text[-1]):
+        assert decode(data[:-1], encoding, "file", growing=True) == whole  # within a character

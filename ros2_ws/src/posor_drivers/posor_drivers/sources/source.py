@@ -118,7 +118,19 @@ class Source(ABC, Generic[ParametersT]):
 
 
 class RecordedSource(Source[ParametersT]):
-    """A source whose messages all exist already; ``driver_node`` replays them at a chosen pace."""
+    """A source whose messages all exist already; ``driver_node`` replays them at a chosen pace.
+
+    Attributes:
+        stopping: Whether ``read_messages`` should end early; the driver sets this function.
+
+    """
+
+    stopping: Callable[[], bool] = staticmethod(lambda: False)
+
+    @property
+    def has_own_pace(self) -> bool:
+        """Whether ``read_messages`` waits for messages, so that each is published at once."""
+        return False
 
     def check(self, calibration: Calibration) -> None:
         """Open the recording as the driver will."""

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
+from posor.errors import DataFileError
 from posor.messages.message_definitions import installed_schema
 from posor.messages.message_table import TableLayout
 from posor.numerics.stamps import NS
@@ -24,6 +26,8 @@ if TYPE_CHECKING:
     from posor.tables.table_readings import ReferenceReadings, TableReadings
 
 POINT = 3  # numbers of a point
+POLL_S = 0.1  # pause between two looks at the size of a table that grows
+SHARE = 2.0  # pause after reading it, in times of reading
 
 
 class TableParameters(ParameterGroup):
@@ -32,6 +36,11 @@ class TableParameters(ParameterGroup):
     path: Annotated[str, Field(min_length=1)] = Field(description="table: CSV, Parquet, TDMS or MATLAB")
     map: Annotated[str, Field(min_length=1)] = Field(description="map of its columns (YAML)")
     joint: str = Field(default="", description="joint of the map; empty: the only one")
+    follow: Annotated[float, Field(ge=0.0, allow_inf_nan=True)] = Field(
+        default=0.0,
+        description="wait for rows that another program adds, and end after this time without a new row [s]; "
+        "0: end after the last row; .inf: never end",
+    )
 
 
 class TableSource(RecordedSource[TableParameters]):
@@ -46,17 +55,49 @@ class TableSource(RecordedSource[TableParameters]):
         """The file."""
         return self.parameters.path
 
+    @property
+    def has_own_pace(self) -> bool:
+        """Whether rows are awaited."""
+        return self.parameters.follow > 0.0
+
     def open(self) -> Sequence[Topic]:
         """Read the whole table."""
-        parameters = self.parameters
-        readings = load_readings(Path(parameters.path), Path(parameters.map))
-        joint = only_joint(readings, parameters.joint, parameters.map)
-        self._messages = TableMessages(readings, joint, self.types)
+        self._messages = self._load()
         return self._messages.topics
 
+    def _load(self) -> TableMessages:
+        parameters = self.parameters
+        readings = load_readings(Path(parameters.path), Path(parameters.map), growing=self.has_own_pace)
+        return TableMessages(readings, only_joint(readings, parameters.joint, parameters.map), self.types)
+
     def read_messages(self) -> Iterator[SourceMessage]:
-        """Yield scan and references of each row."""
-        return self._messages.read()
+        """Yield scan and references of each row, with ``follow`` also of rows that are added."""
+        yield from self._messages.read()
+        if self.has_own_pace:
+            yield from self._follow()
+
+    def _follow(self) -> Iterator[SourceMessage]:
+        """Yield the messages of rows that another program adds.
+
+        The table is read anew whenever it has grown, so that all checks are those of the whole table; the pauses take
+        two thirds of the time at least.
+        """
+        path, known = Path(self.parameters.path), self._messages
+        size, pause_s, last_row_s = 0, POLL_S, time.monotonic()
+        while not self.stopping() and time.monotonic() - last_row_s < self.parameters.follow:
+            time.sleep(pause_s)
+            new_size = path.stat().st_size if path.is_file() else -1
+            if new_size == size:
+                continue
+            begin, size = time.monotonic(), new_size
+            messages = self._load()
+            if messages.stamps[: len(known.stamps)] != known.stamps:
+                what = f"no longer begins with the {len(known.stamps)} rows that were read"
+                raise DataFileError(what, where=str(path), expected="a table to which rows are only added")
+            pause_s = max(POLL_S, SHARE * (time.monotonic() - begin))
+            if len(messages.stamps) > len(known.stamps):
+                yield from messages.read(len(known.stamps))
+                known, last_row_s = messages, time.monotonic()
 
 
 class TableMessages:
@@ -64,6 +105,7 @@ class TableMessages:
 
     Attributes:
         topics: Of the messages; ``raw`` comes first.
+        stamps: Of the rows [ns].
 
     """
 
@@ -75,7 +117,7 @@ class TableMessages:
         scans = readings.joints[joint].scans
         example = raw_scan(types, 0, readings.joints[joint].frame_id, status=0, **scan_fields(scans[0]))
         layout = TableLayout.of(types.serialize(example, RAW_SCAN), installed_schema(RAW_SCAN))
-        self._stamps = scans.stamps_ns.tolist()
+        self.stamps: list[int] = scans.stamps_ns.tolist()
         self._scans = table = layout.copies(len(scans))
         table["header.stamp.sec"], table["header.stamp.nanosec"] = np.divmod(scans.stamps_ns, NS)
         table["scan"], table["status"] = scans.numbers, scans.statuses
@@ -87,9 +129,9 @@ class TableMessages:
             if array.size:
                 rows[name][:, 0] = array
 
-    def read(self) -> Iterator[SourceMessage]:
-        """Yield the messages in the order of their times."""
-        for n, stamp_ns in enumerate(self._stamps):
+    def read(self, first: int = 0) -> Iterator[SourceMessage]:
+        """Yield the messages in the order of their times, from a row on."""
+        for n, stamp_ns in enumerate(self.stamps[first:], first):
             yield SourceMessage(RAW_TOPIC, stamp_ns, self._scans.messages[n].tobytes())
             for reference in self._references:
                 values = reference.values[n]

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +17,9 @@ from posor.bags.provenance import custom_data
 from posor.errors import DataFileError, ParameterError
 from posor.messages.message_definitions import MessageTypes
 from posor.numerics.stamps import NS
+from posor_drivers.driver_parameters import ReplayParameters
 from posor_drivers.import_command import main
+from posor_drivers.replay_publisher import schedule_replay
 from posor_drivers.sources.source import Topic
 from posor_drivers.sources.table_source import TableParameters, TableSource
 from posor_msgs.msg import RawScan, ReferenceReading
@@ -79,6 +83,44 @@ def test_invalid_row_is_refused(row: str, sentence: str, tmp_path: Path) -> None
     with pytest.raises(DataFileError) as caught:
         messages(write_table(tmp_path / "t.csv", row))
     assert sentence in str(caught.value)
+
+
+def followed_table(path: Path, follow: float) -> tuple[TableSource, Iterator[int]]:
+    """Return a source that follows a table, and an iterator of its scan numbers."""
+    source = TableSource(TableParameters(path=str(path), map=str(MAP), follow=follow), MessageTypes())
+    source.open()
+    messages = schedule_replay(source, CLASSES, ReplayParameters(), 0)
+    scans = ((each.after_s, deserialize_message(each.data, RawScan).scan) for each in messages if each.topic == "raw")
+    return source, (number for after_s, number in scans if after_s == 0.0)
+
+
+def test_rows_that_another_program_adds_are_followed_until_there_are_none(tmp_path: Path) -> None:
+    path = write_table(tmp_path / "t.csv", *ROWS[:2])
+    with path.open("a", encoding="utf-8") as table:
+        _, numbers = followed_table(path, 0.3)
+        assert list(islice(numbers, 2)) == [1, 2]
+        table.write(f"{ROWS[2]}\n{ROWS[3][:9]}")  # a row, and a part of the next one
+        table.flush()
+        assert next(numbers) == 3
+        table.write(f"{ROWS[3][9:]}\n")
+        table.flush()
+        assert list(numbers) == [5]
+
+
+def test_a_followed_table_must_only_grow(tmp_path: Path) -> None:
+    path = write_table(tmp_path / "t.csv", *ROWS[:2])
+    source, numbers = followed_table(path, math.inf)
+    assert list(islice(numbers, 2)) == [1, 2]
+    write_table(path, ROWS[1])
+    with pytest.raises(DataFileError, match=r"no longer begins with the 2 rows that were read; expected a table to"):
+        next(numbers)
+    source.stopping = lambda: True
+    assert len(list(source.read_messages())) == 4  # scans and truths
+    path.write_bytes(b"PAR1 and more")
+    with pytest.raises(
+        DataFileError, match=r"is a Parquet file, which cannot be read while another program writes it"
+    ):
+        source.open()
 
 
 def test_joint_of_the_map_is_checked(tmp_path: Path) -> None:
