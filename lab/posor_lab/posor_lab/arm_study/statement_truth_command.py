@@ -96,7 +96,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     ]
     header = ("arm", "largest U [µm]", "U: drawn / stated", "u of each axis: drawn / stated", "coverage", "within 5 %")
     title = f"Simulated: {options.draws} arms of each at {options.poses} poses, beams within {DEVIATION:g} K"
-    ReportTable(title, header, rows, left=1).print(report_console(140))
+    ReportTable(title, header, rows).print(report_console(140))
     write_json(options.output, found)
     return 0 if all(each["confirmed"] for each in found.values()) else 1
 

@@ -121,7 +121,7 @@ def replay_page(
     provenance: Mapping[str, str],
 ) -> str:
     """Return the self-contained page; ``printed``: the printed result table that is drawn beside the test."""
-    steps = table(HEADER, [step_row(step, test.steps[0]) for step in test.steps], "numbers")
+    steps = table(HEADER, [step_row(step, test.steps[0]) for step in test.steps])
     notes = page_notes("motion_test")
     bullets = {**notes["notes"], "scan": f"{notes['notes']['scan']} {_estimated_steps(test)}"}
     if calibration.tilt_angle is not TiltAngle.PREVIOUS_SCAN:

@@ -147,8 +147,8 @@ def _table(title: str, rows: Mapping[str, Figures]) -> ReportTable:
     """Return figures in µm and µrad; NaN: no orientation is known."""
     names = [name for name in next(iter(rows.values())) if any(math.isfinite(row[name]) for row in rows.values())]
     header = ("", *(f"{name} [{'µrad' if name[-1] in COMPONENTS[3:] else 'µm'}]" for name in names))
-    cells = [[label, *(f"{1e6 * row[name]:.2f}" for name in names)] for label, row in rows.items()]
-    return ReportTable(title, header, cells, left=1)
+    cells = [[label, *(f"{1e6 * row[name]:.2f}".replace("nan", "-") for name in names)] for label, row in rows.items()]
+    return ReportTable(title, header, cells)
 
 
 def _json(figures: Figures) -> dict[str, float | None]:

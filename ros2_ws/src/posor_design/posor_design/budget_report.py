@@ -147,7 +147,6 @@ class BudgetReport:
             "What to improve first: uncertainty and share of the variance",
             ("quantity", "kind", *map(heading, budget.outputs)),
             rows + totals,
-            left=2,
             rule_before=len(rows),
         )
 
@@ -161,7 +160,7 @@ class BudgetReport:
             rows.append([heading(output), *numbers, *verdicts, *([remark] if remarks else [])])
         header = ("quantity", "numerical tolerance", "d low", "d high", "stable", "first order")
         title = f"First order against draws: ends of the {100 * COVERAGE:g} % intervals (JCGM 101, clause 8)"
-        return ReportTable(title, (*header, "remark") if remarks else header, rows, left=1)
+        return ReportTable(title, (*header, "remark") if remarks else header, rows)
 
     def reliability_tables(self) -> list[ReportTable]:
         """Return the minimal detectable biases, and with an arm the protection level of its endpoint."""

@@ -78,7 +78,7 @@ def _effects(signature: CalculatorSignature, arguments: Mapping[str, Any], resul
             rows.append((argument, *("",) * len(names), f"refused: {error}"))
             continue
         rows.append((argument, *(_relative_change(results[name], getattr(changed, name)) for name in names), ""))
-    return table(("argument", *names, ""), rows, "numbers")
+    return table(("argument", *names, ""), rows)
 
 
 def _has_numbers(value: Any) -> bool:

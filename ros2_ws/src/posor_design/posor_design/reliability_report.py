@@ -45,7 +45,6 @@ def reliability_table(reliability: Reliability) -> ReportTable:
         f"Minimal detectable bias of one reading: the test of one scan (false alarms {reliability.false_alarm:.3g}) "
         f"misses it with a probability of {reliability.missed_detection:g}; beside it the change of the pose that it "
         "causes (Baarda 1968). No other reading checks one that is not detectable: its change of the pose is for 1 µm.",
-        left=1,
     )
 
 
@@ -67,7 +66,6 @@ def causes_table(reliability: Reliability) -> ReportTable:
         ],
         "Largest change of the pose along and about each axis by a fault of one cause that the test of one scan misses "
         "and that does not exceed its bound (docs/integrity.md). ∞: not bounded.",
-        left=3,
     )
 
 
@@ -86,7 +84,6 @@ def arm_table(arm: ArmReliability) -> ReportTable:
         "fault of one cause, the sum of the causes that are always there, the bound of the temperature of the beams, "
         f"and {COVERAGE_FACTOR:.3g} standard uncertainties (integrity risk {INTEGRITY_RISK:g} for one scan and axis). "
         "∞: not bounded.",
-        left=2,
     )
 
 

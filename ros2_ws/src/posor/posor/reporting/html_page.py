@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, NamedTuple
 from jinja2 import Environment, FileSystemLoader
 from markupsafe import Markup
 
+from posor.reporting.number_columns import align_numbers
+
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
@@ -22,10 +24,10 @@ _MACROS = (
 
 
 class Cell(NamedTuple):
-    """A cell of a table with a CSS class: ``holds``, ``fails`` or ``wrapped``."""
+    """A cell of a table with a CSS class: ``holds``, ``fails``, ``wrapped`` or ``number``."""
 
     text: str
-    css_class: str
+    css_class: str = ""
 
 
 @dataclass(frozen=True)
@@ -52,10 +54,16 @@ def paragraph(text: str) -> Markup:
     return _render("paragraph", text)
 
 
-def table(header: Iterable[str], rows: Iterable[Iterable[str | Cell]], css_class: str = "") -> Markup:
-    """Return a table; with the CSS class ``numbers`` all columns but the last are flush right."""
-    cells = [[cell if isinstance(cell, Cell) else Cell(cell, "") for cell in row] for row in rows]
-    return _render("table", list(header), cells, css_class)
+def table(header: Iterable[str], rows: Iterable[Iterable[str | Cell]]) -> Markup:
+    """Return a table; columns of numbers are flush right, with the decimal points below each other."""
+    cells = [[cell if isinstance(cell, Cell) else Cell(cell) for cell in row] for row in rows]
+    names = [Cell(name) for name in header]
+    for n, column in enumerate(zip(*cells, strict=True)):
+        if all(not cell.css_class for cell in column) and (numbers := align_numbers([cell.text for cell in column])):
+            names[n] = names[n]._replace(css_class="number")
+            for row, text in zip(cells, numbers, strict=True):
+                row[n] = Cell(text, "number")
+    return _render("table", names, cells)
 
 
 def render_page(title: str, verdict: str, *, holds: bool, sections: Sequence[Section]) -> str:

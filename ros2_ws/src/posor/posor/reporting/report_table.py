@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from rich.table import Table
 
 from posor.reporting.html_page import Section, paragraph, table
+from posor.reporting.number_columns import align_numbers
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -25,16 +26,17 @@ class ReportTable:
     header: Sequence[str]  # names of the columns
     rows: Sequence[Sequence[str]]  # cells of each row
     note: str = ""  # meaning of the table, for the page; empty: none
-    left: int | None = None  # number of columns, from the first on, that are flush left on a console; None: all
     rule_before: int | None = None  # number of the row that a console separates from the rows before; None: no row
 
     def print(self, console: Console) -> None:
         """Print the table."""
+        columns = [list(cells) for cells in zip(*self.rows, strict=True)]
+        aligned = [align_numbers(cells) for cells in columns] or [None] * len(self.header)
         printed = Table(title=self.title, title_justify="left")
-        for number, name in enumerate(self.header):
-            flush_left = self.left is None or number < self.left
-            printed.add_column(name, justify="left" if flush_left else "right", overflow="fold")
-        for number, row in enumerate(self.rows):
+        for name, numbers in zip(self.header, aligned, strict=True):
+            printed.add_column(name, justify="right" if numbers else "left", overflow="fold")
+        shown = [numbers or cells for numbers, cells in zip(aligned, columns, strict=bool(columns))]
+        for number, row in enumerate(zip(*shown, strict=True)):
             if number == self.rule_before:
                 printed.add_section()
             printed.add_row(*row)
