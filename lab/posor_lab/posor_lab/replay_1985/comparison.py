@@ -71,6 +71,11 @@ def expectations(bag: Bag, calibration: CalibrationName) -> tuple[Expectation, .
     return tuple(found)
 
 
+def reasons(bag: Bag, calibration: CalibrationName) -> dict[Angle, str]:
+    """Return why the error of each angle is as large as it is, where a reason is known."""
+    return {each.angle: each.remark for each in expectations(bag, calibration) if each.kind == "sd"}
+
+
 def compare_with_thesis(
     test: MotionTest, bag: Bag, calibration: CalibrationName, printed: PrintedColumns | None
 ) -> Findings:

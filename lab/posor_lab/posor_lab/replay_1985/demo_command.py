@@ -18,7 +18,7 @@ from rich.console import Console
 
 from posor_lab.harness.ros_domain import isolated_network
 from posor_lab.output_files import write_files
-from posor_lab.replay_1985.comparison import compare_with_thesis
+from posor_lab.replay_1985.comparison import compare_with_thesis, reasons
 from posor_lab.replay_1985.motion_test import MotionTest
 from posor_lab.replay_1985.printed_results import (
     EXPECTED_ERRORS_FILE,
@@ -128,6 +128,7 @@ def _write_report(
         test=test,
         comparison=comparison,
         printed=printed if options.calibration == "printed" else None,
+        reasons=reasons(options.bag, options.calibration),
         predictions=read_predicted_errors(data_path(EXPECTED_ERRORS_FILE), options.bag),
         calibration=calibration,
         provenance=replay_provenance(plan.bag, calibration, plan.calibration, identity),

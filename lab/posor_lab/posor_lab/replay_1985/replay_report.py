@@ -19,7 +19,7 @@ from posor_lab.reports.findings import findings_table
 from posor_lab.thesis_data import URAD
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
     from pathlib import Path
 
     from posor.calibration.calibration_file import Calibration
@@ -40,11 +40,14 @@ PREDICTED = "predicted error, section 8.4"
 
 
 def plot_angles(
-    test: MotionTest, printed: PrintedColumns | None, predictions: Mapping[Angle, PredictedError]
+    test: MotionTest,
+    printed: PrintedColumns | None,
+    predictions: Mapping[Angle, PredictedError],
+    reasons: Mapping[Angle, str],
 ) -> list[Plot]:
     """Return a plot of each angle, then one of the error of each angle with its prediction.
 
-    The printed result table is drawn if it has as many steps.
+    The printed result table is drawn if it has as many steps. ``reasons``: why an error leaves its prediction.
     """
     motions, errors = [], []
     for column, angle in enumerate(ANGLES):
@@ -59,18 +62,28 @@ def plot_angles(
         error = Plot(f"{angle}: POSOR less machining centre", "step", "error [µrad]", x_of=motion)
         error.zero()
         extra = {}
+        values = test.angle_errors[:, column] / URAD
         if angle in predictions:
             width = predictions[angle].half_width(test.truth_angles[:, column]) / URAD
             error.band(PREDICTED, test.numbers, -width, width, LIGHT_BLUE)
             extra[f"{PREDICTED} [µrad]"] = width
+            error.note = _outside(np.array(test.numbers)[np.abs(values) > width].tolist(), test, reasons.get(angle))
         _plot_printed(error, test, None if shown is None else shown - measured)
-        values = test.angle_errors[:, column] / URAD
         _plot_posor(error, test, values, extra)
         estimated = test.has_pose & ~test.fully_measured(angle)
         if estimated.any():
             error.mark("estimated reading", np.array(test.numbers)[estimated], values[estimated], BLUE)
         errors.append(error)
     return motions + errors
+
+
+def _outside(steps: Sequence[int], test: MotionTest, reason: str | None) -> str:
+    """Return where an error leaves its band, and why."""
+    if not steps:
+        return ""
+    known = [step.number for step in test.steps if step.has_pose]
+    where = f"from step {steps[0]} on" if steps == known[-len(steps) :] else f"in step {', '.join(map(str, steps))}"
+    return f"Outside the band {where}: {reason or 'the reason is not known'}."
 
 
 def plot_displacements(test: MotionTest) -> list[Plot]:
@@ -117,21 +130,26 @@ def replay_page(
     comparison: Findings,
     printed: PrintedColumns | None,
     predictions: Mapping[Angle, PredictedError],
+    reasons: Mapping[Angle, str],
     calibration: Calibration,
     provenance: Mapping[str, str],
 ) -> str:
-    """Return the self-contained page; ``printed``: the printed result table that is drawn beside the test."""
+    """Return the self-contained page.
+
+    ``printed``: the printed result table that is drawn beside the test; ``reasons``: see ``plot_angles``.
+    """
     steps = table(HEADER, [step_row(step, test.steps[0]) for step in test.steps])
     notes = page_notes("motion_test")
     bullets = {**notes["notes"], "scan": f"{notes['notes']['scan']} {_estimated_steps(test)}"}
     if calibration.tilt_angle is not TiltAngle.PREVIOUS_SCAN:
         del bullets["lag"]
+    angles = plot_angles(test, printed, predictions, reasons)
     return render_page(
         title,
         verdict_sentence(comparison),
         holds=comparison.holds,
         sections=(
-            Section("Angles and their errors", paragraph(notes["band"]), plot_angles(test, printed, predictions)),
+            Section("Angles and their errors", paragraph(notes["band"]), angles),
             Section("Comparison", findings_table(comparison, HEADINGS)),
             Section("Endpoint, not judged", paragraph(notes["endpoint"]), plot_displacements(test)),
             Section("Steps", paragraph(f"{LEGEND}. All values were received over ROS.") + steps),

@@ -12,7 +12,7 @@ from posor.reporting.plot import Plot
 from posor_bringup.installed import BAGS
 from posor_calibration.attitude_fit import deviation_from_first
 
-from posor_lab.replay_1985.comparison import KIND_NAMES, UNDER_TABLE, error_figure, expectations
+from posor_lab.replay_1985.comparison import KIND_NAMES, UNDER_TABLE, error_figure, expectations, reasons
 from posor_lab.replay_1985.end_of_beam import EndOfBeamProgram, SensorNoise, simulated_errors
 from posor_lab.replay_1985.motion_test import ANGLES, offline_motion_test
 from posor_lab.replay_1985.printed_results import (
@@ -132,7 +132,7 @@ def replay_plots() -> list[Plot]:
     for bag in BAGS:
         printed = read_printed(data_path(PRINTED_FILES[bag])) if bag in PRINTED_FILES else None
         predictions = read_predicted_errors(data_path(EXPECTED_ERRORS_FILE), bag)
-        for plot in plot_angles(offline_motion_test(bag, "printed"), printed, predictions):
+        for plot in plot_angles(offline_motion_test(bag, "printed"), printed, predictions, reasons(bag, "printed")):
             plot.title = f"{bag.upper()}: {plot.title}"
             plots.append(plot)
     return plots

@@ -27,6 +27,7 @@ def test_the_page_is_complete_and_self_contained(
         comparison=comparison,
         printed=printed,
         predictions=read_predicted_errors(data_path(EXPECTED_ERRORS_FILE), "ymo"),
+        reasons={"alpha": "zero shifts are not compensated"},
         calibration=load_calibration(calibration_path("printed")),
         provenance={"bag": "ymo & more", "calibration hash": "abc123"},
     )
@@ -47,6 +48,8 @@ def test_the_page_is_complete_and_self_contained(
     assert "In step 14 a reading of a diode has no legible digit" in text
     assert "848 mm (33.4 in) from the POSOR's origin" in text
     assert "with <two> lines" in text
+    assert "Outside the band from step 5 on: zero shifts are not compensated." in text
+    assert "Outside the band from step 2 on: the reason is not known." in text
 
 
 def test_without_a_printed_table_and_predictions_the_page_draws_the_replay_alone(
@@ -59,6 +62,7 @@ def test_without_a_printed_table_and_predictions_the_page_draws_the_replay_alone
         comparison=compare_with_thesis(test, "ymo", "section84", None),
         printed=None,
         predictions={},
+        reasons={},
         calibration=load_calibration(calibration_path("section84")),
         provenance={},
     )

@@ -50,6 +50,7 @@ class Plot:
         logarithmic.
         """
         self.title = title
+        self.note = ""  # sentence beside the title, such as why a curve leaves its band
         self._header = (x_label, y_label)
         self._rows: list[dict[str, str]] = []
         ranges: dict[str, Any] = {"x_range": x_of.figure.x_range} if x_of else {}
