@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from operator import attrgetter
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,6 +20,7 @@ from posor_design.data_file import read_data
 from posor_design.layout_geometry import DIODE_FRAME, PROBE_LENGTH, PROBE_RADIUS
 from posor_design.layout_search import RESERVE, objectives
 from posor_design.quantity_text import format_quantity
+from posor_design.requirement import OPTIONS
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -73,6 +75,21 @@ def _trade_off_row(requirement: Requirement, candidate: Candidate) -> list[str]:
         f"{100.0 * objectives(requirement, candidate)['accuracy']:.0f} %",
         _fault(candidate),
     ]
+
+
+def requirement_table(requirement: Requirement) -> ReportTable:
+    """Return the requirement as its file states it, with the meaning of each entry."""
+    rows = [
+        [f"largest uncertainty of {name}", format_quantity(getattr(requirement.uncertainty, name).number, unit, 3)]
+        for name, unit in NATIVE
+    ]
+    for option in OPTIONS.values():
+        if option.entry:
+            stated = attrgetter(option.entry)(requirement)
+            text = "any" if stated is None else format_quantity(stated.number, option.unit, 3)
+            rows.append([option.meaning.partition(";")[0], text])
+    note = f"Uncertainties with coverage factor {requirement.uncertainty.coverage_factor:g}, anywhere in the range."
+    return ReportTable("Requirement", ("quantity", "required"), rows, note)
 
 
 def layout_terms(result: SearchResult, candidate: Candidate) -> dict[str, str]:
@@ -139,6 +156,7 @@ def render_posor_page(result: SearchResult, chosen: Candidate) -> str:
         verdict(result),
         holds=True,
         sections=(
+            requirement_table(requirement).section("Requirement"),
             replace(layout, body=definition_list(layout_terms(result, chosen)) + layout.body),
             trade_off.section("Trade-off", _trade_off_plots(result, chosen)),
             Section("Notes", bullet_list(notes)),

@@ -78,6 +78,9 @@ def test_the_command_writes_files_budget_and_page(tmp_path: Path, capsys: pytest
     }
     budget = json.loads((folder / "budget" / "budget.json").read_text(encoding="utf-8"))
     assert budget["quantities"]["theta"]["full_covariance"] < 15e-6
+    page = (folder / "design.html").read_text(encoding="utf-8")
+    assert page.index("<td>largest uncertainty of theta</td><td>15 urad</td>") < page.index("Chosen layout")
+    assert "<td>motion of theta to either side</td><td>3.14 rad</td>" in page
     assert main(["posor", str(folder / "requirement.yaml"), "--output", str(folder)]) == 1
     assert "arm.yaml exists already" in capsys.readouterr().err
     assert main(["posor", str(folder / "requirement.yaml"), "--output", str(tmp_path / "again")]) == 0
