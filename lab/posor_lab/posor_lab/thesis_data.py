@@ -43,7 +43,10 @@ def data_path(name: str) -> Path:
 
 
 def read_table(path: Path, columns: Iterable[str]) -> list[dict[str, str]]:
-    """Return the rows of a table. Raises DataFileError: the file cannot be read, or one of ``columns`` is missing."""
+    """Return the rows of a table.
+
+    Raises DataFileError: the file cannot be read, lacks one of ``columns``, or has a row of another length.
+    """
     try:
         lines = path.read_text(encoding="utf-8").splitlines()
     except (OSError, UnicodeDecodeError) as error:
@@ -53,7 +56,14 @@ def read_table(path: Path, columns: Iterable[str]) -> list[dict[str, str]]:
     missing = [name for name in columns if name not in (reader.fieldnames or ())]
     if missing:
         raise DataFileError(f"column '{missing[0]}' is missing", where=str(path))
-    return list(reader)
+    rows = list(reader)
+    for row in rows:
+        if None in row or None in row.values():
+            expected = f"{len(reader.fieldnames or ())} cells; a text with a comma is in quotation marks"
+            raise DataFileError(
+                "another number of cells", where=f"{path}, row {next(iter(row.values()))}", expected=expected
+            )
+    return rows
 
 
 def parse_number(row: Mapping[str, str], column: str, row_name: str, expected: str = "a number") -> float:

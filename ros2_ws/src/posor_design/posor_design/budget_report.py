@@ -120,10 +120,11 @@ class BudgetReport:
         def cells(effects: FloatArray, shares: FloatArray | None = None) -> list[str]:
             numbers = [format_number(effect, output) for effect, output in zip(effects, budget.outputs, strict=True)]
             if shares is None:
-                return numbers
+                return [cell for number in numbers for cell in (number, "")]
             return [
-                "-" if share < NEGLIGIBLE_SHARE else f"{cell} {100.0 * share:3.0f} %"
-                for cell, share in zip(numbers, shares, strict=True)
+                cell
+                for number, share in zip(numbers, shares, strict=True)
+                for cell in (("-", "-") if share < NEGLIGIBLE_SHARE else (number, f"{100.0 * share:.1f}"))
             ]
 
         rows: list[list[str]] = []
@@ -145,7 +146,7 @@ class BudgetReport:
         ]
         return ReportTable(
             "What to improve first: uncertainty and share of the variance",
-            ("quantity", "kind", *map(heading, budget.outputs)),
+            ("quantity", "kind", *(name for output in budget.outputs for name in (heading(output), "%"))),
             rows + totals,
             rule_before=len(rows),
         )
