@@ -12,12 +12,10 @@ from pathlib import Path
 import pytest
 from environment import THIS
 from make_screenshots import (
-    BROWSER,
     KILLED,
     POSITIONS_S,
     STATES_BAG,
     CompressedTime,
-    opened_browser,
     opened_page,
     running_arm,
     seek,
@@ -26,6 +24,7 @@ from make_screenshots import (
 )
 from playwright.sync_api import Page
 from posor_bringup.view_texts import GREEN, RED
+from posor_lab.harness.browser import BROWSER, opened_browser
 
 pytestmark = [
     pytest.mark.usefixtures("ros_domain"),

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import argparse
 import os
-import shutil
 import subprocess
 import sys
 import tempfile
@@ -23,7 +22,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from environment import THIS, exit_with
-from playwright.sync_api import sync_playwright
 from posor.errors import PosorError
 from posor.reporting.program_errors import reports_errors
 from posor_bringup.arm_programs import arm_programs, group_programs
@@ -38,6 +36,7 @@ from posor_bringup.view_page import ViewPage
 from posor_bringup.view_record import WINDOWS_S, ArmRecord
 from posor_design.statement_report import render_sheet, render_statement_page
 from posor_lab.faults.fault_table import write_fault_arm
+from posor_lab.harness.browser import opened_browser
 from posor_lab.harness.program import Program, installed
 
 if TYPE_CHECKING:
@@ -45,9 +44,6 @@ if TYPE_CHECKING:
 
     from playwright.sync_api import Page
 
-BROWSER = "chromium"
-ARGUMENTS = ("--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
-"""Drawing by the processor: a test machine has no graphics card."""
 KILLED = "elbow"
 CYCLE_S, SEED = 60, 4
 CHARTS_S = 20.0
@@ -114,25 +110,6 @@ def running_arm(folder: Path) -> Iterator[SimulatedArm]:
     (others,) = group_programs([program for program in programs if program is not driver], "composed", folder)
     with Program(others.command()) as nodes, Program(driver.command()) as killed:
         yield SimulatedArm(arm.path, nodes, killed)
-
-
-@contextmanager
-def opened_browser(width: int, height: int, scale: float = 1.0) -> Iterator[Page]:
-    """Open an empty page in Chromium for a ``with`` block; size in CSS pixels, ``scale``: pixels of each.
-
-    Raises:
-        PosorError: Chromium is not installed.
-
-    """
-    browser_path = shutil.which(BROWSER)
-    if browser_path is None:
-        raise PosorError("there is no such program", where=BROWSER, expected="the package chromium")
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=browser_path, args=ARGUMENTS)
-        try:
-            yield browser.new_page(viewport={"width": width, "height": height}, device_scale_factor=scale)
-        finally:
-            browser.close()
 
 
 @contextmanager

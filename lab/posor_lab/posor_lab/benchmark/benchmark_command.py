@@ -1,8 +1,8 @@
 """bench: speed of the stack (``make bench``).
 
 Measures latency, lost ticks, processor time and memory of the graph, from the stamp of a scan to the endpoint's pose in
-another process, beside the same graph with nodes that compute nothing; their growth with joints and rate; the speed of
-the estimator alone and of offline processing. Prints tables, writes a JSON file and a page.
+another process, beside the same graph with nodes that compute nothing, and beside a live page; their growth with joints
+and rate; the speed of the estimator alone and of offline processing. Prints tables, writes a JSON file and a page.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ from posor_lab.benchmark.growth_lines import growth_page
 from posor_lab.benchmark.offline_benchmark import SECONDS
 from posor_lab.benchmark.pass_through_nodes import register_nodes
 from posor_lab.benchmark.tick_statistics import host_description
+from posor_lab.harness.browser import missing_for_pages
 from posor_lab.harness.ros_domain import isolated_network
 from posor_lab.output_files import check_writable, write_json
 from posor_lab.reports.console_progress import InterruptedRunError
@@ -44,7 +45,7 @@ QUICK_SECTIONS = ("graph", "growth", "kernel", "offline")
 GROWTH_HZ = 500
 WIDTH = 118
 OPTIONS = (
-    Option("--quick", default=False, text="a minute instead of nine: fewer and shorter runs"),
+    Option("--quick", default=False, text="a minute instead of fifteen: fewer and shorter runs"),
     Option("--seconds", 0.0, "time of each main graph; 0: 60, with --quick 6", least=1, most=3600),
     Option("--joints", 6, "joints of the main graph", least=1, most=16),
     Option("--rate", 2000, "rate of the main graph [Hz]", least=1, most=10_000),
@@ -106,6 +107,9 @@ def _measure_sections(options: Namespace, results: dict[str, Any], stop: StopSig
     selected = options.only or (QUICK_SECTIONS if options.quick else DEFAULT_SECTIONS)
     if options.profile:
         selected = (*selected, "profile")
+    if not options.only and "page" in selected and (missing := missing_for_pages()):
+        selected = tuple(name for name in selected if name != "page")
+        console.print(f"the live page is not measured: {missing} is not installed")
     output = options.output.resolve()
     folder = prepare_output_folder(output.parent / output.stem, ("arms", "runs"))
     arms_folder = folder / "arms"

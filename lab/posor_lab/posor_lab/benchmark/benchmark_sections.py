@@ -19,7 +19,7 @@ from posor_msgs.msg import RawScan
 from rclpy.serialization import deserialize_message
 
 from posor_lab.benchmark.generated_arm import generate_arm, record_scans
-from posor_lab.benchmark.graph_load import LAYOUTS, PROFILE, SPIN_US, GraphLoad
+from posor_lab.benchmark.graph_load import LAYOUTS, PROFILE, SPIN_US, GraphLoad, PageUse
 from posor_lab.benchmark.growth_lines import OVERLOADED, fit_line, select_series
 from posor_lab.benchmark.offline_benchmark import offline_figures
 from posor_lab.benchmark.tick_statistics import NothingReceivedError, run_figures
@@ -69,7 +69,10 @@ def _estimate(posor: Posor, estimate: Callable[[Any], object], parts: Sequence[A
         estimate(part)
 
 
-SECTIONS = ("graph", "faults", "waiting", "layouts", "growth", "highest", "separate", "profile", "kernel", "offline")
+SECTIONS = (
+    *("graph", "faults", "waiting", "page", "layouts", "growth", "highest", "separate"),
+    *("profile", "kernel", "offline"),
+)
 """Names of the sections; each is a method of ``BenchmarkSections``."""
 MAX_SPIN_US = 1000
 PRIORITY = 50  # SCHED_FIFO priority that is requested; where the system refuses it, the figures are those without
@@ -201,10 +204,13 @@ class BenchmarkSections:
 
     def _variant_figures(self, text: str, arm: ArmFile, spin_us: int = SPIN_US, priority: int = 0) -> dict[str, Any]:
         """Return the figures of the main graph with another arm, or other waiting of the drivers."""
+        load = GraphLoad(arm, "graph", self._plan.layout, self._plan.rate, spin_us, priority)
+        return run_figures([self._measure_variant(text, load)])
+
+    def _measure_variant(self, text: str, load: GraphLoad) -> MeasuredRun:
         plan = self._plan
         self._print_line(f"graph, {plan.joints} joints at {plan.rate} Hz, {text}: {plan.point_s:g} s")
-        load = GraphLoad(arm, "graph", plan.layout, plan.rate, spin_us, priority)
-        return run_figures([self._measurement.measure_graph(load, plan.point_s)])
+        return self._measurement.measure_graph(load, plan.point_s)
 
     def waiting(self) -> dict[str, Any]:
         """Measure the main graph with drivers that always sleep, wake shortly before a tick, or never sleep."""
@@ -217,6 +223,16 @@ class BenchmarkSections:
         """Measure the main graph while scans of one joint lack a reading: reporting faults takes time."""
         arm = self._arms.with_faults(self._plan.joints)
         return {"faults": self._variant_figures(f"one scan in {FAULT_INTERVAL} of one joint faulty", arm)}
+
+    def page(self) -> dict[str, Any]:
+        """Measure the main graph without the live page, with the page at rest, and with the page shown, in turn."""
+        plan = self._plan
+        runs: dict[PageUse, list[MeasuredRun]] = {"absent": [], "at rest": [], "shown": []}
+        for _ in range(plan.rounds):
+            for use, of_use in runs.items():
+                load = GraphLoad(self._arms[plan.joints], "graph", plan.layout, plan.rate, page=use)
+                of_use.append(self._measure_variant(f"live page {use}", load))
+        return {"page": {use: run_figures(of_use) for use, of_use in runs.items()}}
 
     def growth(self) -> dict[str, Any]:
         """Measure the processor time by joints and by rate."""

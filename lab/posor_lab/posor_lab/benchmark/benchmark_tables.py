@@ -15,6 +15,7 @@ from rich.table import Table
 
 from posor_lab.benchmark.benchmark_sections import FAULT_INTERVAL
 from posor_lab.benchmark.graph_load import LAYOUTS
+from posor_lab.benchmark.graph_measurement import VIEW
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -153,6 +154,16 @@ def _empty_loop_table(loops: Mapping[str, Mapping[str, Any]]) -> FigureTable:
     return FigureTable("Empty loop: a thread that waits for the same ticks and does nothing", header, rows)
 
 
+def _page_table(runs: Mapping[str, Mapping[str, Any]]) -> FigureTable:
+    rows = []
+    for text, run in ((text, runs[use]) for use, text in TEXTS["page"].items()):
+        view = run["processes"].get(VIEW)
+        used = ("", "") if view is None else (f"{100.0 * view['cpu_cores']:.1f}", f"{view['memory_mb']:.0f}")
+        rows.append((text, *_format_percentiles(run), _format_lost(run), *used))
+    header = ("", *PERCENTILES.values(), "lost", "view, % of a core", "view, MB")
+    return FigureTable("The main graph beside the live page", header, rows)
+
+
 def _profile_table(profile: Mapping[str, Any]) -> FigureTable:
     rows = [(name, f"{stage['calls']:.1f}", f"{stage['us']:.1f}") for name, stage in profile["stages"].items()]
     rows.append(("all stages", "", f"{sum(stage['us'] for stage in profile['stages'].values()):.1f}"))
@@ -171,6 +182,7 @@ TABLES: Mapping[str, Callable[[Any], FigureTable]] = {  # tables of single secti
     "layouts": lambda runs: _latency_table(
         "Nodes that share a process", {LAYOUTS[layout]: run for layout, run in runs.items()}
     ),
+    "page": _page_table,
     "waiting": partial(_latency_table, "How drivers wait for a tick"),
     "growth": lambda points: _latency_table(
         "Growth: all nodes in one process", {f"{point['joints']} x {point['rate']} Hz": point for point in points}

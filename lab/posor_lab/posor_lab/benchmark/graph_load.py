@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from posor_bringup.supervisor import Parameter
 
 NodeKind = Literal["graph", "pass_through"]  # the stack's own nodes, or nodes that compute nothing in their place
+PageUse = Literal["absent", "at rest", "shown"]  # whether ``view`` runs, and whether a browser shows its page
 LAYOUTS: Mapping[Layout, str] = {
     "composed": "all nodes in one process",
     "drivers_apart": "two processes: drivers; all other nodes",
@@ -45,13 +46,15 @@ class GraphLoad:
     rate: int  # scans per second
     spin_us: int = SPIN_US  # time before each tick in which drivers poll the clock instead of sleeping [us]
     priority: int = 0  # SCHED_FIFO priority of the processes; 0: none
+    page: PageUse = "absent"  # the live page beside the graph
     profiled: bool = False  # whether stopwatches write ``PROFILE`` into the folder of the run
 
     @property
     def name(self) -> str:
         """Name of the run's folder."""
         waiting = "" if (self.spin_us, self.priority) == (SPIN_US, 0) else f"_spin{self.spin_us}_{self.priority}"
-        return f"{self.kind}_{self.layout}_{len(self.arm.calibrations)}x{self.rate}{waiting}"
+        page = "" if self.page == "absent" else f"_page_{self.page.replace(' ', '_')}"
+        return f"{self.kind}_{self.layout}_{len(self.arm.calibrations)}x{self.rate}{waiting}{page}"
 
 
 def graph_programs(load: GraphLoad, folder: Path) -> list[ProgramCommand]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import time
 from typing import TYPE_CHECKING, Any
 
@@ -10,7 +11,7 @@ import numpy as np
 from posor.ros_names import ENDPOINT_TOPIC
 from posor_bringup.supervisor import ProgramCommand
 
-from posor_lab.benchmark import empty_loop, latency_receiver
+from posor_lab.benchmark import empty_loop, latency_receiver, page_reader
 from posor_lab.benchmark.graph_load import GraphLoad, graph_programs
 from posor_lab.benchmark.tick_statistics import MeasuredRun, TickWindow, evaluate_window
 from posor_lab.harness.graph import values_of
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
 
     from posor_lab.reports.graph_receiver import GraphWatch
 
+VIEW = "view"  # name of its process in the figures
 START_TIMEOUT_S = 60.0
 WARM_UP_S = 1.0
 SETTLING_S = 1.2  # time after the window for messages under way and for the diagnostics that cover its end
@@ -73,16 +75,26 @@ class GraphMeasurement:
         arguments = f"/{load.arm.name}/{ENDPOINT_TOPIC}", str(rows)
         receiver = ProgramCommand("receiver", "", str(latency_receiver.__file__), arguments)
         with running_graph([receiver], diagnostics, self.folder, "make bench", self._interrupted) as watch:
-            _wait_for_line(watch, diagnostics, latency_receiver.READY)
+            (received,) = watch.running.values()
+            _wait_for_line(watch, received, diagnostics, latency_receiver.READY)
             running = [watch.supervisor.start(program) for program in graph_programs(load, self.folder)]
-            _wait_for_line(watch, diagnostics, latency_receiver.FIRST_POSE)
+            _wait_for_line(watch, received, diagnostics, latency_receiver.FIRST_POSE)
+            browsers = []
+            if load.page != "absent":
+                view = ProgramCommand(VIEW, "posor_bringup", "view", (str(load.arm.path), "--port", "0"))
+                running.append(watch.supervisor.start(view))
+                address = _wait_for_line(watch, running[-1], diagnostics, "page at ").split(";")[0]
+            if load.page == "shown":
+                browser = ProgramCommand("browser", "", str(page_reader.__file__), (address,))
+                browsers.append(watch.supervisor.start(browser))
+                _wait_for_line(watch, browsers[0], diagnostics, page_reader.SHOWN)
             watch.wait_for(WARM_UP_S)
             before, begin_ns, begin = diagnostics.totals(), time.time_ns(), _take_samples(running)
             watch.wait_for(seconds)
             end_ns, end = time.time_ns(), _take_samples(running)
             watch.wait_for(SETTLING_S)
             grown = {place: total - before.get(place, 0) for place, total in diagnostics.totals().items()}
-            watch.supervisor.end(running)  # before the receiver
+            watch.supervisor.end([*running, *browsers])  # before the receiver
         counters = {
             name: combine([0, *(growth for (counter, _), growth in grown.items() if counter == name)])
             for name, (_, combine) in TOTALS.items()
@@ -99,7 +111,8 @@ class GraphMeasurement:
         loop = ProgramCommand("loop", "", str(empty_loop.__file__), (str(rate), str(spin_us), str(lateness)))
         diagnostics = DiagnosticsReceiver("bench")
         with running_graph([loop], diagnostics, self.folder, "make bench", self._interrupted) as watch:
-            _wait_for_line(watch, diagnostics, empty_loop.READY)
+            (running,) = watch.running.values()
+            _wait_for_line(watch, running, diagnostics, empty_loop.READY)
             watch.wait_for(seconds, may_be_silent=True)
         return dict(json.loads(lateness.read_text(encoding="utf-8")))
 
@@ -110,14 +123,20 @@ class GraphMeasurement:
         return self.folder
 
 
-def _wait_for_line(watch: GraphWatch, diagnostics: DiagnosticsReceiver, line: str) -> None:
-    """Wait until the first program has printed a line."""
-    (program,) = watch.running.values()
+def _wait_for_line(watch: GraphWatch, program: RunningProgram, diagnostics: DiagnosticsReceiver, text: str) -> str:
+    """Wait until a program has printed a line that contains a text; return the rest of the line."""
+    pattern = re.compile(f"{re.escape(text)}(.*)\n")
+    found: re.Match[str] | None = None
+
+    def has_line() -> bool:
+        nonlocal found
+        found = pattern.search(program.log.read_text(encoding="utf-8"))
+        return found is not None
+
     watch.wait(
-        lambda: line in program.log.read_text(encoding="utf-8"),
-        lambda: f"the line '{line}' of {program.program.name} ({diagnostics.worst_status()})",
-        START_TIMEOUT_S,
+        has_line, lambda: f"the line '{text}' of {program.program.name} ({diagnostics.worst_status()})", START_TIMEOUT_S
     )
+    return found[1] if found else ""
 
 
 def _take_samples(running: Sequence[RunningProgram]) -> dict[str, ProcessSample]:

@@ -27,7 +27,7 @@ from posor_lab.benchmark.benchmark_tables import result_tables
         (["--layout", "none"], "argument --layout: invalid choice: 'none'"),
         (
             ["--only", "graph,nothing"],
-            "make bench: --only: unknown section 'nothing'; expected some of graph, faults, waiting, layouts",
+            "make bench: --only: unknown section 'nothing'; expected some of graph, faults, waiting, page",
         ),
         (["--fast"], "unrecognized arguments: --fast"),
     ],
@@ -48,10 +48,13 @@ def test_output_that_cannot_be_written_is_refused(tmp_path: Path, capsys: pytest
 @pytest.mark.timeout(300)
 def test_small_run_gives_all_figures(tmp_path: Path) -> None:
     output = tmp_path / "bench.json"
-    printed = run_benchmark(output, "--only", "graph,faults,kernel,offline", "--profile", "--layout", "drivers_apart")
+    printed = run_benchmark(
+        output, "--only", "graph,faults,page,kernel,offline", "--profile", "--layout", "drivers_apart"
+    )
     results = json.loads(output.read_text())
     assert results["host"]["cores"] >= 1
     check_graph(results)
+    check_page(results["page"])
     check_rest(results)
     graph_rows = [row[0] for row in result_tables(results)["graph"].rows]
     faulty = "graph, one scan in 100 of one joint faulty"
@@ -99,6 +102,13 @@ def check_graph(results: dict[str, Any]) -> None:
     for share in ("p50", "p99"):
         expected = results["graph_2x200"][f"{share}_us"] / results["pass_through_2x200"][f"{share}_us"]
         assert results[f"ratio_{share}"] == expected
+
+
+def check_page(runs: dict[str, Any]) -> None:
+    """Check the graph beside the live page: only a page that is shown is drawn."""
+    assert ["view" in run["processes"] for run in runs.values()] == [False, True, True]
+    at_rest, shown = (runs[use]["processes"]["view"]["cpu_cores"] for use in ("at rest", "shown"))
+    assert 0 < at_rest < shown
 
 
 def check_rest(results: dict[str, Any]) -> None:

@@ -63,6 +63,16 @@ def test_short_runs_are_not_judged() -> None:
     assert aims_table([{"graph_2x200": {}}]) is None
 
 
+def test_the_graph_is_compared_with_itself_beside_the_live_page() -> None:
+    runs = {use: {**GRAPH, "expected": 60_000, "processes": {"nodes": {}}} for use in TEXTS["page"]}
+    for use, cores in (("at rest", 0.03), ("shown", 0.25)):
+        runs[use]["processes"] = {"nodes": {}, "view": {"cpu_cores": cores, "memory_mb": 220.0}}
+    runs["shown"]["p99_us"] = 160.0
+    tables = result_tables({"page": runs})
+    assert [row[-2:] for row in tables["page"].rows] == [("", ""), ("3.0", "220"), ("25.0", "220")]
+    assert [row[2:] for row in tables["aims"].rows] == [("1.07", "yes"), ("0.25", "no"), ("0.03", "yes")]
+
+
 def test_offline_table_compares_reprocess_with_each_loop() -> None:
     results = dict(zip(TEXTS["offline"], (400_000.0, 80_000.0, 50_000.0, 8_000.0), strict=True))
     rows = result_tables(results)["offline"].rows

@@ -57,7 +57,11 @@ def test_the_error_band_widens_with_the_motion() -> None:
         ("beta_posor_urad", "beta_urad", "column 'beta_posor_urad' is missing."),
         ("\n3,0,17,748", "\n3,0,l7,748", "step 3, column 'alpha_posor_urad': 'l7' is not a number; expected a number."),
         ("\n3,0,17", "\n4,0,17", "step '4' in row 3; expected step 3."),
-        ("\n3,0,17", "\n3,0,,17", "row 3: another number of cells; expected 8 cells; a text with a comma is in quotation marks."),
+        (
+            "\n3,0,17",
+            "\n3,0,,17",
+            "row 3: another number of cells; expected 8 cells; a text with a comma is in quotation marks.",
+        ),
     ],
 )
 def test_a_damaged_table_is_refused(tmp_path: Path, old: str, new: str, sentence: str) -> None:
