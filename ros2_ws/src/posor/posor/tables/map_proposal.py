@@ -37,7 +37,14 @@ _NAMES = {  # of columns by reading
 }
 _UNSURE = "?"
 _DATE = re.compile(r"\d{4}-\d\d-\d\d")
-_EXAMPLES = ("iso", "%d.%m.%Y %H:%M:%S", "%m/%d/%Y %H:%M:%S", "%d/%m/%Y %H:%M:%S", "%Y/%m/%d %H:%M:%S")
+_EXAMPLES = (
+    "iso",
+    "%d.%m.%Y %H:%M:%S",
+    "%m/%d/%Y %H:%M:%S",
+    "%d/%m/%Y %H:%M:%S",
+    "%m/%d/%Y %I:%M:%S %p",
+    "%Y/%m/%d %H:%M:%S",
+)
 
 
 class Proposal(NamedTuple):

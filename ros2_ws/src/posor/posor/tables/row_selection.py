@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
     from posor.tables.table_map import TableMap
 
 _LONGEST_TEXT = 60  # of a cell in an error
+_GROUPS = re.compile(r"[-+]?\d{1,3}([.,'\u2019\s]\d{3})+([.,]\d*)?")  # of digits
 
 
 @dataclass
@@ -72,7 +74,9 @@ class RowSelection:
                 raise DataFileError(what, where=self._place(other.row, other.column), expected=expected)
         cell, rows = invalid[0], sorted({each.row for each in invalid})
         expected = "a number"
-        if self.map.file.decimal == "." and "," in cell.text:
+        if _GROUPS.fullmatch(cell.text.strip()):
+            expected += " without separators of thousands"
+        if self.map.file.decimal == "." and "," in cell.text and "." not in cell.text:
             expected += " with a decimal point; file: {decimal: ','} in the map if it has a decimal comma"
         self._refuse(
             "invalid_cells",

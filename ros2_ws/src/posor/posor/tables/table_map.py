@@ -20,6 +20,7 @@ unit of the reading, and the value is converted to SI.
 from __future__ import annotations
 
 import datetime as dt
+import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Literal, Self
 
@@ -302,6 +303,13 @@ def _as_text(value: object) -> object:
     return value.isoformat() if isinstance(value, dt.date) else value
 
 
+_FORMATS = (  # a directive that strptime reads and ignores, the one that it needs, and what is right
+    ("p", "I", "%I %p, hours from 1 to 12, or %H without %p"),
+    ("I", "p", "%I %p, hours from 1 to 12, or %H"),
+    ("Z", "", "%z for offsets such as +0100, or time_zone in the map and the name of the zone in place of %Z"),
+)
+
+
 class TimeMap(FrozenModel):
     """When each row was measured: a column of numbers or texts, or a rate."""
 
@@ -326,6 +334,11 @@ class TimeMap(FrozenModel):
             raise EntryError(f"unit '{self.unit}'", key=("unit",), expected=f"one of {', '.join(units_of('s'))}")
         if self.unit is not None and isinstance(self.column, tuple):
             raise EntryError("several columns of numbers", key=("column",), expected="one column")
+        directives = set(re.findall(r"%(.)", self.format or ""))
+        for wrong, needed, instead in _FORMATS:
+            if wrong in directives and needed not in directives:
+                what = f"format '{self.format}' has %{wrong}" + (f" without %{needed}" if needed else "")
+                raise EntryError(what, key=("format",), expected=instead)
         if self.rate is not None and not self.rate.number > 0.0:
             raise EntryError(format_value(self.rate.value), key=("rate",), expected="more than 0 Hz")
         if (self.format is None) != (self.start is not None):

@@ -177,7 +177,19 @@ BAD: dict[str, tuple[str, dict[str, Any], str]] = {
     "infinite": (change(TEXT, "712.000", "1e999"), {}, "'1e999' is invalid"),
     "lines in a cell": (change(TEXT, "712.000", '"7\n12"'), {}, "line 5, column 'AI0 (mV)': '7 12' is invalid"),
     "underscore": (change(TEXT, "712.000", "71_2.0"), {}, "'71_2.0' is invalid"),
-    "decimal comma": (change(TEXT, "712.000", '"712,000"'), {}, "decimal: ','"),
+    "decimal comma": (
+        change(TEXT, "712.000", '"712,0"'),
+        {},
+        "expected a number with a decimal point; file: {{decimal: ','",
+    ),
+    **{
+        f"thousands {number}": (
+            change(TEXT, "712.000", f'"{number}"'),
+            {},
+            "expected a number without separators of th",
+        )
+        for number in ("712,000", "1,712.5", "1'712", "1\u202f712.5", "1.712,5")
+    },
     "grouped thousands": (change(TEXT, "712.000", '"1,712.0"'), {}, "'1,712.0' is invalid"),
     "missing": (
         change(TEXT, "712.000", ""),
@@ -338,6 +350,13 @@ WRONG_MAPS: dict[str, tuple[dict[str, Any], str]] = {
         {"time": {"column": 1, "unit": "s", "format": "iso", "start": START}},
         "the time of a row does not follow",
     ),
+    **{
+        form: (
+            {"time": {"column": 1, "format": f"%d.%m.%Y {form}", "time_zone": "UTC"}},
+            f"key time.format: format '%d.%m.%Y {form}' has {what}; expected %",
+        )
+        for form, what in [("%H:%M %p", "%p without %I"), ("%I:%M", "%I without %p"), ("%H:%M %Z", "%Z")]
+    },
     "separator": ({"file": {"separator": ".."}}, "key file.separator"),
     "pattern": (
         {"joints": {"elbow": JOINT | {"flags": {"saturated": {"column": 5, "pattern": "("}}}}},
