@@ -8,6 +8,7 @@ from __future__ import annotations
 import socket
 import struct
 from collections.abc import Callable, Sequence
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,7 @@ from posor.bags.bag_writer import BagWriter
 from posor.bags.reprocess_command import main
 from posor.messages.message_definitions import Definition
 from posor.model.fault import State
+from posor.ros_names import RAW_SCAN
 from posor_bringup.arms import load_checked_arm
 from posor_bringup.installed import calibration_path, urdf_path
 from posor_lab.harness.full_disk import file_size_limit
@@ -363,3 +365,35 @@ def test_scans_of_one_log_time_in_chunks_that_overlap_are_taken_as_a_replay_take
     found, expected = (read_bag_messages(tmp_path / "out" / each.name) for each in (bag, replayed))
     assert len(expected["/five_axis/endpoint/pose"]) == len(read_bag_messages(BAG)["/five_axis/endpoint/pose"])
     assert found == expected
+
+
+def changed_bag(path: Path, joint: str, change: Callable[[Connection, bytes], tuple[Connection, bytes]]) -> Path:
+    """Write the first scans of the bag, those of a joint changed."""
+    with Reader(BAG) as reader:
+        logged = [
+            change(each, data) if each.topic.endswith(f"/{joint}/raw") else (each, data)
+            for each, _, data in islice(reader.messages([c for c in reader.connections if c.msgtype == RAW_SCAN]), 200)
+        ]
+    topics = {each.topic: each for each, _ in logged}
+    return write_chunks(path, list(topics.values()), [[(each.topic, 1, data) for each, data in logged]])
+
+
+def test_a_topic_of_the_right_name_and_another_type_is_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with Reader(BAG) as reader:
+        pose = next(each for each in reader.connections if each.msgtype == "geometry_msgs/msg/PoseStamped")
+    bag = changed_bag(tmp_path / "bag", "elbow", lambda scan, data: (pose._replace(topic=scan.topic), data))
+    assert refused(capsys, str(bag), *ARM) == (
+        f"{bag}: topic /five_axis/elbow/raw has the type geometry_msgs/msg/PoseStamped; "
+        "expected posor_msgs/msg/RawScan, or --topic elbow=TOPIC."
+    )
+
+
+def test_joints_without_a_common_stamp_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    def shift(scan: Connection, data: bytes) -> tuple[Connection, bytes]:
+        return scan, data[:8] + struct.pack("<I", struct.unpack("<I", data[8:12])[0] + 1) + data[12:]
+
+    bag = changed_bag(tmp_path / "bag", "elbow", shift)
+    assert main([str(bag), *ARM]) == 0
+    assert "warning: the joints have no stamp in common, which an endpoint needs\n" in capsys.readouterr().out

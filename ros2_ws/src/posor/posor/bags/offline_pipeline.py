@@ -69,13 +69,18 @@ def topics_of(bag: Path, joints: Mapping[str, JointSettings]) -> BagTopics:
 
 def _topic(joint: str, connections: Sequence[Connection], where: str) -> str:
     names = sorted({connection.topic for connection in connections if connection.msgtype == RAW_SCAN})
-    found = [name for name in names if name.endswith(f"/{joint}/{RAW_TOPIC}")]
+    end = f"/{joint}/{RAW_TOPIC}"
+    found = [name for name in names if name.endswith(end)]
+    others = {each.topic: each.msgtype for each in connections if each.topic.endswith(end) and not found}
     if len(found) == 1:
         return found[0]
     if found:
         what, expected = f"scans of joint {joint} may be on {', '.join(found)}", f"--topic {joint}=ONE of them"
+    elif others:
+        (topic, kind), *_ = others.items()
+        what, expected = f"topic {topic} has the type {kind}", f"{RAW_SCAN}, or --topic {joint}=TOPIC"
     elif names:
-        what = f"there are no scans of joint {joint} on .../{joint}/{RAW_TOPIC}"
+        what = f"there are no scans of joint {joint} on ...{end}"
         expected = f"one of {', '.join(names)}"
     else:
         what, expected = f"there are no raw scans of joint {joint}, nor of any other", "a bag of recorded raw scans"

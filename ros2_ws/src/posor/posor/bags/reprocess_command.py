@@ -218,6 +218,8 @@ def print_summary(summary: Summary, console: Console) -> None:
             f"endpoint: {end.poses:,} poses, {end.degraded:,} of them degraded; no pose at {end.refused:,} complete "
             f"stamps, and {end.incomplete:,} incomplete ones"
         )
+        if end.incomplete and not end.poses + end.refused:
+            console.print("warning: the joints have no stamp in common, which an endpoint needs", soft_wrap=True)
     if summary.left_out:
         console.print(f"left out, of no joint named: {', '.join(summary.left_out)}", markup=False)
     for sentence in (*summary.notes, *summary.differences):
