@@ -59,7 +59,13 @@ def test_every_origin_leads_to_the_line_that_states_the_number(made: Path) -> No
     assert page.problems == []
     origins = [part["origin"] for part in content["components"]]
     origins += [each["origin"] for each in content["largest_quantities"].values()]
-    assert {origin["record"] for origin in origins} >= {"beams file", "calibration of elbow"}
+    origins += [each["protection_level_origin"] for each in content["uncertainty"].values()]
+    stated = [each["origin"] for each in content["conditions"].values()]
+    origins += [each for each in stated if isinstance(each, dict) and each["line"] and each["key"]]
+    assert {origin["record"] for origin in origins} >= {"arm file", "beams file", "calibration of elbow"}
+    place = {"record": "path", "file": "poses.csv", "line": 3, "key": ""}
+    assert content["conditions"]["joint angles"]["origin"] == place
+    assert all(stated)
     for origin in origins:
         key = origin["key"].rpartition(".")[2].partition("[")[0]
         line = files[origin["record"]].read_text(encoding="utf-8").splitlines()[origin["line"] - 1]

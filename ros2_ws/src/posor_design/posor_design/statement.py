@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from importlib.metadata import version
 from typing import TYPE_CHECKING
@@ -19,7 +19,7 @@ from posor.uncertainty.reading_sensitivity import sensitivity_at
 
 from posor_design.endpoint_components import ArmPropagation, Component, Kind
 from posor_design.reliability_report import AXES
-from posor_design.statement_records import ARM, BAG, BEAMS, Origin, Records, calibration_of
+from posor_design.statement_records import ARM, BAG, BEAMS, PATH, Origin, Records, calibration_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -52,7 +52,7 @@ class Condition:
 
     name: str
     text: str
-    origin: Origin | str = ""  # place in a record, or a sentence; empty: nothing states it
+    origin: Origin | str  # place in a record, an option, or a sentence
 
 
 @dataclass(frozen=True)
@@ -71,6 +71,7 @@ class Statement:
     origins: Sequence[Origin]  # of the components of ``worst``
     largest: Mapping[str, LargestQuantity]  # by joint
     reliability: ArmReliability
+    level_origins: Sequence[Origin]  # of the bounds of the causes that set the protection level
     conditions: Sequence[Condition]
     reservations: Sequence[str]  # sentences on what is not in the numbers
     records: Records
@@ -152,7 +153,11 @@ def make_statement(
         origins=[_origin(each, records, beams, observed=bool(poses.observed)) for each in worst.components],
         largest=largest,
         reliability=reliability,
-        conditions=_conditions(arm, model, records, scans, moving=shifts is not None),
+        level_origins=[_level_origin(model, records, *each) for each in reliability.set_by],
+        conditions=[
+            Condition("joint angles", _angles_text(worst.angles), _pose_origin(poses, number, records)),
+            *_conditions(arm, model, records, scans, moving=shifts is not None),
+        ],
         reservations=[*notes, *_reservations(arm, model, reliability), *exact, *differences],
         records=records,
     )
@@ -172,6 +177,28 @@ def _origin(component: Component, records: Records, beams: Sequence[str], *, obs
         return records.origin(BEAMS, "beams")
     key = ("sag", "uncertainty") if kind is Kind.SAG else ("uncertainty",)
     return records.origin(BEAMS, "beams", beams.index(source), *key)
+
+
+def _level_origin(model: ArmUncertainty, records: Records, joint: str, cause: str) -> Origin:
+    """Return the line that bounds a cause: an entry of the calibration, or the sensors whose default it is."""
+    if joint not in model.calibrations:
+        return records.origin(BEAMS if BEAMS in records else ARM, "beams")
+    names = [each.name for each in model.calibrations[joint].causes]
+    where = ("causes", names.index(cause)) if cause in names else ("sensors",)
+    return records.origin(calibration_of(joint), *where)
+
+
+def _pose_origin(poses: StatementPoses, number: int, records: Records) -> Origin | str:
+    if BAG in records:
+        return records.origin(BAG)
+    if poses.lines:
+        return replace(records.origin(PATH), line=poses.lines[number])
+    return "option --angles" if len(poses.names) == 1 else f"{poses.names[number]}, option --grid"
+
+
+def _angles_text(angles: Mapping[str, float]) -> str:
+    listed = ", ".join(f"{name} {angle:.4f} ({math.degrees(angle):.2f}°)" for name, angle in angles.items())
+    return f"{listed} rad"
 
 
 def _states(records: Records, role: str, term: str) -> bool:
@@ -223,12 +250,12 @@ def _identity(arm: ArmFile, calibrations: Mapping[str, Calibration]) -> tuple[st
 
 
 def _conditions(arm: ArmFile, model: ArmUncertainty, records: Records, scans: int, *, moving: bool) -> list[Condition]:
-    chain, beams = model.chain, records.origin(BEAMS, "beams") if BEAMS in records else ""
+    chain, beams = model.chain, records.origin(BEAMS, "beams") if BEAMS in records else "no beams file"
     strains = sorted({_strain(beam) for beam in chain.beams if beam.expansion.any()})
     warm = "no range of the temperature of the beams is stated"
     if strains:
         warm = f"beams longer or shorter by up to {' or '.join(map(str, strains))} µm/m, all alike"
-    gravity = records.origin(BEAMS, "gravity") if beams else None
+    gravity = records.origin(BEAMS, "gravity") if BEAMS in records else None
     stated = gravity if gravity and gravity.key else "standard gravity, ISO 80000-3, along -Z of the base"
     x, y, z = chain.gravity
     driver = records.origin(ARM, "driver")
@@ -237,9 +264,10 @@ def _conditions(arm: ArmFile, model: ArmUncertainty, records: Records, scans: in
     return [
         Condition("temperature", warm, beams),
         Condition("gravity", f"{x:g}, {y:g}, {z:g} m/s² in {chain.base_frame}", stated),
-        Condition("motion", "as in the bag" if moving else "the arm is at rest"),
+        Condition("motion", *(("as in the bag", records.origin(BAG)) if moving else ("the arm is at rest", "assumed"))),
         Condition("rate", "the driver's default" if rate is None else f"{rate} Hz", driver),
-        Condition("averaging", f"mean of {_plural(scans, 'scan')}, each of {_plural(samples, 'sample')}", driver),
+        Condition("scans", f"mean of {_plural(scans, 'scan')}", "option --average"),
+        Condition("samples", f"mean of {_plural(samples, 'sample')} in each scan", driver),
     ]
 
 

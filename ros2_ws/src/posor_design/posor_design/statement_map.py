@@ -34,7 +34,7 @@ def draw_map(statement: Statement) -> str:
     for n, colour in enumerate(COLOURS):
         left, top = n * step + 6.0, HEIGHT + 12.0
         parts.append(f'<rect x="{left:g}" y="{top:g}" width="12" height="12" fill="{colour}"/>')
-        parts.append(f'<text x="{left + 16.0:g}" y="{top + 10.0:g}">{edges[n]:.4g} to {edges[n + 1]:.4g} µm</text>')
+        parts.append(f'<text x="{left + 16.0:g}" y="{top + 10.0:g}">{edges[n]:.3g} to {edges[n + 1]:.3g} µm</text>')
     return "\n".join([*parts, "</svg>"])
 
 

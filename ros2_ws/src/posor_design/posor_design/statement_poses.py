@@ -43,6 +43,7 @@ class StatementPoses:
     # Observed covariance of each joint's transform in one scan, (6, 6), and its degrees of freedom; empty: as stated
     observed: Mapping[str, tuple[FloatArray, float]] = field(default_factory=dict)
     stamp_shifts: FloatArray | None = None  # largest errors of the endpoint by errors of the stamps, (n, 6)
+    lines: Sequence[int] = ()  # of the table that states the poses; empty: no table
 
 
 def check_angles(angles: Sequence[float], joints: Sequence[str], where: str) -> None:
@@ -95,7 +96,8 @@ def path_poses(model: ArmUncertainty, path: Path) -> StatementPoses:
                 what = f"angle of {joint} is '{stripped[joint] or ''}'" if None not in row else "too many cells"
                 raise DataFileError(what, where=where, expected=f"{len(model.joints)} angles in rad")
         check_angles(angles[n].tolist(), model.joints, where)
-    return StatementPoses(angles, [f"line {n + 2} of {path.name}" for n in range(len(rows))])
+    lines = range(2, len(rows) + 2)
+    return StatementPoses(angles, [f"line {line} of {path.name}" for line in lines], lines=lines)
 
 
 def grid_poses(model: ArmUncertainty, count: int) -> StatementPoses:

@@ -13,13 +13,14 @@ import pinocchio as pin
 import typst
 from markupsafe import Markup
 from posor.chain.fault_bounds import INTEGRITY_RISK
-from posor.reporting.html_page import Section, bullet_list, paragraph, render_page, table
+from posor.reporting.html_page import Cell, Section, bullet_list, paragraph, render_page, table
+from posor.reporting.number_columns import align_numbers
 from posor.reporting.report_table import ReportTable
 
 from posor_design.endpoint_components import Kind
 from posor_design.reliability_report import AXES
 from posor_design.statement_map import draw_map
-from posor_design.statement_records import Origin
+from posor_design.statement_records import BEAMS, URDF, Origin
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -33,37 +34,68 @@ FORMAT, VERSION = "posor_statement", 1
 OUTPUT_FILES = ("statement.json", "statement.html", "statement.pdf")
 TEMPLATE = Path(__file__).with_name("statement.typ")
 LEAST_SHARE = 5e-4  # smaller shares have no digit
-PIXELS_PER_INCH = 110.0  # of a picture
+PIXELS_PER_INCH, COARSE = 110.0, 5.0  # of a picture, and of one whose pages are counted only
+TEXT_SIZES = (6.9, 6.3, 5.7, 5.2)  # [pt]; the largest with which the sheet is one page, or the smallest
 MOST_FREEDOMS = 1e4  # more make no difference
+NANO = 5e-4  # half a nanometre or nanoradian [µm, µrad]: less is 0
+ROUNDING = 1e-9  # of a digit, by which a bound may exceed its last digit
 _UNITS = ("µm",) * 3 + ("µrad",) * 3
 
-Cell = str | Origin
+Text = tuple[str | Origin, ...]
+"""A text with origins in it, which are links on the page."""
 
 
 @dataclass(frozen=True)
 class StatementTable:
-    """A table whose cells may be origins, which are links on the page."""
+    """A table whose cells may be origins."""
 
     title: str
     header: Sequence[str]
-    rows: Sequence[Sequence[Cell]]
-    note: str = ""
+    rows: Sequence[Sequence[str | Text]]
+    note: Text = ()
+
+    def aligned(self) -> tuple[list[bool], list[list[Text]]]:
+        """Return which columns hold numbers, and the rows with their decimal points below each other."""
+        columns, numeric = [], []
+        for cells in zip(*self.rows, strict=True):
+            numbers = align_numbers([str(cell) for cell in cells]) if all(isinstance(c, str) for c in cells) else None
+            numeric.append(numbers is not None)
+            columns.append([(cell,) if isinstance(cell, str) else cell for cell in numbers or cells])
+        return numeric, [list(row) for row in zip(*columns, strict=True)]
+
+
+def _decimals(value: float, digits: int) -> int:
+    """Return the decimals with which a number has so many significant digits, at least 0."""
+    return max(0, digits - 1 - math.floor(math.log10(value)))
 
 
 def micro(value: float) -> str:
-    """Return metres or radians in µm or µrad with three digits."""
-    if math.isinf(value):
-        return "∞"
+    """Return metres or radians in µm or µrad with two digits, all of a whole number (JCGM 100, 7.2.6)."""
     scaled = 1e6 * value
-    if abs(scaled) < 5e-4:  # noqa: PLR2004  half a nanometre, or a nanoradian
-        return "0"
-    return f"{scaled:#.3g}".rstrip(".") if abs(scaled) < 1e3 else f"{scaled:.0f}"  # noqa: PLR2004  three digits
+    if math.isinf(scaled):
+        return "∞"
+    return "0" if scaled < NANO else f"{scaled:.{_decimals(scaled, 2)}f}"
+
+
+def micro_bound(value: float) -> str:
+    """Return a bound in µm or µrad with three digits, rounded up."""
+    scaled = 1e6 * value
+    if math.isinf(scaled):
+        return "not bounded"
+    step = 10.0 ** -_decimals(max(scaled, NANO), 3)
+    return f"{math.ceil(scaled / step - ROUNDING) * step:.{_decimals(max(scaled, NANO), 3)}f}"
+
+
+def rounded(value: float, expanded: float) -> str:
+    """Return a value in SI units with the digits that its expanded uncertainty allows (JCGM 100, 7.2.6)."""
+    known = 0.0 < expanded < math.inf
+    return f"{value:.{6 + _decimals(1e6 * expanded, 2) if known and expanded > 1e-6 * NANO else 9}f}"
 
 
 def _percent(share: float) -> str:
     if share < LEAST_SHARE:
-        return "< 0.1 %" if share else ""
-    return f"{100.0 * share:.1f} %"
+        return "< 0.1" if share else ""
+    return f"{100.0 * share:.1f}"
 
 
 def _freedoms(number: float) -> str:
@@ -73,16 +105,16 @@ def _freedoms(number: float) -> str:
 def verdict(statement: Statement) -> str:
     """Return the sentence of the whole statement."""
     worst = statement.worst
-    x, y, z = worst.T_base_endpoint.translation
+    x, y, z = (rounded(value, worst.largest) for value in worst.T_base_endpoint.translation)
     level = statement.reliability.protection_level[statement.level_axis]
     joint, cause = statement.reliability.set_by[statement.level_axis]
     bounded = (
-        f"an undetected fault leaves it within {micro(level)} µm along each axis"
+        f"an undetected fault leaves it within {micro_bound(level)} µm along each axis"
         if math.isfinite(level)
         else "an undetected fault may move it without bound"
     )
     return (
-        f"The endpoint of {statement.arm.name} is at x {x:.6f}, y {y:.6f}, z {z:.6f} m in {statement.base_frame} to "
+        f"The endpoint of {statement.arm.name} is at x {x}, y {y}, z {z} m in {statement.base_frame} to "
         f"within {micro(worst.largest)} µm along any direction (U, 95 %); {bounded} ({joint}: {cause})."
     )
 
@@ -106,31 +138,51 @@ def _uncertainty(statement: Statement) -> StatementTable:
     rows = [
         [
             axis,
-            f"{value:.6f} {'m' if n < 3 else 'rad'}",  # noqa: PLR2004  positions first
-            f"{micro(worst.standard[n])} {unit}",
+            rounded(value, worst.expanded[n]),
+            micro(worst.standard[n]),
             _freedoms(worst.freedoms[n]),
             f"{worst.factors[n]:.2f}",
-            f"± {micro(worst.expanded[n])} {unit}",
+            micro(worst.expanded[n]),
         ]
-        for n, (axis, value, unit) in enumerate(zip(AXES, values, _UNITS, strict=True))
+        for n, (axis, value) in enumerate(zip(AXES, values, strict=True))
     ]
-    header = ("axis", "value", "u", "degrees of freedom", "k", "U")
-    return StatementTable("Endpoint", header, rows, "Axes of the base; orientation as roll, pitch, yaw.")
+    header = ("axis", "value [m, rad]", "u [µm, µrad]", "degrees of freedom", "k", "U = k u [µm, µrad]")
+    files = [statement.records.origin(role) for role in (URDF, BEAMS) if role in statement.records]
+    note = (
+        "Axes of the base; orientation as roll, pitch, yaw. Value: the joint angles (conditions) through ",
+        *_listed(files),
+        ". u: root of the sum of the squared components. k: t distribution, 95 % (JCGM 100, G.4).",
+    )
+    return StatementTable("Endpoint", header, rows, note)
+
+
+def _listed(origins: Iterable[Origin]) -> Text:
+    found: list[str | Origin] = []
+    for origin in dict.fromkeys(origins):
+        found += [", ", origin] if found else [origin]
+    return tuple(found)
+
+
+def _file(origin: Origin) -> Origin:
+    return Origin(origin.role, origin.file)
 
 
 def _ellipsoid(statement: Statement) -> StatementTable:
     worst = statement.worst
     rows = [
-        [f"semi-axis {n + 1}", f"{micro(length)} µm", ", ".join(f"{round(part, 3) + 0.0:.3f}" for part in direction)]
+        [f"semi-axis {n + 1}", micro(length), *(f"{round(part, 3) + 0.0:.3f}" for part in direction)]
         for n, (length, direction) in enumerate(zip(worst.ellipsoid, worst.ellipsoid_axes.T, strict=True))
     ]
-    note = f"Coverage factor {worst.ellipsoid_factor:.2f} for three dimensions."
-    return StatementTable("Position ellipsoid, 95 %", ("", "length", "direction in the base"), rows, note)
+    note = (
+        f"Directions in the base. From the components; coverage factor {worst.ellipsoid_factor:.2f} for 3 dimensions."
+    )
+    return StatementTable("Position ellipsoid, 95 %", ("", "length [µm]", "x", "y", "z"), rows, (note,))
 
 
 def _shares(statement: Statement) -> StatementTable:
     """Return the shares of sources and kinds in the variance of the position: rows and columns add up to 100 %."""
-    worst, kinds = statement.worst, list(Kind)
+    worst = statement.worst
+    kinds = [kind for kind in Kind if any(each.kind is kind for each in worst.components)]
     sources = list(dict.fromkeys(each.source for each in worst.components))
     sources.sort(key=lambda source: -statement.share_of(source=source))
     rows = [
@@ -141,54 +193,57 @@ def _shares(statement: Statement) -> StatementTable:
         ]
         for source in sources
     ]
-    rows.append(["all", *(_percent(statement.share_of(kind=kind)) for kind in kinds), "100.0 %"])
-    return StatementTable("Shares of the variance of the position", ("source", *kinds, "all"), rows)
+    rows.append(["all", *(_percent(statement.share_of(kind=kind)) for kind in kinds), "100.0"])
+    header = ("source", *(f"{kind} [%]" for kind in kinds), "all [%]")
+    return StatementTable("Shares of the variance of the position", header, rows, ("From the components.",))
 
 
 def _components(statement: Statement) -> StatementTable:
     worst = statement.worst
     shares = worst.position_shares()
     order = sorted(range(len(shares)), key=lambda n: -shares[n])
-    rows: list[list[Cell]] = []
+    rows: list[list[str | Text]] = []
     small = [n for n in order if shares[n] < LEAST_SHARE]
     for n in order[: len(order) - len(small)]:
         each = worst.components[n]
         sigmas = np.sqrt(np.diagonal(each.covariance))
-        origin: Cell = statement.origins[n]
-        what = ""
+        what, part, origin = "", "", statement.origins[n]
         if each.kind is Kind.SYSTEMATIC and each.source in statement.largest:
             largest = statement.largest[each.source]
-            what, origin = f"{largest.name} ({100.0 * largest.share:.0f} %)", largest.origin
-        rows.append(
-            [each.source, each.kind, *map(micro, sigmas), _percent(shares[n]), _freedoms(each.freedoms), what, origin]
-        )
+            what, part, origin = largest.name, f"{100.0 * largest.share:.0f}", largest.origin
+        cells = [each.source, each.kind, *map(micro, sigmas), _percent(shares[n]), _freedoms(each.freedoms), what, part]
+        rows.append([*cells, (origin,)])
     if small:
         sigmas = np.sqrt(sum(np.diagonal(worst.components[n].covariance) for n in small))
-        share = _percent(float(shares[small].sum()))
-        rows.append([f"{len(small)} smaller", "", *map(micro, sigmas), share, "", "", ""])
+        share, origins = (
+            _percent(float(shares[small].sum())),
+            _listed(map(_file, (statement.origins[n] for n in small))),
+        )
+        rows.append([f"{len(small)} smaller", "", *map(micro, sigmas), share, "", "", "", origins])
     units = (f"{axis} [{unit}]" for axis, unit in zip(AXES, _UNITS, strict=True))
-    header = ("source", "kind", *units, "share", "dof", "largest quantity", "origin")
-    return StatementTable(
-        "Components",
-        header,
-        rows,
-        "Standard uncertainties; share in the variance of the position; dof: degrees of freedom.",
+    header = ("source", "kind", *units, "share [%]", "dof", "largest quantity", "of it [%]", "origin")
+    note = (
+        "Standard uncertainties; share in the variance of the position; dof: degrees of freedom; of it: share of the "
+        "largest quantity in the component, to whose line the origin leads."
     )
+    return StatementTable("Components", header, rows, (note,))
 
 
 def _protection(statement: Statement) -> StatementTable:
     reliability = statement.reliability
     rows = [
-        [axis, f"{micro(level)} {unit}", f"{joint}: {cause}", _cause_source(statement, joint, cause)]
-        for axis, unit, level, (joint, cause) in zip(
-            AXES, _UNITS, reliability.protection_level, reliability.set_by, strict=True
+        [axis, micro_bound(level), f"{joint}: {cause}", _cause_source(statement, joint, cause), (origin,)]
+        for axis, level, (joint, cause), origin in zip(
+            AXES, reliability.protection_level, reliability.set_by, statement.level_origins, strict=True
         )
     ]
     note = (
         "An undetected fault of one cause leaves the error within the level, but for an integrity risk of "
-        f"{INTEGRITY_RISK:g} for one scan and axis. ∞: not bounded."
+        f"{INTEGRITY_RISK:g} for one scan and axis. The origin is the line of the bound, or of the sensors whose "
+        "default it is."
     )
-    return StatementTable("Protection level", ("axis", "level", "set by", "source of the bound"), rows, note)
+    header = ("axis", "level [µm, µrad]", "set by", "source of the bound", "origin")
+    return StatementTable("Protection level", header, rows, (note,))
 
 
 def _cause_source(statement: Statement, joint: str, cause: str) -> str:
@@ -198,21 +253,24 @@ def _cause_source(statement: Statement, joint: str, cause: str) -> str:
 
 
 def _conditions(statement: Statement) -> StatementTable:
-    worst = statement.worst
-    angles = ", ".join(f"{name} {angle:.4f} ({math.degrees(angle):.2f}°)" for name, angle in worst.angles.items())
-    rows: list[list[Cell]] = [["joint angles", f"{angles} rad", statement.name]]
-    rows += [[each.name, each.text, each.origin] for each in statement.conditions]
+    rows = [[each.name, each.text, (each.origin,)] for each in statement.conditions]
     return StatementTable("Conditions", ("condition", "value", "origin"), rows)
 
 
 def _records(statement: Statement) -> StatementTable:
-    rows: list[list[Cell]] = [
-        [each.role, Origin(each.role, each.path.name), each.source, each.date, each.sha256]
+    rows = [
+        [
+            each.role,
+            (Origin(each.role, each.path.name),),
+            each.source or "not stated",
+            each.date if each.date not in ("", "none") else "not stated",
+            each.sha256,
+        ]
         for each in statement.records.all.values()
     ]
     serial = statement.arm.serial or "not stated"
     note = f"Arm {statement.arm.name}, serial number {serial}, identity {statement.identity}."
-    return StatementTable("Records", ("record", "file", "source", "date", "SHA-256"), rows, note)
+    return StatementTable("Records", ("record", "file", "source", "date", "SHA-256"), rows, (note,))
 
 
 def as_json(statement: Statement) -> dict[str, Any]:
@@ -240,6 +298,7 @@ def as_json(statement: Statement) -> dict[str, Any]:
                 "coverage_factor": float(worst.factors[n]),
                 "expanded": float(worst.expanded[n]),
                 "protection_level": _finite(statement.reliability.protection_level[n]),
+                "protection_level_origin": _origin_json(statement.level_origins[n]),
                 "protection_level_set_by": dict(zip(("joint", "cause"), statement.reliability.set_by[n], strict=True)),
             }
             for n, (axis, unit) in enumerate(zip(AXES, _UNITS, strict=True))
@@ -309,6 +368,7 @@ def _finite(number: float) -> float | None:
 
 
 def _anchor(statement: Statement, origin: Origin) -> str:
+    """Return the place of a record, or of its line, on the page."""
     number = list(statement.records.all).index(origin.role)
     return f"record-{number}-{origin.line}" if origin.line else f"record-{number}"
 
@@ -316,20 +376,21 @@ def _anchor(statement: Statement, origin: Origin) -> str:
 def render_statement_page(statement: Statement) -> str:
     """Return the page as HTML without external references; the files follow the statement, line by line."""
 
-    def cell(content: Cell) -> str:
-        if not isinstance(content, Origin):
-            return content
-        key = content.key or content.role
-        return Markup('<a href="#{}" title="{}">{}</a>').format(_anchor(statement, content), key, content)
-
-    sections = [
-        Section(
-            each.title,
-            table(each.header, [[cell(content) for content in row] for row in each.rows])
-            + (paragraph(each.note) if each.note else ""),
+    def html(text: Text) -> Markup:
+        return Markup("").join(
+            Markup('<a href="#{}" title="{}">{}</a>').format(_anchor(statement, each), each.key or each.role, each)
+            if isinstance(each, Origin)
+            else each
+            for each in text
         )
-        for each in tables(statement)
-    ]
+
+    sections = []
+    for each in tables(statement):
+        numeric, rows = each.aligned()
+        classes = ["number" if is_number else "" for is_number in numeric]
+        cells = [[Cell(html(text), css) for text, css in zip(row, classes, strict=True)] for row in rows]
+        header = [Cell(name, css) for name, css in zip(each.header, classes, strict=True)]
+        sections.append(Section(each.title, table(header, cells) + (paragraph(html(each.note)) if each.note else "")))
     if len(statement.poses) > 1:
         drawing = Markup(draw_map(statement))  # noqa: S704  made of numbers
         sections.insert(2, Section("Map", drawing + paragraph(map_note(statement))))
@@ -372,29 +433,29 @@ def render_sheet(statement: Statement, kind: Literal["pdf", "png"] = "pdf") -> l
         "reservations": list(statement.reservations),
         "map": draw_map(statement) if len(statement.poses) > 1 else "",
         "map_note": map_note(statement),
-        "tables": [
-            {
-                "title": each.title,
-                "header": list(each.header),
-                "rows": [
-                    [
-                        {"text": str(content), "link": f"statement.html#{_anchor(statement, content)}"}
-                        if isinstance(content, Origin)
-                        else {"text": str(content), "link": ""}
-                        for content in row
-                    ]
-                    for row in each.rows
-                ],
-                "note": each.note,
-            }
-            for each in tables(statement)
-        ],
+        "tables": [_sheet_table(statement, each) for each in tables(statement)],
     }
-    inputs = {"statement": json.dumps(content)}
-    sheet: bytes | list[bytes] = typst.compile(
-        TEMPLATE, format=kind, ppi=PIXELS_PER_INCH, sys_inputs=inputs, ignore_system_fonts=True
-    )
-    return sheet if isinstance(sheet, list) else [sheet]
+
+    def compiled(kind: Literal["pdf", "png"], size: float, ppi: float) -> list[bytes]:
+        inputs = {"statement": json.dumps({**content, "size": size})}
+        made: bytes | list[bytes] = typst.compile(
+            TEMPLATE, format=kind, ppi=ppi, sys_inputs=inputs, ignore_system_fonts=True
+        )
+        return made if isinstance(made, list) else [made]
+
+    size = next((size for size in TEXT_SIZES if len(compiled("png", size, COARSE)) == 1), TEXT_SIZES[-1])
+    return compiled(kind, size, PIXELS_PER_INCH)
+
+
+def _sheet_table(statement: Statement, shown: StatementTable) -> dict[str, Any]:
+    def parts(text: Text) -> list[dict[str, str]]:
+        links = (f"statement.html#{_anchor(statement, each)}" if isinstance(each, Origin) else "" for each in text)
+        return [{"text": str(each), "link": link} for each, link in zip(text, links, strict=True)]
+
+    numeric, rows = shown.aligned()
+    cells = [[parts(text) for text in row] for row in rows]
+    header = list(shown.header)
+    return {"title": shown.title, "header": header, "numeric": numeric, "rows": cells, "note": parts(shown.note)}
 
 
 def write_statement(statement: Statement, folder: Path) -> None:
@@ -409,7 +470,8 @@ def print_statement(statement: Statement, console: Console) -> None:
     """Print the sentences, and the tables but for components and records."""
     console.print(verdict(statement), markup=False)
     for each in (_uncertainty(statement), _shares(statement), _protection(statement), _conditions(statement)):
-        ReportTable(each.title, each.header, [[str(content) for content in row] for row in each.rows]).print(console)
+        rows = [[cell if isinstance(cell, str) else "".join(map(str, cell)) for cell in row] for row in each.rows]
+        ReportTable(each.title, each.header, rows).print(console)
     _print_lines(console, statement.sentences())
     if len(statement.poses) > 1:
         _print_lines(console, [map_note(statement)])

@@ -54,10 +54,10 @@ def paragraph(text: str) -> Markup:
     return _render("paragraph", text)
 
 
-def table(header: Iterable[str], rows: Iterable[Iterable[str | Cell]]) -> Markup:
+def table(header: Iterable[str | Cell], rows: Iterable[Iterable[str | Cell]]) -> Markup:
     """Return a table; columns of numbers are flush right, with the decimal points below each other."""
     cells = [[cell if isinstance(cell, Cell) else Cell(cell) for cell in row] for row in rows]
-    names = [Cell(name) for name in header]
+    names = [name if isinstance(name, Cell) else Cell(name) for name in header]
     for n, column in enumerate(zip(*cells, strict=True)):
         if all(not cell.css_class for cell in column) and (numbers := align_numbers([cell.text for cell in column])):
             names[n] = names[n]._replace(css_class="number")
