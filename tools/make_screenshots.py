@@ -128,7 +128,7 @@ def opened_page(arm: str, width: int, height: int, *options: str) -> Iterator[tu
 
 def wait_for_banner(page: Page, text: str) -> None:
     """Wait until the banner of the page contains a text."""
-    page.wait_for_function(BANNER_SAYS, arg=text, polling=50, timeout=60_000)
+    page.wait_for_function(BANNER_SAYS, arg=text, polling=50)
 
 
 def close_notice(page: Page) -> None:
@@ -232,7 +232,7 @@ def draw_states(folder: Path) -> None:
     def save(page: Page, state: str) -> None:
         close_notice(page)
         page.wait_for_timeout(DRAWN_MS)
-        page.screenshot(path=folder / f"{state}.png", timeout=60_000)
+        page.screenshot(path=folder / f"{state}.png")
 
     with opened_page(STATES_BAG.name, *STATES_SIZE, "--bag", str(STATES_BAG)) as (page, _):
         page.wait_for_selector("#charts")
@@ -286,7 +286,7 @@ def _draw_view() -> None:
             seek(page, POSITIONS_S[state])
             close_notice(page)
             page.wait_for_timeout(DRAWN_MS)
-            page.screenshot(path=IMAGES / name, timeout=60_000)
+            page.screenshot(path=IMAGES / name)
     with (
         tempfile.TemporaryDirectory() as folder,
         running_arm(Path(folder)) as arm,

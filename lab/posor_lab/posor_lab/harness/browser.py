@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 BROWSER, DRIVER = "chromium", "playwright"
 ARGUMENTS = ("--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
 """Drawing by the processor: a test machine has no graphics card."""
+PATIENCE_MS = 120_000.0  # for all waiting: a busy processor draws slowly
 
 
 def missing_for_pages() -> str:
@@ -37,6 +38,8 @@ def opened_browser(width: int, height: int, scale: float = 1.0) -> Iterator[Page
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=shutil.which(BROWSER), args=ARGUMENTS)
         try:
-            yield browser.new_page(viewport={"width": width, "height": height}, device_scale_factor=scale)
+            page = browser.new_page(viewport={"width": width, "height": height}, device_scale_factor=scale)
+            page.set_default_timeout(PATIENCE_MS)
+            yield page
         finally:
             browser.close()

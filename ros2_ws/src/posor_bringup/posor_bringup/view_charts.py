@@ -26,6 +26,7 @@ FONT = "font-family:system-ui,sans-serif;font-size:11px"
 HALO = "paint-order:stroke;stroke:#fff;stroke-width:3px"
 INK, GRID, MARK = "#333333", "#dddddd", "#d62728"
 TIME_STEPS_S = (1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 900, 1800, 3600, 7200, 10800, 21600, 43200, 86400)
+CLEAR = 4.0  # distance of the label of a tick from both ends of its axis
 TICKS = 6  # at most, of an axis of time; half as many of an axis of values
 NO_GAP = 3.5  # widths of a point, up to which neighbours are joined by a line
 FORMER = 0.3  # opacity of the points of former runs
@@ -134,14 +135,15 @@ def _chart(chart: Chart, top: int, x: FloatArray, points: Points, run: int) -> I
     def y(values: FloatArray) -> FloatArray:
         return top + chart.height * (high - values) / (high - low)
 
-    labels = "".join(f'<tspan dx="7" fill="{each.colour}">{each.label}</tspan>' for each in chart.series)
+    labels = "&#160; ".join(f'<tspan fill="{each.colour}">{each.label}</tspan>' for each in chart.series)
     heading = [f'<text x="{LEFT}" y="{top - 5}" fill="{INK}" style="font-weight:600;{HALO}">{chart.title}</text>']
     if len(chart.series) > 1:
         heading.append(f'<text x="{WIDTH - RIGHT}" y="{top - 5}" text-anchor="end" style="{HALO}">{labels}</text>')
     for tick in ticks:
         at = float(y(np.array(tick)))
         yield _line(LEFT, at, WIDTH - RIGHT, at, GRID, "")
-        yield f'<text x="{LEFT - 4}" y="{at + 4:.1f}" text-anchor="end" fill="{INK}">{tick:g}</text>'
+        if top + CLEAR <= at <= top + chart.height - CLEAR:  # clear of the labels of the neighbours
+            yield f'<text x="{LEFT - 4}" y="{at + 4:.1f}" text-anchor="end" fill="{INK}">{tick:g}</text>'
     if chart.limit is not None:
         at = float(y(np.array(chart.limit)))
         yield _line(LEFT, at, WIDTH - RIGHT, at, MARK, "6 3")

@@ -51,6 +51,7 @@ FAULT_TEXTS = {
 }
 """What each flag of ``posor_msgs/JointTransform.faults`` means, in a few words."""
 _FAULTS = re.compile(r"(?:is \w+ )?\(?([A-Z_]+(?:\|[A-Z_]+)*)\)?")
+_REASONS = re.compile("; (?!expected )")  # what was expected belongs to the reason before
 _DEGRADED_JOINT = re.compile(r"(\w+)((?: \([^)]*\))?)(?:, |$)")
 
 
@@ -89,7 +90,7 @@ def causes_of_state(state: str, reason: str, joint: str, joints: Sequence[str]) 
     if state == OK:
         return []
     found = []
-    for part in reason.split("; "):
+    for part in _REASONS.split(reason):
         if part.startswith("degraded: "):
             pairs = _DEGRADED_JOINT.findall(part.removeprefix("degraded: "))
             found += [Cause(state, _in_words(faults.strip()) or "degraded", (name,)) for name, faults in pairs]

@@ -33,7 +33,7 @@ STATES = {**{int(state): state.name for state in State}, int(EndpointState.STATE
 SILENT, NO_MESSAGE, NO_STATE = "SILENT", "NO MESSAGE", "NO STATE"
 """Further states, which follow from the absence of messages; the last one: a bag without ``endpoint/state``."""
 LAG_S = 2.0  # time after which a report is a warning of its own: a report may be that on a fault that is over
-DEAD = ": no diagnostics for "  # in the sentence on a node that is silent
+SILENT_NODE = " has ended or hangs: no diagnostics for "  # in the sentence on a node that is silent
 USABLE = tuple(state.name for state in USABLE_STATES)  # states of a joint whose pose may be used
 GOOD = (State.OK.name, NO_MESSAGE)  # states of a joint that need no cause
 _POSE = (*(f"position.{axis}" for axis in "xyz"), *(f"orientation.{axis}" for axis in "xyzw"))
@@ -103,7 +103,10 @@ class Observer:
             return Observation(time_ns, is_fresh=False, state=NO_MESSAGE, causes=(cause,), joints=joints)
         endpoint = self._endpoint(values, messages[-1])
         if self._silence_s(topic, now_s) > 0.0:
-            cause, joints = Cause("STALE", f"no message on {topic}"), dict.fromkeys(self._joints, "STALE")
+            cause, joints = (
+                Cause("STALE", f"no message on {topic}: chain_node has ended or hangs"),
+                dict.fromkeys(self._joints, "STALE"),
+            )
             return Observation(
                 time_ns, is_fresh=False, state="STALE", causes=(cause,), endpoint=endpoint, joints=joints
             )
@@ -207,10 +210,10 @@ class Observer:
                 continue
             node = name.partition(":")[0].rpartition("/")[2]
             if now_s - status.arrival_s > DIAGNOSTICS_SILENCE_S:
-                found[f"{node}{DEAD}{now_s - status.arrival_s:.0f} s"] = None
+                found[f"{node}{SILENT_NODE}{now_s - status.arrival_s:.0f} s"] = None
             elif status.level:
                 found[f"{node}: {status.text}"] = None
-        return tuple(sorted(found, key=lambda text: DEAD not in text))
+        return tuple(sorted(found, key=lambda text: SILENT_NODE not in text))
 
     def _scan(self, states: Mapping[str, str]) -> ArmScan | None:
         """Return the newest scan of which every joint that is heard of has a transform."""

@@ -261,7 +261,8 @@ class ViewPage:
             start_s = self._position_s if abs(slider.value - self._position_s) <= slider.step else slider.value
             self._position_s = min(start_s + period_s, slider.max)
             slider.value = round(self._position_s, 2)
-            play.value = self._position_s < slider.max
+            if self._position_s >= slider.max:  # a play that is set to true would undo a click
+                play.value = False
         else:
             self._position_s = slider.value
         return self._position_s
@@ -276,7 +277,7 @@ class ViewPage:
     def update(self, observation: Observation, drawn: DrawnArm | None) -> None:
         """Draw an observation; ``drawn`` is the arm of its scan."""
         now_s, factor = time.monotonic(), 10.0**self._power.value
-        self._now_ns = observation.time_ns
+        self._now_ns = observation.time_ns if self._span_ns is None else self._span_ns[1]
         health = observation.state, observation.joints, tuple(cause.key for cause in observation.causes)
         has_changed = health != self._drawn_health
         with self._server.atomic():
@@ -288,8 +289,7 @@ class ViewPage:
                 self._numbers.content = numbers_table(observation, drawn)
             if has_changed or now_s >= self._next_chart_s:
                 self._next_chart_s = now_s + CHART_PERIOD_S
-                end_ns = observation.time_ns if self._span_ns is None else self._span_ns[1]
-                self._events.content = events_table(self._record.log, end_ns)
+                self._events.content = events_table(self._record.log, observation.time_ns)
                 self._charts.content = self._draw_charts(observation)
 
     def _draw_charts(self, observation: Observation) -> str:

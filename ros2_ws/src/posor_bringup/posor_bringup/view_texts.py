@@ -12,15 +12,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pinocchio as pin
 from posor.numerics.stamps import NS
+from posor.reporting.number_columns import decimals
 
 from posor_bringup.view_events import NOTE, duration_text, utc
-from posor_bringup.view_observation import NO_STATE, USABLE
+from posor_bringup.view_observation import NO_STATE, SILENT_NODE, USABLE
 from posor_bringup.view_record import two_sigma
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
-
-    from posor.numerics.array_types import FloatArray
 
     from posor_bringup.view_events import Cause, Event, EventLog
     from posor_bringup.view_geometry import DrawnArm
@@ -69,8 +68,9 @@ def statement(name: str, observation: Observation, record: ArmRecord) -> str:
     elif state in (*USABLE, NO_STATE) and np.isfinite(endpoint.pose).all():
         lines = _position(endpoint, observation)
     else:
-        texts = [_cause_text(cause) for cause in observation.causes]
-        more = f", and {len(texts) - 1} more causes" if len(texts) > 1 else ""
+        texts = [_cause_text(cause, observation) for cause in observation.causes]
+        count = len(texts) - 1
+        more = f", and {count} more cause{'s' if count > 1 else ''}" if count else ""
         lines = [f"The endpoint is not known: {''.join(texts[:1])}{more}."]
     if endpoint is not None and endpoint.stamp_ns:
         kind = "scan" if observation.is_fresh else "last scan"
@@ -86,19 +86,24 @@ def banner(name: str, state: str, colour: tuple[int, int, int], since: str, line
     return f'{STYLE}<div id="banner" style="{style}">{head}<br>{text}</div>'
 
 
-def _cause_text(cause: Cause) -> str:
-    return f"{', '.join(cause.joints)}: {cause.text}" if cause.joints else cause.text
+def _cause_text(cause: Cause, observation: Observation) -> str:
+    """Return joints and text of a cause, with the nodes of these joints that are silent."""
+    texts = [text for name in cause.joints for text in observation.details.get(name, ()) if SILENT_NODE in text]
+    text = "; ".join((cause.text, *dict.fromkeys(texts)))
+    return f"{', '.join(cause.joints)}: {text}" if cause.joints else text
 
 
 def _position(endpoint: EndpointView, observation: Observation) -> list[str]:
     """Return where the endpoint is, to within how much, and why this may be believed."""
-    place = ", ".join(f"{axis} {1e3 * value:.4f}" for axis, value in zip("xyz", endpoint.pose, strict=False))
     sigma = two_sigma(endpoint.covariance)
+    places = zip("xyz", endpoint.pose, strict=False)
+    place = ", ".join(f"{axis} {_pose_text(1e3 * value, 1e3 * np.max(sigma[:3]))}" for axis, value in places)
     lines = [f"The endpoint is at {place} mm in {endpoint.frame},"]
     if np.isfinite(sigma).all():
         position = 2e6 * np.sqrt(np.linalg.eigvalsh(endpoint.covariance[:3, :3])[-1])
         rotation = 2e6 * np.sqrt(np.linalg.eigvalsh(endpoint.covariance[3:, 3:])[-1])
-        lines[0] += f" to within U = {position:.1f} um and {rotation:.1f} urad (2 sigma, in any direction)."
+        size = f"U = {_two_digits(position)} um and {_two_digits(rotation)} urad"
+        lines[0] += f" to within {size} (2 sigma, in any direction)."
     else:
         lines[0] += " with an unknown uncertainty."
     lines.append(_level(endpoint))
@@ -125,7 +130,7 @@ def _level(endpoint: EndpointView) -> str:
     sentences = []
     if bounded:
         worst = max(bounded, key=lambda number: level[number])
-        size = f"{1e6 * level[worst]:.0f} um {NAMES_OF_AXES[worst]}{known[worst]}"
+        size = f"{np.ceil(1e6 * level[worst]):.0f} um {NAMES_OF_AXES[worst]}{known[worst]}"
         sentences.append(f"With an undetected fault of one cause the error is at most {size}.")
     if without := [number for number in range(6) if np.isinf(level[number])]:
         axes = ", ".join(NAMES_OF_AXES[number] for number in without) if len(without) < len(AXES) else "on any axis"
@@ -185,8 +190,10 @@ def numbers_table(observation: Observation, drawn: DrawnArm | None) -> str:
     rows = []
     for number, axis in enumerate(AXES):
         units = ("mm", "um") if number < 3 else ("mrad", "urad")  # noqa: PLR2004  translation, then rotation
+        pose, *others = columns[:, number]
         values = [
-            _number(value, 1 if place else 4, units[min(place, 1)]) for place, value in enumerate(columns[:, number])
+            _number(_pose_text(pose, 1e-3 * others[1]), units[0]),
+            *(_number(f"{value:.1f}", units[1]) for value in others),
         ]
         cause = [f"<small>{escape(causes[number])}</small>"] if number < len(causes) else []
         rows.append(_row((axis, *values, *cause), "number"))
@@ -194,8 +201,9 @@ def numbers_table(observation: Observation, drawn: DrawnArm | None) -> str:
 
 
 def events_table(log: EventLog, time_ns: int) -> str:
-    """Return the newest events: when, which joints, what, how long."""
-    rows = [_event_row(event, time_ns) for event in islice(log.events(), EVENTS_SHOWN)]
+    """Return the newest events up to a time: when, which joints, what, how long."""
+    begun = [event for event in log.events() if event.begin_ns <= time_ns]
+    rows = [_event_row(event, time_ns) for event in begun[:EVENTS_SHOWN]]
     head = ("begin (UTC)", "joints", "what", "lasted")
     if not rows:
         return f'<div id="events" style="{INSET};font-size:12px">no events since the page was started</div>'
@@ -206,9 +214,12 @@ def events_table(log: EventLog, time_ns: int) -> str:
 
 def _event_row(event: Event, time_ns: int) -> str:
     cause = event.cause
-    lasted = "" if cause.state == NOTE else duration_text(event.lasted_s(time_ns))
-    times = f", {event.count} times" if event.count > 1 else ""
-    lasted = f"{lasted}{times}{', lasts' if event.end_ns is None else ''}"
+    ends_later = event.end_ns is not None and event.end_ns > time_ns  # in a replay
+    is_present = event.end_ns is None or ends_later
+    lasted_s = (time_ns - event.begin_ns) / NS if ends_later else event.lasted_s(time_ns)
+    lasted = "" if cause.state == NOTE else f'<span style="white-space:nowrap">{duration_text(lasted_s)}</span>'
+    times = f", {event.count} times" if event.count > 1 and not ends_later else ""
+    lasted = f"{lasted}{times}{', lasts' if is_present else ''}"
     what = f"{_state(cause.state)} {escape(cause.text)}"
     begin = f'<span style="white-space:nowrap">{utc(event.begin_ns, "%Y-%m-%d %H:%M:%S")}</span>'
     return _row((begin, escape(", ".join(cause.joints)), what, lasted), "event")
@@ -227,6 +238,16 @@ def _row(cells: Sequence[str], kind: str) -> str:
     return f'<tr class="{kind}">' + "".join(f"<td>{cell}</td>" for cell in cells) + "</tr>"
 
 
-def _number(value: FloatArray | float, digits: int, unit: str) -> str:
-    text = f"{value:.{digits}f} {unit}" if np.isfinite(value) else "&infin;" if np.isinf(value) else "-"
-    return f'<span style="white-space:nowrap">{text}</span>'
+def _number(text: str, unit: str) -> str:
+    shown = {"nan": "-", "inf": "&infin;"}.get(text, f"{text} {unit}")
+    return f'<span style="white-space:nowrap">{shown}</span>'
+
+
+def _two_digits(value: float) -> str:
+    return f"{value:.{decimals(value, 2) if value > 0.0 else 0}f}"
+
+
+def _pose_text(value: float, uncertainty: float) -> str:
+    """Return a pose [mm, mrad] with the digits that its uncertainty, in the same unit, allows; unknown: four."""
+    is_known = np.isfinite(uncertainty) and uncertainty > 0.0
+    return f"{value:.{decimals(uncertainty, 2) if is_known else 4}f}"

@@ -56,6 +56,7 @@ def test_causes_are_those_of_the_verdicts_of_chain_node() -> None:
         ("no input on /arm/elbow/transform for 0.3 s", "elbow", ("elbow",)),
         ("elbow, base: transform missing from a scan that the other joints sent", "elbow", ("elbow", "base")),
         ("not as commissioned: the URDF differs", "", ()),
+        ("elbow: the stamp is 1.2 s old; expected at most 1 s, or the parameter 'max_age'", "elbow", ("elbow",)),
         ("", "base", ("base",)),
     ],
 )

@@ -72,7 +72,7 @@ def test_everything_is_stale_without_messages_on_the_endpoint(rig: Rig) -> None:
     seen = rig.observe(now_s)
     assert not seen.is_fresh
     assert (seen.state, seen.joints["joint1"]) == ("STALE", "STALE")
-    assert seen.causes == (Cause("STALE", f"no message on {STATE}"),)
+    assert seen.causes == (Cause("STALE", f"no message on {STATE}: chain_node has ended or hangs"),)
     assert seen.scan is None
 
 
@@ -151,8 +151,8 @@ def test_diagnostics_of_the_joint_and_their_silence(rig: Rig) -> None:
     assert rig.observe(1.0 + LAG_S).reports[0] == Cause("WARNING", "driver_node: late", ("joint1",))
     rig.add_scan(5.0)
     assert rig.observe(5.0).details["joint1"] == (
-        "driver_node: no diagnostics for 4 s",
-        "posor_node: no diagnostics for 4 s",
+        "driver_node has ended or hangs: no diagnostics for 4 s",
+        "posor_node has ended or hangs: no diagnostics for 4 s",
     )
 
 

@@ -14,7 +14,7 @@ import typst
 from markupsafe import Markup
 from posor.chain.fault_bounds import INTEGRITY_RISK
 from posor.reporting.html_page import Cell, Section, bullet_list, paragraph, render_page, table
-from posor.reporting.number_columns import align_numbers
+from posor.reporting.number_columns import align_numbers, decimals
 from posor.reporting.report_table import ReportTable
 
 from posor_design.endpoint_components import Kind
@@ -64,17 +64,12 @@ class StatementTable:
         return numeric, [list(row) for row in zip(*columns, strict=True)]
 
 
-def _decimals(value: float, digits: int) -> int:
-    """Return the decimals with which a number has so many significant digits, at least 0."""
-    return max(0, digits - 1 - math.floor(math.log10(value)))
-
-
 def micro(value: float) -> str:
     """Return metres or radians in µm or µrad with two digits, all of a whole number (JCGM 100, 7.2.6)."""
     scaled = 1e6 * value
     if math.isinf(scaled):
         return "∞"
-    return "0" if scaled < NANO else f"{scaled:.{_decimals(scaled, 2)}f}"
+    return "0" if scaled < NANO else f"{scaled:.{decimals(scaled, 2)}f}"
 
 
 def micro_bound(value: float) -> str:
@@ -82,14 +77,14 @@ def micro_bound(value: float) -> str:
     scaled = 1e6 * value
     if math.isinf(scaled):
         return "not bounded"
-    step = 10.0 ** -_decimals(max(scaled, NANO), 3)
-    return f"{math.ceil(scaled / step - ROUNDING) * step:.{_decimals(max(scaled, NANO), 3)}f}"
+    step = 10.0 ** -decimals(max(scaled, NANO), 3)
+    return f"{math.ceil(scaled / step - ROUNDING) * step:.{decimals(max(scaled, NANO), 3)}f}"
 
 
 def rounded(value: float, expanded: float) -> str:
     """Return a value in SI units with the digits that its expanded uncertainty allows (JCGM 100, 7.2.6)."""
     known = 0.0 < expanded < math.inf
-    return f"{value:.{6 + _decimals(1e6 * expanded, 2) if known and expanded > 1e-6 * NANO else 9}f}"
+    return f"{value:.{6 + decimals(1e6 * expanded, 2) if known and expanded > 1e-6 * NANO else 9}f}"
 
 
 def _percent(share: float) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from typing import TYPE_CHECKING
 
@@ -11,6 +12,11 @@ if TYPE_CHECKING:
 FIGURE_SPACE, POINT_SPACE = "\u2007", "\u2008"  # as wide as a digit, as wide as a point
 WORDS = ("", "-", "∞", "none", "unlimited", "not bounded", "not detectable")  # that may stand in place of a number
 _NUMBER = re.compile(r"[<>±+-]?[  ]?[\d,]+(\.(?P<decimals>\d+))?(e[+-]?\d+)?( ?%|( per)? [^\d\W]+(/[^\d\W]+)?)?")
+
+
+def decimals(value: float, digits: int) -> int:
+    """Return the decimals with which a positive number has so many significant digits, at least 0."""
+    return max(0, digits - 1 - math.floor(math.log10(value)))
 
 
 def is_number(text: str) -> bool:
