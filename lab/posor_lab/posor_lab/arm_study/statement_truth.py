@@ -12,10 +12,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
-from posor.calibration.document_text import document_text
 from posor.calibration.parameter_covariance import shared_effects
-from posor.chain.arm_file import ArmFile, load_arm_file
-from posor.chain.beams_file import load_beams
+from posor.chain.arm_file import load_arm_file
 from posor.errors import ChainError
 from posor.estimation.forward import empty_scans
 from posor.estimation.posor import Posor
@@ -23,13 +21,13 @@ from posor.model.fault import USABLE_STATES
 from posor.numerics.stamps import NS
 from posor.numerics.vector import thetas_of
 from posor.sensors.base import RowSensor
+from posor_bringup.new_arm import Axis, Sensors, arm_texts, new_joints, write_arm
 from posor_design.arm_uncertainty import ArmUncertainty, EndpointUncertainty
 
 from posor_lab.arm_study.arm_coverage import FALSE_ALARM
 from posor_lab.arm_study.arm_record import pose_array, pose_errors
 from posor_lab.arm_study.shared_arm import write_shared_arm
 from posor_lab.independent.true_arm import TrueArm
-from posor_lab.output_files import write_files
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -40,28 +38,17 @@ if TYPE_CHECKING:
 THETA_SIGMA = 1e-4  # with which the count of each POSOR is confirmed [rad]
 STEP_NS = NS // 200  # between drawn POSORs, so short that the count is kept
 REACH = 1.0  # joint angles are drawn within this of zero [rad]
-LEFT_OUT, ITS_BEAM = "wrist_roll", "wrist"
+AXES: tuple[Axis, ...] = ("z", "y", "y", "x")
+SENSORS: tuple[Sensors, ...] = ("light_ring", "bumpy_ring", "light_ring", "bumpy_ring")
+LENGTH = 0.3  # of the beams of an arm of four joints [m]
 
 
-def write_four_joint_arm(arm: ArmFile, folder: Path) -> Path:
-    """Write five_axis without its wrist roll, whose errors of one laboratory are shared; return its arm file."""
-    path = write_shared_arm(arm, folder)
-    urdf = arm.urdf.read_text(encoding="utf-8").replace(
-        f'name="{LEFT_OUT}" type="floating"', f'name="{LEFT_OUT}" type="fixed"'
-    )
-    beams = load_beams(folder / "beams.yaml").model_dump(mode="json")
-    beams["beams"] = [beam for beam in beams["beams"] if beam["joint"] != ITS_BEAM]
-    for term in beams["shared"].values():
-        term["relative"] = {key: value for key, value in term["relative"].items() if not key.startswith(f"{ITS_BEAM}.")}
-    lines = path.read_text(encoding="utf-8").splitlines()
-    content = "\n".join(line for line in lines if LEFT_OUT not in line).replace(
-        str(arm.urdf.absolute()), "four_joint.urdf"
-    )
-    write_files(
-        folder,
-        {"four_joint.urdf": urdf, "beams.yaml": document_text(beams, "Four joints."), "arm.yaml": content + "\n"},
-    )
-    return path
+def write_four_joint_arm(folder: Path) -> Path:
+    """Write an arm as ``posor arm new`` does, with the errors of one laboratory stated; return its arm file."""
+    joints = new_joints([f"joint{n}" for n in range(1, 5)], AXES, [LENGTH] * 4, SENSORS)
+    own = folder / "new"
+    write_arm(own, arm_texts("four_joint", joints, str(own)))
+    return write_shared_arm(load_arm_file(own / "arm.yaml"), folder / "shared")
 
 
 @dataclass(frozen=True)

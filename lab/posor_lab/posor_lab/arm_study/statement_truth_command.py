@@ -1,6 +1,7 @@
 """statement_truth: U of ``posor statement`` against arms drawn with the independent truth.
 
-``make statement-truth`` draws five_axis, six_axis and an arm of four joints, each at 20 poses.
+``make statement-truth`` draws five_axis, six_axis and an arm of four joints as ``posor arm new`` makes it, with shared
+errors, each at 20 poses.
 """
 
 from __future__ import annotations
@@ -13,7 +14,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from posor.arm_names import find_arm
-from posor.chain.arm_file import load_arm_file
 from posor.reporting.command_line_parser import CommandLineParser
 from posor.reporting.program_errors import reports_errors
 from posor.reporting.report_console import report_console
@@ -78,7 +78,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     found: dict[str, Any] = {}
     with tempfile.TemporaryDirectory() as folder:
         paths = {name: find_arm(name) for name in ARMS}
-        paths[FOUR_JOINTS] = write_four_joint_arm(load_arm_file(paths[ARMS[0]]), Path(folder))
+        paths[FOUR_JOINTS] = write_four_joint_arm(Path(folder))
         for name, path in paths.items():
             found[name] = figures(draw_arm(path, options.poses, options.draws, SEED, DEVIATION))
             sys.stderr.write(f"{name}: U drawn over stated {found[name]['U_drawn_over_stated']}\n")

@@ -7,8 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from posor.arm_names import find_arm
-from posor.chain.arm_file import load_arm_file
 from posor_design.endpoint_components import Kind, total_covariance
 from posor_lab.arm_study.statement_truth import Drawn, StatementTruth, write_four_joint_arm
 from posor_lab.arm_study.statement_truth_command import main
@@ -20,7 +18,7 @@ LIMIT = 4.0 * np.sqrt(2.0 / (6.0 * DRAWS))
 
 @pytest.fixture(scope="module")
 def drawn(tmp_path_factory: pytest.TempPathFactory) -> Drawn:
-    path = write_four_joint_arm(load_arm_file(find_arm("five_axis")), tmp_path_factory.mktemp("four"))
+    path = write_four_joint_arm(tmp_path_factory.mktemp("four"))
     truth = StatementTruth(path, POSES, 7, deviation=0.2)
     return Drawn(truth.stated, truth.errors(range(1, DRAWS + 1)))
 
