@@ -1,7 +1,7 @@
 # POSOR for ROS 2. Every target sets the workspace up first; this takes a fraction of a second if nothing has changed.
 
 .DEFAULT_GOAL := help
-.PHONY: help setup environment audit bounds demo arm calibrate-demo faults commissioning time mutations fuzz foreign-bags instruments soak statement-truth test test-long coverage accuracy budgets thesis bench bench-core data docs lint words lines rooms lock clean
+.PHONY: help setup environment audit bounds demo arm calibrate-demo faults commissioning time mutations fuzz foreign-bags instruments soak statement-truth test test-long test-noble coverage accuracy budgets thesis bench bench-core data docs lint words lines rooms lock clean
 
 BAG ?= ymo
 CAL ?= printed
@@ -32,6 +32,7 @@ help:
 	@echo "make soak [SOAK='--seconds 120 ...']                   run an arm for an hour, find losses and growth"
 	@echo "make test [TESTS='path ...']                           linters and all tests, or only the tests of TESTS"
 	@echo "make test-long [TESTS='path ...']                      the tests that take long: many draws, whole campaigns, benchmarks"
+	@echo "make test-noble [TESTS='path ...']                     tests with Python 3.12 and the libraries of Ubuntu 24.04"
 	@echo "make lint                                              ruff, mypy and forbidden words"
 	@echo "make coverage                                          covered lines of the numerical packages"
 	@echo "make accuracy [DESIGN=folder]                          consistency of the estimator; with DESIGN, of a designed POSOR"
@@ -104,6 +105,9 @@ test: environment  # tools/run_tests.py builds
 
 test-long: environment
 	@.venv/bin/python -E tools/run_tests.py --long $(TESTS)
+
+test-noble:
+	@PYTHON=$(or $(PYTHON),python3.12) tools/python.sh tools/run_noble_tests.py $(TESTS)
 
 coverage: setup
 	@.venv/bin/python -E tools/measure_coverage.py

@@ -16,6 +16,7 @@ from setup_state import NAMED_LISTS, NAMED_LOCKS, WHEEL_LOCKS
 from try_bounds import LIBRARY, bounds
 
 FOLDER = THIS.root / "requirements"
+NOBLE = "noble.txt"
 LOCKS = (*WHEEL_LOCKS, "audit.txt")
 PIN = re.compile(r"(?P<name>[A-Za-z0-9][A-Za-z0-9._-]*)==(?P<version>[A-Za-z0-9.]+)")
 
@@ -32,7 +33,7 @@ def pins(name: str) -> dict[str, str]:
 
 
 def test_every_list_has_its_lock_file() -> None:
-    assert {path.stem for path in FOLDER.glob("*.in")} == {name.removesuffix(".txt") for name in LOCKS}
+    assert {path.stem for path in FOLDER.glob("*.in")} == {name.removesuffix(".txt") for name in (*LOCKS, NOBLE)}
 
 
 @pytest.mark.parametrize("name", LOCKS)
@@ -48,7 +49,21 @@ def test_the_library_and_the_list_state_the_same_bounds() -> None:
     of_list = bounds(FOLDER / "base.in") | {name: bounds(FOLDER / "dev.in")[name] for name in ("h5py", "nptdms")}
     different = {name for name in of_library.keys() & of_list.keys() if of_library[name][0] != of_list[name][0]}
     assert different == {"numpy", "scipy", "numba"}, "those of an official Jazzy"
-    assert set(of_library) - set(of_list) == {"pandas"}
+    assert set(of_library) - set(of_list) == {"pandas", "pin"}
+
+
+def test_the_lock_of_ubuntu_differs_by_the_versions_of_its_system_only() -> None:
+    of_system = dict(line.split("==") for line in lines(FOLDER / "noble.in") if "==" in line)
+    of_system = {str(canonicalize_name(name)): version for name, version in of_system.items()}
+    found, others = pins(NOBLE), {library: version for name in LOCKS for library, version in pins(name).items()}
+    assert found.items() >= of_system.items()
+    assert {library: others[library] for library in found.keys() - of_system} == {
+        library: version for library, version in found.items() if library not in of_system
+    }
+    for line in lines(FOLDER / "base.in"):
+        requirement = Requirement(line)
+        assert requirement.specifier.contains(found[canonicalize_name(requirement.name)]), line
+    assert not {"pin", "mypy"} & found.keys()
 
 
 def test_locks_have_one_version_of_each_library() -> None:

@@ -213,10 +213,12 @@ def rewrite_cmake_paths(venv: Path) -> int:
     """
     headers = sysconfig.get_path("include")
     site_packages = sysconfig.get_path("purelib", "venv", vars={"base": str(venv)})
+    numpy_headers = "core" if Path(site_packages, "numpy", "core", "include").is_dir() else "_core"  # numpy 1, 2
     changed = 0
     for file in sorted((venv / "share").rglob("*.cmake")):
         text = file.read_text(encoding="utf-8")
         local = WHEEL_BUILDER_PATH.sub(lambda match: headers if match["kind"] == "include" else site_packages, text)
+        local = local.replace("/numpy/_core/include", f"/numpy/{numpy_headers}/include")
         if "/opt/python/cp3" in local:
             raise SetupError(
                 f"{file}: holds a path of the machine that built the wheel which this set-up cannot translate."
