@@ -1,9 +1,10 @@
 """List the locked libraries that are missing in an environment which sees an installed ROS.
 
 The set-up calls this script with the Python of the virtual environment, which has pip. Arguments: TARGET, then .in
-and .txt files of requirements/. The script walks the dependencies of the libraries in the .in files. It keeps installed
-libraries that are recent enough, and writes the locked version of every other library to TARGET. Dependencies of a new
-library are known after its installation: repeat until TARGET is empty.
+and .txt files of requirements/; of two versions in .txt files the later counts. The script walks the dependencies of
+the libraries in the .in files. It keeps installed libraries that are recent enough, and writes the locked version of
+every other library to TARGET. Dependencies of a new library are known after its installation: repeat until TARGET is
+empty.
 """
 
 from __future__ import annotations

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 SETUP_VERSION = 1  # increase it when the set-up changes its results: each checkout is then set up anew
 NAMED_LISTS = ("build.in", "base.in", "dev.in")  # libraries to add to an installed Jazzy if they are missing
 NAMED_LOCKS = ("build.txt", "base.txt", "dev.txt")
+SYSTEM_LOCK = "noble.txt"  # beside an installed Jazzy, its versions take the place of those of NAMED_LOCKS
 WHEEL_LOCKS = (*NAMED_LOCKS, "ros-jazzy.txt", "typing.txt")
 BUILD_FILES = {"CMakeLists.txt", "package.xml", "setup.cfg", "setup.py"}
 INTERFACE_SUFFIXES = {".action", ".idl", ".msg", ".srv"}
@@ -31,7 +32,7 @@ KERNEL_FILES = tuple(
 
 def environment_inputs(workspace: Workspace, *, official: bool) -> str:
     """Return a hash of everything that determines the content of the virtual environment."""
-    names = NAMED_LISTS + NAMED_LOCKS if official else WHEEL_LOCKS
+    names = (*NAMED_LISTS, *NAMED_LOCKS, SYSTEM_LOCK) if official else WHEEL_LOCKS
     digest = hashlib.sha256(f"{SETUP_VERSION} {workspace.root} official={official}".encode())
     for name in names:
         digest.update((workspace.root / "requirements" / name).read_bytes())

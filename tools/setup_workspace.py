@@ -39,6 +39,7 @@ from setup_state import (
     NAMED_LISTS,
     NAMED_LOCKS,
     SOURCES_CHANGED,
+    SYSTEM_LOCK,
     WHEEL_LOCKS,
     build_inputs,
     environment_inputs,
@@ -122,7 +123,7 @@ class Setup:
     def install_missing(self) -> None:
         """Install the locked libraries that the installed Jazzy and its system lack, until none is missing."""
         missing = self.workspace.logs / "missing.txt"
-        lists = [self.workspace.root / "requirements" / name for name in NAMED_LISTS + NAMED_LOCKS]
+        lists = [self.workspace.root / "requirements" / name for name in (*NAMED_LISTS, *NAMED_LOCKS, SYSTEM_LOCK)]
         script = Path(__file__).with_name("missing_requirements.py")
         command = [str(part) for part in (self.workspace.python, "-I", script, missing, *lists)]
         failure = "the installed libraries cannot be listed"
