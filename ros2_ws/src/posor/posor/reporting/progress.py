@@ -6,7 +6,7 @@ Everything goes to standard error, so that results can be piped.
 from __future__ import annotations
 
 import time
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from typing import TYPE_CHECKING
 
 from rich.console import Console
@@ -91,7 +91,8 @@ def progress_display() -> Iterator[ProgressDisplay]:
         TimeElapsedColumn(),
         TimeRemainingColumn(),
     )
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
+    progress = Progress(*columns, console=console, transient=True)
+    with progress if console.is_terminal else nullcontext():  # rich 13.7 ends every started display with a line
         display = ProgressDisplay(progress)
         try:
             yield display

@@ -70,7 +70,7 @@ def test_covariances_and_chi_square_agree_with_the_dense_formulas(
 ) -> None:
     for _ in range(20):
         solved = Solved(m, rng, groups)
-        rotation: FloatArray = Rotation.random(rng=rng).as_matrix()
+        rotation: FloatArray = Rotation.random(None, rng).as_matrix()
         random, systematic = solved.covariances(rotation)
         found = solved.chi_square()
 
