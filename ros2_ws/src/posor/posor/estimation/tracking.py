@@ -52,8 +52,9 @@ def count_is_stale(settings: Any, tracker: Any, elapsed: float) -> bool:
     Without a limit of the motion, theta is extrapolated over any time.
     """
     followed_for = REGAIN_GAP * tracker.interval if tracker.interval > 0.0 else FIRST_GAP_S
-    reach = settings.max_theta_rate * elapsed
-    return bool(elapsed > followed_for and 0.5 * settings.period < reach < math.inf)
+    if elapsed <= followed_for:
+        return False
+    return bool(0.5 * settings.period < settings.max_theta_rate * elapsed < math.inf)
 
 
 @inlined

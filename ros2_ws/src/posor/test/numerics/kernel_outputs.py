@@ -1,6 +1,7 @@
-"""Run every kind of kernel on the same random inputs and save what comes out: ``kernel_outputs.py FILE.npz``.
+"""Run the kernels on the same inputs and save what comes out: ``kernel_outputs.py FILE.npz [--short]``.
 
-A program of its own, since the way of the kernels is chosen when they are imported (POSOR_KERNELS).
+The inputs are random ones for each kind of kernel, the golden cases and a bag; with ``--short`` some golden cases and a
+bag of 1985. A program of its own, since the way of the kernels is chosen when they are imported (POSOR_KERNELS).
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from typing import get_args
 
 import numpy as np
 from numpy.typing import NDArray
+from posor import load_arm, load_calibration, read_scans
 from posor.calibration.designs import DesignName, design
 from posor.chain.arm_geometry import BEAM, ELEMENT, ArmGeometry
 from posor.chain.beam_acceleration import BeamHistory
@@ -25,15 +27,20 @@ from posor.estimation.workspace import WORKSPACE
 from posor.kernel_examples import example_stream
 from posor.messages.message_stream import MessageEstimator
 from posor.model.reading_rows import GAP, RING, SPOT_X, SPOT_Y, differentiate_rows, evaluate_rows
+from posor.model.scan import Scans
 from posor.numerics import compiled, vector
 from posor.numerics import matrix as matrices
 from posor.numerics.array_types import FloatArray
 from posor.numerics.compiled import in_place, record_view
 from posor.numerics.summary_statistics import FIGURES, figures_of
+from posor_lab.accuracy.golden_command import StackName, read_cases
 from posor_lab.harness.random_poses import turning_scans
 from posor_lab.harness.row_builder import make_rows
 
 CASES = 100
+SOURCES = Path(__file__).resolve().parents[3]
+BAGS = SOURCES.parents[1] / "bags"
+GOLDEN = SOURCES / "posor" / "test" / "data" / "posor_cases.jsonl"
 THETAS = 2e-3 * np.arange(6.0)
 HARMONICS = ((1.0, 1e-5), (36.0, 2e-4), (72.0, 1e-5))
 
@@ -187,7 +194,46 @@ def messages(name: DesignName) -> FloatArray:
     return np.concatenate([stream.transforms.floats.ravel(), [counted], times])
 
 
-def main(file: Path) -> None:
+def golden(stack: StackName, count: int) -> FloatArray:
+    """Return the predicted readings and the estimates of golden cases."""
+    outputs: list[FloatArray] = []
+    for case in list(read_cases(GOLDEN, stack))[:count]:
+        posor = Posor(case.calibration)
+        outputs += [posor.predict(case.scan, case.T_R_T), *estimates(posor, Scans.of([case.scan]))]
+    return np.concatenate(outputs)
+
+
+def estimates(posor: Posor, scans: Scans) -> list[FloatArray]:
+    """Return all numbers of the estimates of scans."""
+    found = posor.estimate_all(scans, fault_effects=True)
+    covariances = found.covariances_random, found.covariances_systematic, found.fault_effects
+    return [array.ravel() for array in (found.poses, found.natives, found.residuals, *covariances)]
+
+
+def rig_bag() -> FloatArray:
+    """Return the estimates of a test of 1985."""
+    calibration = load_calibration(SOURCES / "posor_bringup" / "config" / "slocum1985_printed.yaml")
+    return np.concatenate(estimates(Posor(calibration), read_scans(BAGS / "ymo")))
+
+
+def arm_bag() -> FloatArray:
+    """Return joints and endpoints of the bag of an arm."""
+    arm = load_arm(SOURCES / "posor_bringup" / "arms" / "five_axis_checked" / "arm.yaml")
+    found = arm.estimate(BAGS / "five_axis_checked")
+    endpoint = found.endpoint
+    outputs = [endpoint.poses, endpoint.covariances_random, endpoint.covariances_systematic]
+    for joint in found.joints.values():
+        outputs += [joint.poses, joint.covariances_random, joint.covariances_systematic]
+    return np.concatenate([array.ravel() for array in outputs])
+
+
+def main(file: Path, *, short: bool) -> None:
+    golden_cases = [golden(stack, 5 if short else CASES) for stack in get_args(StackName)]
+    outputs = {"golden": np.concatenate(golden_cases), "rig": rig_bag()}
+    np.savez(file, allow_pickle=False, mode=np.array(compiled.MODE), **outputs, **({} if short else all_outputs()))
+
+
+def all_outputs() -> dict[str, FloatArray]:
     rng = np.random.default_rng(1985)
     outputs = {
         "rows": [kernel_values(rng) for _ in range(CASES)],
@@ -195,10 +241,10 @@ def main(file: Path) -> None:
         "arms": [arm(rng) for _ in range(CASES)],
         "raw": np.concatenate([raw_scans(name).ravel() for name in get_args(DesignName)]),
         "messages": [messages(name) for name in get_args(DesignName)],
+        "bag": arm_bag(),
     }
-    arrays = {name: np.array(values) for name, values in outputs.items()}
-    np.savez(file, allow_pickle=False, mode=np.array(compiled.MODE), **arrays)
+    return {name: np.array(values) for name, values in outputs.items()}
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+    main(Path(sys.argv[1]), short="--short" in sys.argv)
