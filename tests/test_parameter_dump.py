@@ -28,7 +28,10 @@ OF_NODES: dict[str, tuple[str, dict[str, Parameter]]] = {
     "bag": ("driver_node", {"source": "bag", "bag.path": "bags/ymo"}),
     "looped": ("driver_node", {"source": "looped", "looped.path": "bags/ymo", "looped.rate": 100}),
     "table": ("driver_node", {"source": "table", "table.path": "scans.csv", "table.map": "map.yaml"}),
-    "instruments": ("driver_node", {"source": "instruments", "instruments.file": "devices.yaml", "instruments.joint": "a"}),
+    "instruments": (
+        "driver_node",
+        {"source": "instruments", "instruments.file": "devices.yaml", "instruments.joint": "a"},
+    ),
 }
 """A parameter of each kind, given as users do: whole numbers for floats and the other way round."""
 WITHOUT_DATA = {"bag", "looped", "table", "instruments"}

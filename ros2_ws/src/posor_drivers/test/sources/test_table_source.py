@@ -117,9 +117,7 @@ def test_a_followed_table_must_only_grow(tmp_path: Path) -> None:
     source.stopping = lambda: True
     assert len(list(source.read_messages())) == 4  # scans and truths
     path.write_bytes(b"PAR1 and more")
-    with pytest.raises(
-        DataFileError, match=r"is a Parquet file, which cannot be read while another program writes it"
-    ):
+    with pytest.raises(DataFileError, match=r"is a Parquet file, which cannot be read while another program writes it"):
         source.open()
 
 
