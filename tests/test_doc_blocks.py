@@ -48,7 +48,7 @@ VERSIONS = (1, 2, 3)
 EXTERNAL = {
     *(".", "cd", "done", "echo", "eval", "export", "for", "kill", "sleep", "source", "until", "wait"),
     *("cat", "cp", "grep", "head", "journalctl", "ls", "mkdir", "sed", "systemctl", "timeout", "true"),
-    *("apt", "pip", "python", "ros2", "rosdep"),
+    *("apt", "docker", "pip", "python", "ros2", "rosdep"),
 }
 """Programs of the shell, the system and ROS."""
 PREFIXES = {"sudo"}
