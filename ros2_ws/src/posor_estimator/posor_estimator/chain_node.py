@@ -18,6 +18,7 @@ from pathlib import Path
 from threading import RLock
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 from posor.chain.arm_file import CHAIN_NODE
 from posor.chain.kinematic_chain import load_chain
@@ -25,7 +26,7 @@ from posor.chain.time_synchroniser import MAX_OPEN_SCANS, TimeSynchroniser
 from posor.errors import TopicError
 from posor.messages.cdr_schema import STAMP
 from posor.messages.endpoint_messages import EndpointStateWriter, EndpointVerdict, EndpointWriter
-from posor.messages.joint_transform import JointTransformFormat, stamp_ns_of
+from posor.messages.joint_transform import JointTransformFormat, TransformTail, stamp_ns_of
 from posor.model.fault import State
 from posor.node_parameters import ChainParameters
 from posor.numerics.stamps import NO_TIME, NS
@@ -80,6 +81,8 @@ class ChainNode(PosorNode[ChainParameters]):
     _kinds: dict[str, JointTransformFormat]
     # name, format, and memory of the row, of shared effects and of fault effects of each joint
     _buffers: list[tuple[str, JointTransformFormat, tuple[memoryview, memoryview, memoryview]]]
+    _tails: list[TransformTail]  # of the joints' transforms in the last scan
+    _transforms: list[IntraProcessSubscription]
     _home: FloatArray | None
     _frames: FramePublisher | None
     _identity: IdentityCheck
@@ -117,6 +120,7 @@ class ChainNode(PosorNode[ChainParameters]):
             (name, self._kinds[name], self._kinds[name].row_parts(row))
             for name, row in zip(names, self._estimator.rows, strict=True)
         ]
+        self._tails, self._transforms, self._reads_effects = [], [], True
         self._home, self._pose_stamp, self._reported = None, b"", None
         self._poses = self._scans_refused = self._scans_incomplete = 0
         self._refusals.clear()
@@ -156,6 +160,7 @@ class ChainNode(PosorNode[ChainParameters]):
         callback = partial(self._on_transform, joint, self._kinds[joint.name])
         subscription = IntraProcessSubscription(self, JointTransform, topic, qos, callback)
         self._inputs.add(subscription)
+        self._transforms.append(subscription)
         self._joint_of_topic[subscription.topic_name] = joint.name
 
     def activate(self) -> None:
@@ -264,22 +269,30 @@ class ChainNode(PosorNode[ChainParameters]):
             if not self._inputs.silent:
                 self._report_refused_scan(verdict)
 
+    def _read_effects(self, *, read: bool) -> None:
+        """Read the fault effects of transforms from now on, or leave them NaN: only the endpoint's state needs them."""
+        self._reads_effects = read
+        for subscription, (_, kind, _), row in zip(self._transforms, self._buffers, self._estimator.rows, strict=True):
+            subscription.reads_whole = read
+            row[kind.row_layout.effects :].view(np.float32)[:] = np.nan
+
     def _fill_rows(self, scan: dict[str, bytes]) -> bytes:
         """Copy the transforms of a scan with shared terms, causes and calibrations; return the bytes of its stamp."""
-        terms, causes, ids = [], [], []
+        tails, ids, with_effects = [], [], self._reads_effects
         for name, kind, (row, shared, effects) in self._buffers:
             data = scan[name]
             row[:] = data if len(data) == kind.size else data[: kind.size]
             tail = kind.tail(data)
             if tail.terms:
                 shared[: tail.shared.stop - tail.shared.start] = data[tail.shared]
-            if tail.causes.kinds:
+            if with_effects and tail.causes.kinds:
                 effects[: tail.effects.stop - tail.effects.start] = data[tail.effects]
-            terms.append(tail.terms)
-            causes.append(tail.causes)
+            tails.append(tail)
             ids.append(data[kind.calibration])
-        self._estimator.use_terms(terms)
-        self._estimator.use_causes(causes)
+        if tails != self._tails:
+            self._tails = tails
+            self._estimator.use_terms([tail.terms for tail in tails])
+            self._estimator.use_causes([tail.causes for tail in tails])
         if ids != self._identity.ids:
             self._identity.update(ids)
             self._state_writer.identity = self._identity.sha256
@@ -287,6 +300,8 @@ class ChainNode(PosorNode[ChainParameters]):
 
     def _publish_endpoint(self, scan: dict[str, bytes], stamp_ns: int) -> None:
         estimator, identity = self._estimator, self._identity
+        if (read := self._endpoint_state.has_subscriptions) != self._reads_effects:
+            self._read_effects(read=read)
         stamp = self._last_stamp = self._fill_rows(scan)
         refusal = self._inputs.refusal(stamp_ns)
         if refusal:

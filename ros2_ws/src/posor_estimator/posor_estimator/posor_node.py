@@ -262,6 +262,8 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
                 return
             if self._count_from_next and self._inputs.silent:
                 self._forget_home()
+            if self._stream is not None:
+                self._stream.use_effects(used=self._publisher.is_read_whole)
             transform = self._estimate_expected(data)
             if transform is None:
                 transform = self._estimate_scan(data)

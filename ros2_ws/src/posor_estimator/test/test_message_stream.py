@@ -142,6 +142,21 @@ def test_an_id_that_would_be_no_number_keeps_its_bits(number: int) -> None:
         assert decode(out.messages[0].tobytes()).calibration == number
 
 
+@pytest.mark.parametrize("plain", [False, True])
+def test_only_the_fault_effects_are_left_out_while_nobody_reads_them(*, plain: bool) -> None:
+    posors = [Posor(design("triad_diodes", motion=True)) for _ in range(2)]
+    raw = [RAW_SCAN.serialize(message) for message in moving(posors[0])]
+    stream, whole = (RawScanStream(in_python(each) if plain else each, raw[0]) for each in posors)
+    for n, data in enumerate(raw):
+        stream.use_effects(used=n % 3 == 0)
+        found, wanted = stream.estimate_message(data), whole.estimate_message(data)
+        if n % 3:
+            message = decode(wanted)
+            message.effects = [math.nan] * len(message.effects)
+            wanted = JOINT_TRANSFORM.serialize(message)
+        assert found == wanted
+
+
 def in_python(posor: Posor) -> Posor:
     """Return a POSOR that takes the path of sensors written in plain Python."""
     posor._plain.present = True

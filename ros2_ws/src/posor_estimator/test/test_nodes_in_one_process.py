@@ -8,7 +8,9 @@ from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from threading import Event, Thread
+from typing import Any
 
+import numpy as np
 import pytest
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 from posor.messages.cdr_schema import STAMP
@@ -21,7 +23,7 @@ from posor_estimator.posor_node import PosorEstimatorNode
 from posor_lab.harness.graph import Graph, values_of
 from posor_lab.harness.in_process_nodes import NodeProcess
 from posor_lab.harness.program import HAND_FED, wait_until
-from posor_msgs.msg import JointTransform, RawScan
+from posor_msgs.msg import EndpointState, JointTransform, RawScan
 from posor_ros import diagnostics
 from posor_ros.diagnostics import Diagnostics
 from posor_ros.intra_process import IntraProcessPublisher, IntraProcessSubscription
@@ -126,6 +128,32 @@ def test_the_results_are_the_same_bytes_in_one_process_and_in_four(scans: list[b
             results.append(arm.results(len(scans)))
     assert {len(messages) for messages in results[0].values()} == {len(scans)}
     assert results[0] == results[1]
+
+
+@pytest.mark.parametrize(("kind", "topic"), [(EndpointState, "/endpoint/state"), (JointTransform, "/joint1/transform")])
+def test_effects_of_faults_are_computed_while_they_are_read(scans: list[bytes], kind: type[Any], topic: str) -> None:
+    field = "protection_level" if kind is EndpointState else "effects"
+
+    def numbers_from(begin: int) -> list[list[float]]:
+        """Return the numbers that follow from the effects, received from a scan on."""
+        with NodeProcess() as process, Graph() as graph:
+            arm = Arm([process])
+            for data in scans[:begin]:
+                arm.raw.publish(data)
+            assert arm.posor._publisher.is_read_whole == (begin == 0)
+            received = graph.collect(kind, topic)
+            ends = arm.chain._endpoint_state, arm.posor._publisher
+            graph.wait_until(lambda: any(end._handle.get_subscription_count() for end in ends), topic, arm.spin_once)
+            for data in scans[begin:8]:
+                arm.raw.publish(data)
+            graph.wait_until(lambda: len(received) == 8 - begin, "messages", arm.spin_once)
+            return [list(getattr(message, field)) for message in received]
+
+    always, later = numbers_from(0), numbers_from(3)
+    assert not np.isnan(always).any()
+    first = 1 if kind is EndpointState else 0  # the transform of the first scan was made before the state was read
+    assert np.isnan(later[:first]).all()
+    assert later[first:] == always[3 + first :]
 
 
 def test_services_may_be_called_while_scans_come_in_another_thread(scans: list[bytes]) -> None:

@@ -137,6 +137,14 @@ class IntraProcessPublisher:
         """Whether there is any subscription; else a message need not be serialised."""
         return bool(self._subscriptions) or bool(self._handle.get_subscription_count())
 
+    @property
+    def is_read_whole(self) -> bool:
+        """Whether any subscription reads all parts of a message, see ``IntraProcessSubscription.reads_whole``."""
+        for subscription in self._subscriptions:
+            if subscription.reads_whole:
+                return True
+        return bool(self._handle.get_subscription_count())
+
     def publish(self, data: bytes) -> bool:
         """Deliver a serialised message within this process, then publish it over DDS; return whether all received it.
 
@@ -220,6 +228,8 @@ class IntraProcessSubscription:
         topic_name: Full name of the topic.
         watch: Arrivals of messages.
         publishers: Number of publishers of the topic; as of the last message or call of ``find_publishers``.
+        reads_whole: Whether the callback reads all parts of a message. A publisher of this process may leave out what
+            no subscription reads.
         on_publishers: Called when that number has changed.
 
     """
@@ -241,6 +251,7 @@ class IntraProcessSubscription:
         self.message_type = message_type
         self.watch = InputWatch(self.topic_name)
         self.publishers = 0
+        self.reads_whole = True
         self.on_publishers: Callable[[], None] = lambda: None
         self._node = node
         self._topic = topic

@@ -88,6 +88,20 @@ def test_other_processes_receive_the_same_messages(process: NodeProcess) -> None
     assert received == MESSAGES[:1]
 
 
+def test_a_message_is_read_whole_over_dds_and_where_a_subscription_of_the_process_says_so(process: NodeProcess) -> None:
+    publisher = publish_from(process.start(IdleNode, "/joint"))
+    assert not publisher.is_read_whole
+    first, second = subscribe(process, print), subscribe(process, print)
+    assert publisher.is_read_whole
+    first.reads_whole = False
+    assert publisher.is_read_whole
+    second.reads_whole = False
+    assert not publisher.is_read_whole
+    with Graph() as graph:
+        graph.collect(RawScan, TOPIC, raw=True)
+        graph.wait_until(lambda: publisher.is_read_whole, "a subscription over DDS")
+
+
 def test_a_blocking_subscription_is_awaited_and_then_named(
     process: NodeProcess, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:

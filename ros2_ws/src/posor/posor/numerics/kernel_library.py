@@ -11,7 +11,8 @@ import ctypes
 import hashlib
 import json
 import struct
-from operator import index
+from functools import partial
+from operator import index, itemgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar, cast
 
@@ -140,13 +141,12 @@ class LibraryKernel:
         table = (ctypes.c_int64 * (begin + missing))(*words)
         out = (ctypes.c_int64 * RESULTS)()
         run, at, to = self._code, ctypes.addressof(table), ctypes.addressof(out)
-        results = self._reader(out)
+        put, place, results = struct.Struct(f"{missing}q").pack_into, 8 * begin, self._reader(out)
 
         def call(*integers: int) -> Any:
             if len(integers) != missing:
                 self._refuse(f"{len(integers)} further arguments", f"{missing}")
-            for word, integer in enumerate(integers, begin):
-                table[word] = integer
+            put(table, place, *integers)
             run(at, to)
             return results()
 
@@ -158,13 +158,9 @@ class LibraryKernel:
         kinds, floats = self._results, (ctypes.c_double * RESULTS).from_buffer(out)
         if kinds == "":
             return lambda: None
-        if kinds == "i":
-            return lambda: out[0]
         if kinds == "b":
             return lambda: bool(out[0])
-        if kinds == "ii":
-            return lambda: (out[0], out[1])
-        return lambda: floats[0]
+        return partial(itemgetter(*range(len(kinds))), floats if kinds == "f" else out)  # without a frame of Python
 
     def _append(self, words: list[int], kept: list[Any], argument: Any, expected: Any) -> None:
         """Append the words of an argument; ``kept``: objects that own the memory of words."""
