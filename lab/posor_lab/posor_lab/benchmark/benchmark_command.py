@@ -41,11 +41,11 @@ if TYPE_CHECKING:
 
 PROGRAM = "make bench"
 DEFAULT_SECTIONS = tuple(name for name in SECTIONS if name != "profile")
-QUICK_SECTIONS = ("graph", "growth", "kernel", "offline")
+QUICK_SECTIONS = ("graph", "layouts", "tick", "growth", "kernel", "offline")
 GROWTH_HZ = 500
 WIDTH = 118
 OPTIONS = (
-    Option("--quick", default=False, text="a minute instead of fifteen: fewer and shorter runs"),
+    Option("--quick", default=False, text="three minutes instead of fifteen: fewer and shorter runs"),
     Option("--seconds", 0.0, "time of each main graph; 0: 60, with --quick 6", least=1, most=3600),
     Option("--joints", 6, "joints of the main graph", least=1, most=16),
     Option("--rate", 2000, "rate of the main graph [Hz]", least=1, most=10_000),
@@ -115,6 +115,7 @@ def _measure_sections(options: Namespace, results: dict[str, Any], stop: StopSig
     arms_folder = folder / "arms"
     arms = BenchmarkArms(arms_folder, max([plan.joints, *(plan.growth_joints if "growth" in selected else ())]))
     register_nodes(arms_folder)
+    sys.path.append(str(arms_folder))  # for the section ``tick``
     os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [str(arms_folder), os.environ.get("PYTHONPATH")]))
 
     def interrupted() -> bool:

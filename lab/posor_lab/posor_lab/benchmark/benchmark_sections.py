@@ -19,9 +19,10 @@ from posor_msgs.msg import RawScan
 from rclpy.serialization import deserialize_message
 
 from posor_lab.benchmark.generated_arm import generate_arm, record_scans
-from posor_lab.benchmark.graph_load import LAYOUTS, PROFILE, SPIN_US, GraphLoad, PageUse
+from posor_lab.benchmark.graph_load import KINDS, LAYOUTS, PROFILE, SPIN_US, GraphLoad, PageUse
 from posor_lab.benchmark.growth_lines import OVERLOADED, fit_line, select_series
 from posor_lab.benchmark.offline_benchmark import offline_figures
+from posor_lab.benchmark.tick_cost import tick_cost
 from posor_lab.benchmark.tick_statistics import NothingReceivedError, run_figures
 from posor_lab.harness.message_conversion import scan_from_message
 
@@ -70,8 +71,8 @@ def _estimate(posor: Posor, estimate: Callable[[Any], object], parts: Sequence[A
 
 
 SECTIONS = (
-    *("graph", "faults", "waiting", "page", "layouts", "growth", "highest", "separate"),
-    *("profile", "kernel", "offline"),
+    *("graph", "faults", "waiting", "page", "layouts", "tick", "growth"),
+    *("highest", "separate", "profile", "kernel", "offline"),
 )
 """Names of the sections; each is a method of ``BenchmarkSections``."""
 MAX_SPIN_US = 1000
@@ -80,6 +81,7 @@ FAULT_INTERVAL = 100  # with faults, every hundredth scan of the first joint lac
 RATE_LADDER = (500, 1000, 1500, 2000, 2500, 3000, 3500, 4000, 5000, 6000, 8000, 10_000)
 """Rates [Hz] for the search of the highest rate."""
 SEPARATE_LADDER = (125, 250, 500, 1000)  # rates [Hz] for the search with one process for each node
+SEPARATE_RATE = 500  # rate of one process for each node beside other layouts [Hz]
 SEPARATE_LOST = 1e-3  # share of lost ticks that is allowed there
 TRIES = 2  # a rate fails only if it fails this many times: the host may have paused once
 
@@ -162,17 +164,17 @@ class BenchmarkSections:
     ) -> None:
         """Prepare; nothing is measured yet."""
         self._plan, self._measurement, self._arms, self._print_line = plan, measurement, arms, print_line
-        self._measured: dict[tuple[Layout, int, int], dict[str, Any]] = {}
+        self._measured: dict[tuple[NodeKind, Layout, int, int], dict[str, Any]] = {}
 
     def _measure(self, kind: NodeKind, layout: Layout, joints: int, rate: int, seconds: float) -> MeasuredRun:
         self._print_line(f"{kind.replace('_', '-')}, {joints} joints at {rate} Hz, {LAYOUTS[layout]}: {seconds:g} s")
         return self._measurement.measure_graph(GraphLoad(self._arms[joints], kind, layout, rate), seconds)
 
-    def _graph_figures(self, layout: Layout, joints: int, rate: int) -> dict[str, Any]:
+    def _graph_figures(self, kind: NodeKind, layout: Layout, joints: int, rate: int) -> dict[str, Any]:
         """Return the figures of a graph; each graph is measured once."""
-        key = (layout, joints, rate)
+        key = (kind, layout, joints, rate)
         if key not in self._measured:
-            self._measured[key] = run_figures([self._measure("graph", *key, self._plan.point_s)])
+            self._measured[key] = run_figures([self._measure(*key, self._plan.point_s)])
         return self._measured[key]
 
     def graph(self) -> dict[str, Any]:
@@ -183,7 +185,8 @@ class BenchmarkSections:
             for kind, of_kind in runs.items():
                 of_kind.append(self._measure(kind, plan.layout, plan.joints, plan.rate, plan.seconds / plan.rounds))
         graph, pass_through = (run_figures(of_kind) for of_kind in runs.values())
-        self._measured[plan.layout, plan.joints, plan.rate] = graph
+        for kind, figures in (("graph", graph), ("pass_through", pass_through)):
+            self._measured[kind, plan.layout, plan.joints, plan.rate] = figures
         return {
             f"graph_{plan.name}": graph,
             f"pass_through_{plan.name}": pass_through,
@@ -198,9 +201,22 @@ class BenchmarkSections:
         return {name: self._measurement.measure_empty_loop(rate, spin_us, seconds) for name, spin_us in spins.items()}
 
     def layouts(self) -> dict[str, Any]:
-        """Measure the main graph in every layout but one process for each node, whose rate ``separate`` searches."""
-        plan, layouts = self._plan, [layout for layout in LAYOUTS if layout != "separate"]
-        return {"layouts": {layout: self._graph_figures(layout, plan.joints, plan.rate) for layout in layouts}}
+        """Measure the main graph and the pass-through graph in every layout; one process for each node is slower."""
+        plan, figures = self._plan, dict[str, Any]()
+        for layout in LAYOUTS:
+            rate = min(plan.rate, SEPARATE_RATE) if layout == "separate" else plan.rate
+            for kind in KINDS:
+                row = f"{LAYOUTS[layout]}, {rate} Hz{', pass-through' if kind == 'pass_through' else ''}"
+                figures[row] = self._graph_figures(kind, layout, plan.joints, rate)
+        return {"layouts": figures}
+
+    def tick(self) -> dict[str, Any]:
+        """Measure the processor time of a tick without drivers."""
+        self._print_line("processor time of a tick")
+        arm = self._arms[self._plan.joints]
+        costs = {kind: tick_cost(arm, self._arms.bag, kind) for kind in KINDS}
+        with_state = tick_cost(arm, self._arms.bag, "graph", receives_state=True)
+        return {"tick": {"graph": costs["graph"], "with_state": with_state, "pass_through": costs["pass_through"]}}
 
     def _variant_figures(self, text: str, arm: ArmFile, spin_us: int = SPIN_US, priority: int = 0) -> dict[str, Any]:
         """Return the figures of the main graph with another arm, or other waiting of the drivers."""
@@ -240,8 +256,8 @@ class BenchmarkSections:
         sizes = {(joints, plan.growth_rate) for joints in plan.growth_joints}
         sizes |= {(plan.joints, rate) for rate in plan.growth_rates}
         points = [
-            {"joints": joints, "rate": rate, "layout": "composed", **self._graph_figures("composed", joints, rate)}
-            for joints, rate in sorted(sizes)
+            {"joints": size[0], "rate": size[1], **self._graph_figures("graph", "composed", *size)}
+            for size in sorted(sizes)
         ]
         lines = {
             "joints": fit_line(select_series(points, "joints", plan.growth_rate), "joints"),

@@ -14,7 +14,6 @@ import yaml
 from rich.table import Table
 
 from posor_lab.benchmark.benchmark_sections import FAULT_INTERVAL
-from posor_lab.benchmark.graph_load import LAYOUTS
 from posor_lab.benchmark.graph_measurement import VIEW
 
 if TYPE_CHECKING:
@@ -179,8 +178,11 @@ def _offline_table(results: Mapping[str, Any]) -> FigureTable:
 
 TABLES: Mapping[str, Callable[[Any], FigureTable]] = {  # tables of single sections of the results, by their keys
     "empty_loop": _empty_loop_table,
-    "layouts": lambda runs: _latency_table(
-        "Nodes that share a process", {LAYOUTS[layout]: run for layout, run in runs.items()}
+    "layouts": partial(_latency_table, "Nodes that share a process"),
+    "tick": lambda costs: FigureTable(
+        "Processor time of the nodes in a tick, scans published in a loop",
+        ("", "least, us", "median, us"),
+        [(TEXTS["tick"][kind], *map(_format_figure, cost.values())) for kind, cost in costs.items()],
     ),
     "page": _page_table,
     "waiting": partial(_latency_table, "How drivers wait for a tick"),

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, get_args
 
+from posor.node_parameters import RECORDING
 from posor_bringup.arm_programs import Layout, arm_programs, group_programs
 from posor_bringup.supervisor import ProgramCommand
 from posor_drivers.driver_parameters import LiveDriverParameters
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
 
 NodeKind = Literal["graph", "pass_through"]  # the stack's own nodes, or nodes that compute nothing in their place
 PageUse = Literal["absent", "at rest", "shown"]  # whether ``view`` runs, and whether a browser shows its page
+KINDS: tuple[NodeKind, ...] = get_args(NodeKind)
 LAYOUTS: Mapping[Layout, str] = {
     "composed": "all nodes in one process",
     "drivers_apart": "two processes: drivers; all other nodes",
@@ -59,8 +61,7 @@ class GraphLoad:
 
 def graph_programs(load: GraphLoad, folder: Path) -> list[ProgramCommand]:
     """Return the programs, subscribers first; write their composition files into ``folder``."""
-    driver: dict[str, Parameter] = {"looped.rate": load.rate, "spin_us": load.spin_us}
-    nodes = [_node_program(program, load) for program in arm_programs(load.arm, driver_parameters=driver)]
+    nodes = node_programs(load)
     if load.layout == "separate":
         programs = [_compose_one(node, folder / node.name.replace("/", ".")) for node in nodes]
     else:
@@ -73,6 +74,14 @@ def graph_programs(load: GraphLoad, folder: Path) -> list[ProgramCommand]:
         return programs
     script, profile = str(stage_profile.__file__), str(folder / PROFILE)
     return [ProgramCommand(program.name, "", script, (*program.arguments, profile)) for program in programs]
+
+
+def node_programs(load: GraphLoad, *, drivers: bool = True) -> list[ProgramCommand]:
+    """Return one program for each node, subscribers first; without ``drivers`` the stamps may be of any age."""
+    driver: dict[str, Parameter] = {"looped.rate": load.rate, "spin_us": load.spin_us}
+    parameters = None if drivers else RECORDING
+    programs = arm_programs(load.arm, drivers=drivers, driver_parameters=driver, parameters=parameters)
+    return [_node_program(program, load) for program in programs]
 
 
 def _compose_one(node: ProgramCommand, folder: Path) -> ProgramCommand:

@@ -21,7 +21,10 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
 PLACEHOLDER = re.compile(r"<!-- (?P<name>\w+) -->\n.*?<!-- end -->", re.DOTALL)
-NAMES = ("host", "aims", "graph", "empty_loop", "waiting", "page", "layouts", "profile", "growth", "offline", "single")
+NAMES = (
+    *("host", "aims", "graph", "empty_loop", "waiting", "page", "layouts", "tick"),
+    *("profile", "growth", "offline", "single"),
+)
 
 
 def fill_page(page: str, runs: Sequence[Mapping[str, Any]]) -> str:
