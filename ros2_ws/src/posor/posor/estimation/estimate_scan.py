@@ -72,7 +72,7 @@ AMBIENT_FAULT = int(Fault.AMBIENT)
 SOURCE_FAULT, FROZEN_FAULT, ENVIRONMENT_FAULT = int(Fault.SOURCE), int(Fault.FROZEN), int(Fault.ENVIRONMENT)
 FLAGGED_FAULT, LATCHED_FAULT, ACKNOWLEDGED_FAULT = int(Fault.FLAGGED), int(Fault.LATCHED), int(Fault.ACKNOWLEDGED)
 
-WEAK = 1e-4  # below this pivot ratio the previous pose fills the blind direction: 100 times the usual uncertainty
+WEAK = 1e-4  # pivot ratio below which the previous pose is a prior: 100 times the usual uncertainty
 
 
 @inlined
@@ -232,9 +232,9 @@ def _solve(model: Model, extrapolate: bool) -> tuple[int, int]:  # noqa: FBT001 
         faults |= TIME_FAULT
     for r in range(m):
         workspace.weights[r] = 1.0 / workspace.variances[r]
-    bridging = tracked and settings.max_velocity < math.inf
-    outcome = solve_pose(workspace, m, WEAK if bridging else SINGULAR, lag_theta)
-    if outcome != ILL_CONDITIONED or not bridging:
+    may_use_prior = tracked and settings.max_velocity < math.inf
+    outcome = solve_pose(workspace, m, WEAK if may_use_prior else SINGULAR, lag_theta)
+    if outcome != ILL_CONDITIONED or not may_use_prior:
         return outcome, faults
     copy_pose(workspace.start_pose, workspace.pose)
     add_prior(workspace, m, elapsed)
@@ -250,11 +250,10 @@ def solve_and_check(
 ) -> int:
     """Solve the active rows from ``workspace.pose`` on, find covariances, check the solution, and update the tracker.
 
-    ``model``: the POSOR; ``systematic_readings`` hold what of the readings' systematic covariance does not come from
-    ``estimation.covariance`` or ``estimation.linearise``; ``scan``: record of dtype SCAN; ``extrapolate``: whether the
-    start may be moved on as the target moved before, and the tilts may lag; ``estimate``: record of dtype ESTIMATE to
-    write; of a LOST scan all numbers are NaN but the chi-square. Return DONE, or RETRY: the scan failed from the
-    previous pose, and the tracker is unchanged.
+    ``model``: the POSOR; on entry its ``systematic_readings`` hold the part of sensors in Python, the rest is added
+    here. ``scan``: record of dtype SCAN. ``extrapolate``: whether to move the start by the last velocity, and to use
+    the last theta for tilts that lag. ``estimate``: record of dtype ESTIMATE to write; of a LOST scan all numbers are
+    NaN but the chi-square. Return DONE, or RETRY: the scan failed from the previous pose, and the tracker is unchanged.
     """
     workspace = model.workspace[0]
     settings, tracker, pose, checks = workspace.settings, workspace.tracker, workspace.pose, workspace.checks
@@ -265,14 +264,14 @@ def solve_and_check(
     begin_checks(workspace)
     move_reference(workspace, scan, REFERENCE_SIGMAS)
     outcome, checks.faults = _solve(model, extrapolate)
-    bridged = checks.faults & ILL_CONDITIONED_FAULT != 0
+    prior_used = checks.faults & ILL_CONDITIONED_FAULT != 0
     if (
         outcome == CONVERGED
         and settings.period > 0.0
         and count_theta(workspace, theta_in_kernel(pose.rotation), scan.at_home)
     ):
         turn_about_z(pose.rotation, -checks.marks_off * settings.bump_angle)
-        bridged, checks.faults = False, checks.faults & ~ILL_CONDITIONED_FAULT
+        prior_used, checks.faults = False, checks.faults & ~ILL_CONDITIONED_FAULT
         outcome = solve_pose(workspace, workspace.reading_count, SINGULAR, math.nan)
     if outcome != CONVERGED:
         if may_retry and outcome != ILL_CONDITIONED:
@@ -288,7 +287,7 @@ def solve_and_check(
         checks.faults |= add_stamp_variance(workspace, sigma, theta, since, estimate.random, estimate.systematic)
     checks.allowance = motion_allowance(tracker, scan)
     estimate.residual = 0.0
-    if workspace.redundant_count > 0 and not bridged:
+    if workspace.redundant_count > 0 and not prior_used:
         estimate.residual = chi_square(workspace)
     checks.contradictory = 0 if estimate.residual <= settings.residual_limit else 1
     if checks.contradictory and may_retry:

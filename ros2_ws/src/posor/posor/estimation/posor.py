@@ -44,8 +44,8 @@ if TYPE_CHECKING:
 
     from posor.numerics.array_types import FloatArray
 
-PHASE_GUESSES = 8  # starts within one bump that are tried where theta is unknown
-LIKELY_RUNOUT = 1e-4  # scale [m]: of starts that fit alike, as with three ring probes, the one of least runout is taken
+PHASE_GUESSES = 8  # starts in closed form within one bump
+LIKELY_RUNOUT = 1e-4  # [m]; of starts that fit alike, as with three ring probes, that of the least runout is taken
 LARGEST_SIGMA = 0.1  # largest standard uncertainty of a reference of theta, in periods: five of them are half a period
 _MOTION_LIMITS = (  # settings of the largest velocities and accelerations, in the order of the calibration file
     ("max_velocity", "max_lean_rate", "max_theta_rate"),
@@ -65,7 +65,7 @@ class Posor:
         calibration: The calibration, its session applied.
         redundancy: Number of redundant readings.
         hypotheses: The causes of faults of the calibration, and what they move.
-        stack: The sensors; for other parameters there is ``with_parameter_values``.
+        stack: The sensors. ``with_parameter_values`` changes their parameters.
 
     """
 
@@ -74,9 +74,9 @@ class Posor:
 
         Args:
             calibration: The calibration of the POSOR, with its session already applied.
-            false_alarm: Probability that the chi-square test of the redundant readings rejects a sound scan; given its
-                calibration errors, a share ``EXCEEDED`` of joints may have a larger one. Zero: the test rejects no
-                scan.
+            false_alarm: Probability that the chi-square test of the redundant readings rejects a sound scan. At most a
+                share ``EXCEEDED`` of joints has a larger one, because of their calibration errors. Zero: the test
+                rejects no scan.
 
         Raises:
             ParameterError: ``calibration`` is no Calibration, or ``false_alarm`` is not a probability below one.
@@ -104,7 +104,7 @@ class Posor:
         )
 
     def _prepare(self) -> None:
-        """Lay the stack out for the kernels; the tracker is reset."""
+        """Build the arrays that the kernels read; this resets the tracker."""
         self.hypotheses = Hypotheses.of(self.calibration, self.stack)
         self.model = self.stack.model(self._square_root, self.hypotheses.model)
         self._plain = PlainSensors(self.stack, self.model, self.parameter_square_root)
@@ -242,7 +242,7 @@ class Posor:
         return float(self.settings["residual_limit"])
 
     def reset(self) -> None:
-        """Forget the previous pose and the count; the next scan starts from a closed form."""
+        """Forget pose, count, latch and clocks; the next scan starts from a closed form. Ambient light stays known."""
         kept = {name: self.tracker[name].copy() for name in ("epoch_known", "epoch_ns", "ambient")}
         self.model.workspace["tracker"] = np.zeros((), dtype=self.model.workspace["tracker"].dtype)
         for name, value in kept.items():
@@ -252,7 +252,7 @@ class Posor:
         """Release the latch after a fault: the next scan starts anew, and a counted theta must be counted again.
 
         Poses are DEGRADED (``Fault.ACKNOWLEDGED``) until a reference or home marks confirm theta. Without a latch, a
-        step of the stamps is accepted, which bounds the error of the stamps no longer.
+        step of the stamps is accepted: it no longer enlarges their largest error.
 
         Returns:
             Whether there was a latch or a step; without one nothing changes.
@@ -274,8 +274,8 @@ class Posor:
         """Compare the theta of the next scan with that of an encoder or another reference.
 
         The reading is moved from its own stamp to that of the scan by the rate of the joint. Agreement within 5
-        standard deviations counts theta where needed, and releases a latch that is about theta only. Disagreement, also
-        by a time offset beyond 5 standard uncertainties and ``Scan.stamp_limit``, is ``Fault.ENCODER``, latched.
+        standard deviations counts theta where needed, and releases a latch that is about theta only. Disagreement is
+        the latched ``Fault.ENCODER``; so is a time offset beyond 5 standard uncertainties and ``Scan.stamp_limit``.
 
         Args:
             theta: Large rotation, modulo whole turns [rad].
@@ -324,7 +324,7 @@ class Posor:
 
     @property
     def latched(self) -> Fault:
-        """Faults that keep the joint out until the earlier motion is regained, confirmed or acknowledged."""
+        """Faults that keep the joint LOST until motion is regained, a reference agrees, or somebody acknowledges."""
         return Fault(int(self.tracker["latch"]))
 
     @property
@@ -340,9 +340,11 @@ class Posor:
             last: The scan of that pose. It is estimated once more, because the two calibrations may see one place
                 differently; None: the next scan skips the motion gate.
 
+        From a POSOR whose theta repeats otherwise nothing is taken.
+
         """
-        repeats = ["bump_angle", "period", "home_theta"]
-        if all(self.settings[name] == other.settings[name] for name in repeats):
+        periodic = ["bump_angle", "period", "home_theta"]
+        if all(self.settings[name] == other.settings[name] for name in periodic):
             self.model.workspace["tracker"] = other.model.workspace["tracker"]
             if self.tracker["initialised"]:
                 self.tracker["start"] = self.tracker["pose"]
@@ -366,7 +368,7 @@ class Posor:
     def estimate_all(self, scans: Scans, *, fault_effects: bool = False) -> Estimates:
         """Return the poses of many scans, one after the other: the same numbers as ``estimate`` of each.
 
-        ``Estimates.lost_reasons()`` counts why scans are LOST. ``fault_effects``: whether to find these as well.
+        ``Estimates.lost_reasons()`` counts why scans are LOST. ``fault_effects``: whether to compute them.
 
         Raises:
             ParameterError: The argument is no Scans.
@@ -379,7 +381,7 @@ class Posor:
         return Estimates(estimates, scans, self.reason, fault_effects=effects if fault_effects else None)
 
     def allocate_effects(self, scans: int) -> NDArray[np.float32]:
-        """Return NaN for the fault effects of scans, (n, C, EFFECT)."""
+        """Return memory for the fault effects of scans, (n, C, EFFECT), filled with NaN."""
         return np.full((scans, len(self.hypotheses.names), EFFECT), np.nan, dtype=np.float32)
 
     def estimate_each(
@@ -390,12 +392,13 @@ class Posor:
         Args:
             scans: The scans.
             thetas: For a counted theta: its value to half a bump [rad], shape (n,); None: unknown.
-            fault_effects: Whether to find these as well.
+            fault_effects: Whether to compute them.
 
         Returns:
             The estimates; the previous pose and the count are forgotten afterwards.
 
         Raises:
+            ParameterError: ``scans`` is no Scans.
             ShapeError: There is not one theta for each scan.
 
         """
@@ -420,7 +423,7 @@ class Posor:
     ) -> None:
         """Estimate scan records (n,), contiguous, dtype SCAN, into estimate records (n,), dtype ESTIMATE.
 
-        ``effects``: memory of ``allocate_effects`` for the fault effects of all scans, or of none; None: none.
+        ``effects``: memory of ``allocate_effects`` for all scans. None or of length 0: effects are not computed.
         """
         scans, estimates = record_view(scans), record_view(estimates)
         effects = self.allocate_effects(0) if effects is None else effects
@@ -468,7 +471,7 @@ class Posor:
         selected = self.stack.reading_rows[workspace["selected_rows"][:m]]
         pose = workspace["pose"]
         bump, known = float(self.settings["bump_angle"]), self._known_theta
-        near = float(self.tracker["theta"]) if known is None and self.tracker["initialised"] else known or 0.0
+        near = float(self.tracker["theta"]) if known is None and self.tracker["initialised"] else (known or 0.0)
         guesses = [near + bump * (i / PHASE_GUESSES - 0.5) for i in range(PHASE_GUESSES)]
         workspace["rows_active"] = 0
         best = math.inf
@@ -509,7 +512,7 @@ class Posor:
         The scan says only which rows are read (which light sources are lit).
 
         Raises:
-            ScanError: The scan does not say so.
+            ScanError: The scan names no valid light source.
 
         """
         linearised = self.stack.linearise(Scans.of([scan]))
