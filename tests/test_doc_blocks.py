@@ -1,7 +1,8 @@
 """Every code block of every page is run or loaded, or is marked as an excerpt by its first line.
 
 The first line of an excerpt is ``# excerpt``, or ``# excerpt of a calibration file``, which is loaded as part of one.
-Blocks of ``text`` are formulas, drawings and output. ``test_tutorials`` runs the tutorials.
+Blocks of ``text`` are formulas, drawings and output. ``test_tutorials`` runs the tutorials. Options and parameters of
+all commands are checked; those that need no device and run in seconds are run.
 """
 
 from __future__ import annotations
@@ -15,22 +16,31 @@ import sys
 from collections.abc import Callable
 from importlib import import_module
 from importlib.metadata import distribution
+from itertools import pairwise
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import pytest
+import yaml
 from environment import THIS
 from markdown_it import MarkdownIt
+from posor.arm_names import find_arm
 from posor.calibration.calibration_file import calibration_from
 from posor.calibration.designs import design
 from posor.calibration.yaml_document import parse_document, parse_yaml
 from posor.chain.arm_file import ArmFileContent
 from posor.chain.beams_file import BeamsFile
 from posor.lazy_program import LazyProgram
+from posor.node_parameters import ChainParameters, PosorParameters
+from posor.parameter_model import parameter_specs
 from posor.tables.table_map import TableMap
+from posor_bringup.installed import calibration_path
 from posor_bringup.posor_command import SUBCOMMANDS
+from posor_drivers.driver_parameters import driver_parameters_for
 from posor_drivers.instruments.instruments_file import InstrumentsFile
 from posor_drivers.instruments.scpi_device import Dialect
 from posor_estimator.composition_file import Composition
+from posor_ros.qos_overrides import PREFIX
 
 EXCERPT = "# excerpt"
 OF_CALIBRATION = f"{EXCERPT} of a calibration file"
@@ -52,8 +62,15 @@ EXTERNAL = {
 }
 """Programs of the shell, the system and ROS."""
 PREFIXES = {"sudo"}
-NODES = {"chain_node", "compose", "driver_node", "posor_node"}
-"""Programs whose arguments are those of ROS."""
+NODES: dict[str, Callable[[dict[str, Any]], Any]] = {
+    "chain_node": lambda _: ChainParameters,
+    "compose": lambda _: PosorParameters,
+    "driver_node": driver_parameters_for,
+    "posor_node": lambda _: PosorParameters,
+}
+"""Programs whose arguments are those of ROS, and the models of their parameters."""
+OFFLINE = re.compile(r"posor (arm|calibrate (list|diff)|design aero|instruments start|reprocess bags)\b.*")
+"""Commands that run in seconds with what the workspace has."""
 
 
 class Block(NamedTuple):
@@ -159,6 +176,15 @@ def program_of(package: str, executable: str) -> LazyProgram:
     return loaded
 
 
+def check_parameters(program: str, arguments: list[str]) -> None:
+    """Check the names of the parameters of a node."""
+    given = [value.partition(":=") for option, value in pairwise(arguments) if option == "-p"]
+    parameters = {name: yaml.safe_load(value) for name, _, value in given if not name.startswith(PREFIX)}
+    model = NODES[program]({"source": "simulated", **parameters})
+    assert all(equals for _, equals, _ in given)
+    assert not parameters.keys() - {spec.name for spec in parameter_specs(model)}
+
+
 def check_command(words: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
     while words and (re.match(r"\w+=", words[0]) or words[0] in PREFIXES):
         words = words[1:]
@@ -169,9 +195,13 @@ def check_command(words: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
         name, *arguments = arguments
         subcommand: Any = SUBCOMMANDS[name]
         parse(subcommand.program, [*subcommand.arguments, *arguments], monkeypatch)
+        if name == "bringup":
+            check_parameters("driver_node", arguments)
     elif command == "./run":
         program = program_of(arguments[0], arguments[1])
-        if program.name not in NODES:
+        if program.name in NODES:
+            check_parameters(program.name, arguments[2:])
+        else:
             parse(program, arguments[2:], monkeypatch)
     elif command == "make":
         makefile = (THIS.root / "Makefile").read_text(encoding="utf-8")
@@ -216,3 +246,25 @@ def test_commands_exist_and_have_these_options(block: Block, monkeypatch: pytest
     for words in commands_of(block.text):
         with monkeypatch.context() as context:
             check_command(words, context)
+
+
+def offline_commands(block: Block) -> list[list[str]]:
+    """Return the commands of a block that are run: program and arguments."""
+    commands = [words[words[0] == "./run" :] for words in commands_of(block.text) if words[0] in ("./posor", "./run")]
+    commands = [[words[0].removeprefix("./"), *words[1:]] for words in commands]
+    return [words for words in commands if OFFLINE.fullmatch(" ".join(words))]
+
+
+@each([block for block in of("sh", tutorials=False) if offline_commands(block)])
+def test_commands_that_need_no_device_run(block: Block, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("bags", "ros2_ws"):
+        (tmp_path / name).symlink_to(THIS.root / name)
+    for name in ("in.yaml", "out.yaml"):
+        (tmp_path / name).symlink_to(calibration_path("printed"))
+    if "arm new" not in block.text:
+        (tmp_path / "my_arm").symlink_to(find_arm("five_axis").parent)
+    monkeypatch.chdir(tmp_path)
+    for _, name, *arguments in offline_commands(block):
+        program: Any = SUBCOMMANDS[name].program
+        monkeypatch.setattr(sys, "argv", [program.name, *arguments])
+        assert import_module(program.module).main() == 0
