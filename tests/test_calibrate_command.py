@@ -272,6 +272,12 @@ def test_a_wrong_option_is_one_sentence(bench: Bench, options: list[str], code: 
     assert "Traceback" not in done.stderr
 
 
+def test_options_that_are_missing_are_named(bench: Bench) -> None:
+    done = calibrate("beam_transform", str(bench.bag), "--calibration", str(bench.file), *REFERENCE)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr == "option --second, option --reference, option --beam: are missing.\n"
+
+
 def test_a_reference_that_is_not_in_the_bag_is_named(bench: Bench, tmp_path: Path) -> None:
     output = tmp_path / "never.yaml"
     options = ("--calibration", str(bench.file), "--reference", "/laser", "--output", str(output))

@@ -248,6 +248,9 @@ def check_options(model: type[Options], given: Mapping[str, Any], describe: Call
         return model.model_validate(values)
     except ValidationError as error:
         complaint = first_problem(error)
+        if missing := [str(each["loc"][0]) for each in error.errors() if each["type"] == "missing"]:
+            what = "is missing" if len(missing) == 1 else "are missing"
+            raise ParameterError(what, where=", ".join(map(describe, missing))) from None
         where = describe(str(complaint.location[0])) if complaint.location else ""
         raise ParameterError(complaint.what, where=where, expected=complaint.expected) from None
 

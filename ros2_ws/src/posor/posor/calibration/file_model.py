@@ -40,6 +40,8 @@ _EXPECTED = {
     "greater_than_equal": "at least {ge}",
     "less_than": "less than {lt}",
     "less_than_equal": "at most {le}",
+    "finite_number": "a finite number",
+    "string_too_short": "text that is not empty",
     "too_short": "at least {min_length}",
     "too_long": "at most {max_length}",
 }

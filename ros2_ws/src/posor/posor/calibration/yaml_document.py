@@ -348,7 +348,8 @@ def _error_of(problem: Problem, locations: FileLocations) -> CalibrationError:
     if written and expected == TEXT:
         what = f"{written} without quotes"
     elif written and what == format_value(written) and "number" in expected:
-        expected += next((f", {hint}" for text, hint in _HINTS if re.fullmatch(text, written)), "")
-    elif scalar is not None and "number" in expected and _DECIMAL_COMMA.search(scalar.value):
+        hint = next((hint for text, hint in _HINTS if re.fullmatch(text, written)), "")
+        expected += f", {hint}" if hint and (hint != _DECIMAL_POINT or "whole" not in expected) else ""
+    elif scalar is not None and expected.startswith("a number") and _DECIMAL_COMMA.search(scalar.value):
         expected += f", {_DECIMAL_POINT}"
     return CalibrationError(what, where=locations.describe(*problem.location), expected=expected)

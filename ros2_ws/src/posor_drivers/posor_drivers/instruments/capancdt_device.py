@@ -44,7 +44,7 @@ from posor.calibration.file_model import EntryError, FrozenModel
 from posor.calibration.quantity import Quantity, measured
 from pydantic import Field, model_validator
 
-from posor_drivers.instruments.device import DeviceSettings, FrameCounter, Frames, Port, refuse_repeated_numbers
+from posor_drivers.instruments.device import DeviceSettings, FrameCounter, Frames, Host, Port, refuse_repeated_numbers
 from posor_drivers.instruments.tcp_device import PacketDevice, TcpConnection
 from posor_drivers.quantity_limits import POSITIVE
 
@@ -78,7 +78,7 @@ class CapaNcdtSettings(DeviceSettings):
     """Keys of a capaNCDT 6200."""
 
     kind: Literal["capancdt_6200"]
-    host: str
+    host: Host
     command_port: Port = 23
     data_port: Port = 10_001
     rate: Annotated[Quantity, measured("Hz")]

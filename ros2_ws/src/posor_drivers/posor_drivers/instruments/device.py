@@ -16,16 +16,18 @@ How to add a device:
 
 from __future__ import annotations
 
+import re
 from abc import ABC, abstractmethod
 from contextlib import suppress
 from dataclasses import dataclass
 from importlib.metadata import entry_points
+from ipaddress import ip_address
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Generic, Literal, TypeVar
 
 from posor.calibration.file_model import EntryError, FrozenModel
 from posor.calibration.quantity import Quantity, measured
 from posor.errors import PosorError
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
 from posor_drivers.instruments.channel_exposures import ExposureEntry, Exposures, find_exposures
 from posor_drivers.quantity_limits import NOT_NEGATIVE, POSITIVE
@@ -41,6 +43,21 @@ LONGEST_GAP = 1 << 20
 """Most frames that may be lost where a counter wraps, 4.5 minutes at 4 kHz; beyond, the counter went back."""
 
 Port = Annotated[int, Field(strict=True, ge=1, le=65_535)]
+_ADDRESS = re.compile(r"[0-9.]*|.*:.*")  # texts that can only be an IP address
+_HOST_NAME = re.compile(r"[A-Za-z0-9_-]+(\.[A-Za-z0-9_-]+)*\.?")
+
+
+def _check_host(host: str) -> str:
+    try:
+        is_valid = bool(ip_address(host.partition("%")[0]) if _ADDRESS.fullmatch(host) else _HOST_NAME.fullmatch(host))
+    except ValueError:
+        is_valid = False
+    if not is_valid:
+        raise EntryError(f"host '{host}'", expected="a host name or an IP address, without a port")
+    return host
+
+
+Host = Annotated[str, AfterValidator(_check_host)]
 
 
 class DeviceError(PosorError):

@@ -57,6 +57,8 @@ READINGS = {
 """Readings of a joint and their units."""
 WHOLE_NUMBERS = ("lit_sources", "home_mark", "light")
 """Readings that are never interpolated."""
+OWN_CHANNELS = ("gap_voltages", "ring_voltages", "diode_currents")
+"""Readings that share no channel with others."""
 
 
 class ReadingEntry(ChannelEntry):
@@ -131,9 +133,16 @@ class InstrumentsFile(FrozenModel):
             for name, device in self.new_devices().items()
             for channel in device.channels
         }
+        used: dict[str, str] = {}
         for joint, readings in self.joints.items():
             for name, location, entry in readings.entries():
-                _check_units(READINGS[name], entry, units, ("joints", joint, *location))
+                key = ("joints", joint, *location)
+                _check_units(READINGS[name], entry, units, key)
+                if name in OWN_CHANNELS and entry.channel in used:
+                    what = f"channel '{entry.channel}' is used twice, also as {used[entry.channel]}"
+                    raise EntryError(what, key=(*key, "channel"), expected="a channel of its own for each reading")
+                if name in OWN_CHANNELS:
+                    used[entry.channel] = f"{joint}.{name}[{location[-1]}]"
         for name, reference in self.references.items():
             if reference.joint not in self.joints:
                 what, expected = f"joint '{reference.joint}'", f"one of {', '.join(self.joints)}"
@@ -162,6 +171,8 @@ def _check_units(unit: str, entry: ChannelEntry, units: dict[str, str], key: tup
     elif entry.scale.unit != f"{unit}/{per_channel}" or entry.scale.array.shape:
         what = f"scale in {entry.scale.unit}"
         raise EntryError(what, key=(*key, "scale", "unit"), expected=f"one number in {unit}/{per_channel}")
+    elif entry.factor == 0.0:
+        raise EntryError("scale 0", key=(*key, "scale", "value"), expected="a number other than 0")
     acceleration = entry.acceleration if isinstance(entry, ReadingEntry) else None
     if acceleration is not None and acceleration.unit != f"{per_channel}/s^2":
         what = f"acceleration in {acceleration.unit}"

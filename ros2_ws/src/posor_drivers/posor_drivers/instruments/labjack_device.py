@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import numpy as np
 from pydantic import Field
 
-from posor_drivers.instruments.device import Port
+from posor_drivers.instruments.device import Host, Port
 from posor_drivers.instruments.labjack_registers import (
     LONG_REGISTERS,
     PRODUCTS,
@@ -56,7 +56,7 @@ class LabJackSettings(PolledSettings):
     """Keys of a LabJack."""
 
     kind: Literal["labjack"]
-    host: str
+    host: Host
     port: Port = 502
     channels: Annotated[dict[str, LabJackChannel], Field(min_length=1)]
 

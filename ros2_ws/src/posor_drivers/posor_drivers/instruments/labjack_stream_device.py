@@ -41,7 +41,7 @@ import numpy as np
 from posor.calibration.quantity import Quantity, measured
 from pydantic import Field
 
-from posor_drivers.instruments.device import DeviceError, DeviceSettings, Frames, Port
+from posor_drivers.instruments.device import DeviceError, DeviceSettings, Frames, Host, Port
 from posor_drivers.instruments.labjack_registers import LONG_REGISTERS, LabJackInput, LabJackRegisters, starting_inputs
 from posor_drivers.instruments.tcp_device import PacketDevice
 from posor_drivers.quantity_limits import POSITIVE, limit_quantity
@@ -80,7 +80,7 @@ class LabJackStreamSettings(DeviceSettings):
     """Keys of a LabJack T7 in stream mode."""
 
     kind: Literal["labjack_stream"]
-    host: str
+    host: Host
     port: Port = 502
     stream_port: Port = 702
     channels: Annotated[dict[str, StreamChannel], Field(min_length=1, max_length=128)]

@@ -27,12 +27,13 @@ References:
 
 from __future__ import annotations
 
+import re
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 from posor.calibration.file_model import EntryError, FrozenModel
 from posor.calibration.quantity import Quantity, measured
 from posor.uncertainty.interferometer import AbbeOffset, AirQuantities, Expansion, Input, Interferometer
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from posor_drivers.quantity_limits import NOT_NEGATIVE, POSITIVE
 
@@ -44,10 +45,16 @@ Radians = Annotated[Quantity, measured("rad")]
 AIR_UNITS = {"temperature": "K", "pressure": "Pa", "relative_humidity": "1", "co2_fraction": "1"}
 
 
+def _check_channel(channel: str) -> str:
+    if not re.fullmatch("[^/]+/[^/]+", channel):
+        raise EntryError(f"channel '{channel}'", expected="DEVICE/CHANNEL")
+    return channel
+
+
 class ChannelEntry(FrozenModel):
     """What a channel measures: ``scale`` times the channel plus ``offset``."""
 
-    channel: Annotated[str, Field(pattern=r"^[^/]+/[^/]+$")]
+    channel: Annotated[str, AfterValidator(_check_channel)]
     scale: Quantity | None = None
     offset: Quantity | None = None
 

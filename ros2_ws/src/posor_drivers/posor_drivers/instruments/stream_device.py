@@ -32,9 +32,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 import numpy as np
 from posor.calibration.file_model import EntryError, FrozenModel
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
-from posor_drivers.instruments.device import Device, DeviceSettings, FrameCounter, Frames, Port
+from posor_drivers.instruments.device import Device, DeviceSettings, FrameCounter, Frames, Host, Port
 from posor_drivers.instruments.tcp_device import TcpConnection
 
 if TYPE_CHECKING:
@@ -46,11 +46,17 @@ LONGEST_LINE = 65_536  # bytes
 MAX_DATAGRAM = 65_536
 
 
+def _not_zero(scale: float) -> float:
+    if scale == 0.0:
+        raise EntryError("scale 0", expected="a number other than 0")
+    return scale
+
+
 class StreamChannel(FrozenModel):
     """A field that is a channel: its value is ``scale`` times the number in the frame, in ``unit``."""
 
     unit: str
-    scale: Annotated[float, Field(strict=True, allow_inf_nan=False)] = 1.0
+    scale: Annotated[float, Field(strict=True, allow_inf_nan=False), AfterValidator(_not_zero)] = 1.0
 
 
 class StreamSettings(DeviceSettings):
@@ -58,7 +64,7 @@ class StreamSettings(DeviceSettings):
 
     kind: Literal["stream"]
     transport: Literal["tcp", "udp"]
-    host: str
+    host: Host
     port: Port
     format: str
     fields: tuple[str, ...]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from pathlib import Path
 from typing import Any
@@ -81,6 +82,19 @@ GAP = "joints.elbow.gap_voltages.0"
             "a scale or offset of a whole number; expected only a channel of unit 1.",
         ),
         (ELBOW, {"gap_voltages": []}, "no reading; expected at least one of"),
+        (
+            ELBOW,
+            {"gap_voltages": [{"channel": "box/gap1", "scale": quantity(1, "V/m")}] * 2},
+            "gap_voltages[1].channel: channel 'box/gap1' is used twice, also as elbow.gap_voltages[0]; expected a chan",
+        ),
+        (GAP, {"channel": "box.gap1"}, "channel 'box.gap1'; expected DEVICE/CHANNEL."),
+        (f"{GAP}.scale", {"value": 0}, "scale.value: scale 0; expected a number other than 0."),
+        ("devices.box.channels.gap1", {"scale": 0.0}, "channels.gap1.scale: scale 0; expected a number other than 0."),
+        ("devices.box.channels.gap1", {"scale": math.inf}, "channels.gap1.scale: inf; expected a finite number."),
+        *(
+            ("devices.box", {"host": host}, f"host '{host}'; expected a host name or an IP address, without a port.")
+            for host in ("", "http://box", "192.168.0.500", "192.168.0.5:5000", "a b", "fe80::x")
+        ),
         ("devices.box", {"kind": "strean"}, "kind 'strean'; expected "),
         ("devices.box", {"rate": 500}, "500 has no unit; expected a mapping such as"),
         ("rate", {"value": 0.5}, "0.5 Hz; expected a whole number from 1 to 10000."),
