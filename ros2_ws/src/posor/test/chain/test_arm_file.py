@@ -51,7 +51,7 @@ def test_a_missing_arm_file_is_named(tmp_path: Path, name: str, monkeypatch: pyt
 def test_an_arm_is_found_by_name_in_the_first_workspace(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A file or folder of the name comes first; an empty entry of the path is not the current folder."""
     workspaces = [path.parent / "over", path.parent / "under"]
-    for n, workspace in enumerate(workspaces):
+    for n, workspace in enumerate([*workspaces, path.parent]):
         for name in ("both", f"only_{n}"):
             (folder := workspace / "share" / "cell" / "arms" / name).mkdir(parents=True)
             shutil.copy(path, folder / "arm.yaml")
