@@ -22,14 +22,16 @@ from rclpy.serialization import deserialize_message
 
 from ..instruments.stream_rig import quantity, stream_rig, write_rig
 
-SOUND = (1e-4, 2e-6, 3.0, 0.0, 21.5)
+CURRENTS = tuple(1e-6 * n for n in range(1, 9))
+SOUND = (1e-4, *CURRENTS, 3.0, 0.0, 21.5)
 
 
 def instruments(port: int) -> dict[str, Any]:
-    units = {"gap": "m", "current": "A", "source": "1", "home": "1", "plate": "degC"}
+    currents = [f"current_{n}" for n in range(len(CURRENTS))]
+    units = {"gap": "m", **dict.fromkeys(currents, "A"), "source": "1", "home": "1", "plate": "degC"}
     joint = {
         "gap_voltages": [{"channel": "box/gap", "scale": quantity(1e4, "V/m"), "offset": quantity(-0.5, "V")}],
-        "diode_currents": [{"channel": "box/current"}] * 8,
+        "diode_currents": [{"channel": f"box/{name}"} for name in currents],
         "lit_sources": [{"channel": "box/source"}, 7],
         "home_mark": {"channel": "box/home"},
         "temperature": {"channel": "box/plate", "scale": quantity(1, "K/degC"), "offset": quantity(273.15, "K")},
@@ -77,7 +79,7 @@ def test_channels_become_the_readings_of_a_scan(tmp_path: Path) -> None:
         scan = scan_of(source)
         assert scan.header.frame_id == "receiving"
         np.testing.assert_allclose(scan.gap_voltages, [0.5], rtol=1e-12)
-        np.testing.assert_allclose(scan.diode_currents, [2e-6] * 8, rtol=1e-12)
+        np.testing.assert_allclose(scan.diode_currents, CURRENTS, rtol=1e-12)
         assert list(scan.lit_sources) == [3, 7]
         assert list(scan.ring_voltages) == []
         assert scan.temperature == pytest.approx(294.65)
@@ -100,17 +102,17 @@ def test_a_device_that_demodulates_and_a_reference_voltage_are_stated_in_each_sc
 
 def test_flags_and_refusals_follow_the_channels(tmp_path: Path) -> None:
     values: list[Sequence[float]] = [SOUND]
-    gap, current, lit, _, plate = SOUND
+    gap, *currents, lit, _, plate = SOUND
     with StreamServer(lambda _: values[0]) as server, opened(tmp_path, server.port) as source:
         scan_of(source)
-        values[0] = (gap, current, lit, 1.0, plate)
+        values[0] = (gap, *currents, lit, 1.0, plate)
         assert scan_of(source, lambda scan: scan.status != 0).status == HOME_BUMP
-        values[0] = (float("nan"), current, lit, 0.0, plate)
+        values[0] = (float("nan"), *currents, lit, 0.0, plate)
         saturated = scan_of(source, lambda scan: scan.status not in {0, HOME_BUMP})
         assert saturated.status == SATURATED
         assert np.isnan(saturated.gap_voltages).all()
         for refused in (3.5, 300.0, -1.0):
-            values[0] = (gap, current, refused, 0.0, plate)
+            values[0] = (gap, *currents, refused, 0.0, plate)
             wait_for_no_scan(source, f"lit sources [{refused}, 7.0]; expected whole numbers from 0 to 255")
         missing = int(source.statuses()[0].values["scans_missing"])
         values[0] = SOUND
@@ -120,7 +122,7 @@ def test_flags_and_refusals_follow_the_channels(tmp_path: Path) -> None:
 
 def test_scans_between_two_light_sources_and_without_frames_are_left_out(tmp_path: Path) -> None:
     def switched(time_ns: int) -> Sequence[float]:
-        return (*SOUND[:2], float(time_ns // 1_000_000 % 2), *SOUND[3:])
+        return (*SOUND[:-3], float(time_ns // 1_000_000 % 2), *SOUND[-2:])
 
     with StreamServer(switched) as server, opened(tmp_path, server.port) as source:
         wait_for_no_scan(source, "no frames of box around the tick, or frames with different light sources")
