@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import signal
 from pathlib import Path
+from xml.etree import ElementTree as ET
 
+import numpy as np
 import pytest
 from posor_bringup.arm_files_command import main as arm
 from posor_lab.harness.graph import Graph
@@ -14,6 +16,17 @@ from posor_msgs.msg import EndpointState
 pytestmark = pytest.mark.usefixtures("ros_domain")
 
 OK_SCANS = 50
+
+
+def test_a_beam_of_the_urdf_is_drawn_from_plate_to_plate(tmp_path: Path) -> None:
+    assert arm(["new", "own", "--joints", "3", "--axes", "x,y,z", "--folder", str(tmp_path / "own")]) == 0
+    root = ET.parse(tmp_path / "own" / "own.urdf").getroot()  # noqa: S314  written above
+    for joint in (each for each in root.iter("joint") if str(each.get("name")).endswith("_beam")):
+        link = next(each for each in root.iter("link") if each.get("name") == joint.find("parent").get("link"))  # type: ignore[union-attr]
+        beam = link.findall("visual")[1]
+        end, middle = (np.array(each.find("origin").get("xyz").split(), dtype=float) for each in (joint, beam))  # type: ignore[union-attr]
+        np.testing.assert_allclose(2.0 * middle, end, atol=1e-12)
+        assert np.linalg.norm(end) == pytest.approx(float(beam.find("geometry/cylinder").get("length")))  # type: ignore[union-attr,arg-type]
 
 
 def test_a_new_arm_comes_up_and_a_second_one_of_its_name_is_refused(tmp_path: Path) -> None:

@@ -5,13 +5,18 @@ from __future__ import annotations
 import json
 import math
 import shlex
+import shutil
 from pathlib import Path
+from xml.etree import ElementTree as ET
 
 import numpy as np
 import pytest
 import yaml
+from posor.chain.arm_file import load_arm_file
+from posor_bringup.arm_files_command import main as new_arm
 from posor_bringup.statement_command import compute_statement, main, parse_options
-from posor_design.statement_report import OUTPUT_FILES, render_sheet
+from posor_design.statement_map import COLOURS, draw_map
+from posor_design.statement_report import OUTPUT_FILES, micro_bound, render_sheet, verdict
 from posor_lab.harness.report_page import ReportPage
 from scipy.stats import t
 
@@ -87,9 +92,40 @@ def test_page_and_pdf_hold_the_sentences(made: Path) -> None:
     assert (made / "statement.pdf").read_bytes().startswith(b"%PDF")
 
 
-def test_the_sheet_of_a_workspace_is_one_page() -> None:
+def test_the_map_of_a_workspace_marks_the_worst_pose_and_colours_the_others() -> None:
     statement = compute_statement(parse_options(["six_axis", "--grid", "2"]))
     assert len(render_sheet(statement, "png")) == 1
+    assert {round(each.angles["base_turn"], 9) for each in statement.poses} == {0.0, -round(math.pi, 9)}
+    circles = [each.attrib for each in ET.fromstring(draw_map(statement)) if each.tag.endswith("circle")]  # noqa: S314
+    for ring in (each for each in circles if each["fill"] == "none"):
+        there = [each["fill"] for each in circles if (each["cx"], each["cy"]) == (ring["cx"], ring["cy"])]
+        assert there[-2] == COLOURS[-1]
+    sizes = np.array([each.largest for each in statement.poses])
+    lowest = sizes < sizes.min() + (sizes.max() - sizes.min()) / len(COLOURS)
+    assert [each["fill"] for each in circles].count(COLOURS[0]) == 2 * np.count_nonzero(lowest)
+
+
+def test_the_sheet_of_a_long_arm_is_one_page(tmp_path: Path) -> None:
+    assert new_arm(["new", "long", "--joints", "9", "--folder", str(tmp_path / "long")]) == 0
+    statement = compute_statement(parse_options([str(tmp_path / "long"), f"--angles={','.join('0' * 9)}"]))
+    assert len(render_sheet(statement, "png")) == 1
+
+
+def test_the_bound_that_sets_the_level_leads_to_its_entry(tmp_path: Path) -> None:
+    folder = Path(shutil.copytree(ARMS / "test_rig", tmp_path / "rig"))
+    (path,) = load_arm_file(folder / "arm.yaml").calibrations.values()
+    shared = {"unit": "m", "source": "assumed", "kind": "fault"}
+    causes = [
+        {"name": "film", "moves": "all gap probes", "bound": 1e-6, **shared},
+        {"name": "contact", "moves": "one contact", "bound": 1e-4, **shared, "unit": "1"},
+        {"name": "reading", "moves": "one reading", "bound": 1e-3, **shared},
+    ]
+    path.write_text(f"{path.read_text(encoding='utf-8')}\n{yaml.safe_dump({'causes': causes})}", encoding="utf-8")
+    statement = compute_statement(parse_options([str(folder), "--angles=0"]))
+    assert [each.key for each in statement.level_origins[:3]] == ["causes[2]"] * 3
+    level = statement.reliability.protection_level[:3]
+    assert f"leaves it within {micro_bound(max(level))} µm along each axis" in verdict(statement)
+    assert micro_bound(max(level)) != micro_bound(min(level))
 
 
 def test_the_scatter_of_an_arm_at_rest_gives_finite_degrees_of_freedom(tmp_path: Path) -> None:
@@ -100,6 +136,11 @@ def test_the_scatter_of_an_arm_at_rest_gives_finite_degrees_of_freedom(tmp_path:
     random = {part["source"]: part for part in content["components"] if part["kind"] == "random"}
     assert {part["origin"]["record"] for part in random.values()} == {"bag"}
     assert all(50 < part["degrees_of_freedom"] < 1000 for part in random.values())
+    assert main(["five_axis", "--angles=0,0,0,0,0", "--output", str(tmp_path / "stated")]) == 0
+    stated = json.loads((tmp_path / "stated" / "statement.json").read_text(encoding="utf-8"))["components"]
+    noise = {part["source"]: np.trace(part["covariance"]) for part in stated if part["kind"] == "random"}
+    ratios = {name: np.trace(part["covariance"]) / noise[name] for name, part in random.items()}
+    assert all(0.7 < ratio < 1.3 for ratio in ratios.values()), ratios  # simulated as stated
     lost = [each for each in content["reservations"] if "no usable pose" in each]
     assert len(lost) == len(random)
     assert content["records"][-1]["role"] == "bag"

@@ -60,6 +60,15 @@ def test_the_sentence_on_the_endpoint(changes: dict[str, Any], text: str) -> Non
     assert text in banner(**changes)
 
 
+@pytest.mark.parametrize(("pause_s", "run"), [(1.0, 0), (4.0, 1)])
+def test_points_after_a_silence_belong_to_another_run(pause_s: float, run: int) -> None:
+    record = ArmRecord(["elbow"], (30.0,))
+    for time_ns, is_fresh in ((NS, True), (2 * NS, False), (round((1.0 + pause_s) * NS), True)):
+        endpoint = replace(ENDPOINT, received_ns=time_ns if is_fresh else NS)
+        record.add(replace(SEEN, time_ns=time_ns, is_fresh=is_fresh, endpoint=endpoint), None)
+    assert record.history.run == run
+
+
 def test_numbers_end_where_their_uncertainty_ends() -> None:
     table = numbers_table(SEEN, None)
     for text in ("1234.5679 mm", "-500.0000 mm", "0.000 mm", "11.4 um", "&infin;"):

@@ -72,6 +72,13 @@ def test_the_temperature_moves_all_beams_of_an_extended_arm_alike() -> None:
     assert by_temperature["cold"] == pytest.approx(0.1 * by_temperature["stated"], rel=1e-9)
 
 
+def test_errors_of_stamps_are_rectangular_within_their_bound() -> None:
+    model = ArmUncertainty(load_arm_file(ARMS / "five_axis" / "arm.yaml"))
+    (found,) = model.at(np.array([ANGLES["five_axis"]]), stamp_shifts=np.full((1, 6), 3e-6))
+    (stamps,) = (each for each in found.components if each.kind is Kind.STAMPS)
+    np.testing.assert_allclose(stamps.covariance, 3e-12 * np.eye(6))
+
+
 def test_the_mean_of_scans_has_less_noise_and_the_same_calibration() -> None:
     model = ArmUncertainty(load_arm_file(ARMS / "five_axis" / "arm.yaml"))
     one, many = (model.at(np.array([ANGLES["five_axis"]]), scans=scans)[0] for scans in (1, 16))
