@@ -16,7 +16,7 @@ def test_a_deviation_is_that_of_the_endpoint_from_the_reference_in_the_same_plan
     x = np.concatenate([there, there])  # two cycles
     stamps = np.arange(len(x)) * 1_000_000
     references = np.column_stack([x, 0.0 * x, 0.0 * x])
-    positions = references + [0.0, ASIDE, 0.0]
+    positions = np.column_stack([x, 0.0 * x + ASIDE, 0.0 * x])
     turns = Rotation.from_rotvec(np.column_stack([0.0 * x, 0.0 * x, TURN * x]))
     motion = Motion(stamps, positions, references, (turns, Rotation.from_rotvec(np.zeros((len(x), 3)))))
     still = np.flatnonzero(np.concatenate([[True], np.diff(x) == 0.0]) & np.concatenate([np.diff(x) == 0.0, [True]]))
