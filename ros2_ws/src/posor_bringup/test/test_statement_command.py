@@ -106,8 +106,8 @@ def test_the_map_of_a_workspace_marks_the_worst_pose_and_colours_the_others() ->
 
 
 def test_the_sheet_of_a_long_arm_is_one_page(tmp_path: Path) -> None:
-    assert new_arm(["new", "long", "--joints", "9", "--folder", str(tmp_path / "long")]) == 0
-    statement = compute_statement(parse_options([str(tmp_path / "long"), f"--angles={','.join('0' * 9)}"]))
+    assert new_arm(["new", "long", "--joints", "14", "--folder", str(tmp_path / "long")]) == 0
+    statement = compute_statement(parse_options([str(tmp_path / "long"), "--angles=" + ",".join("0" * 14)]))
     assert len(render_sheet(statement, "png")) == 1
 
 

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from posor_design.statement import Statement
 
 COLOURS = ("#440154", "#414487", "#2a788e", "#22a884", "#7ad151", "#fde725")  # viridis: dark is small
-WIDTH, HEIGHT, MARGIN, GAP, LEGEND = 420.0, 300.0, 46.0, 30.0, 34.0
+WIDTH, HEIGHT, MARGIN, GAP, LEGEND = 420.0, 300.0, 58.0, 30.0, 34.0
 VIEWS = ((0, 1, "x [m]", "y [m]"), (0, 2, "x [m]", "z [m]"))  # from above, from the side
 
 

@@ -226,7 +226,7 @@ def _components(statement: Statement) -> StatementTable:
 
 def _protection(statement: Statement) -> StatementTable:
     reliability = statement.reliability
-    rows = [
+    rows: list[list[str | Text]] = [
         [axis, micro_bound(level), f"{joint}: {cause}", _cause_source(statement, joint, cause), (origin,)]
         for axis, level, (joint, cause), origin in zip(
             AXES, reliability.protection_level, reliability.set_by, statement.level_origins, strict=True
@@ -248,12 +248,12 @@ def _cause_source(statement: Statement, joint: str, cause: str) -> str:
 
 
 def _conditions(statement: Statement) -> StatementTable:
-    rows = [[each.name, each.text, (each.origin,)] for each in statement.conditions]
+    rows: list[list[str | Text]] = [[each.name, each.text, (each.origin,)] for each in statement.conditions]
     return StatementTable("Conditions", ("condition", "value", "origin"), rows)
 
 
 def _records(statement: Statement) -> StatementTable:
-    rows = [
+    rows: list[list[str | Text]] = [
         [
             each.role,
             (Origin(each.role, each.path.name),),
