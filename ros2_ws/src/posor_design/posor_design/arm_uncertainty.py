@@ -173,15 +173,15 @@ class ArmUncertainty:
         pose at its angle.
         """
         estimates = self._estimates(angles)
-        for name, (values, found_there, _) in estimates.items():
-            require_poses(found_there, name, values)
+        for name, each in estimates.items():
+            require_poses(each.estimates, name, each.angles)
         freedoms = {name: calibration_freedoms(self.calibrations[name]) for name in self.joints}
         found = []
         for n, row in enumerate(angles):
             given = dict(zip(self.joints, map(float, row), strict=True))
             measured = {}
-            for name, (_, own, places) in estimates.items():
-                k = int(places[n])
+            for name, joint in estimates.items():
+                own, k = joint.estimates, int(joint.places[n])
                 random, of_random = (observed or {}).get(name, (own.covariances_random[k], math.inf))
                 shared = dict(zip(self.calibrations[name].shared, own.shared_effects[k], strict=False))
                 parts = random / scans, own.covariances_systematic[k], shared
