@@ -21,12 +21,11 @@ if TYPE_CHECKING:
     from posor_bringup.view_history import Points
 
 WIDTH, LEFT, RIGHT = 480, 44, 6  # of the picture and its margins
-HEADING, STRIP, AXIS = 17, 12, 30  # heights of the heading of a chart, of the strip of states, of the time axis
+HEADING, STRIP, AXIS = 17, 12, 34  # heights of the heading of a chart, of the strip of states, of the time axis
 FONT = "font-family:system-ui,sans-serif;font-size:11px"
 HALO = "paint-order:stroke;stroke:#fff;stroke-width:3px"
 INK, GRID, MARK = "#333333", "#dddddd", "#d62728"
 TIME_STEPS_S = (1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 900, 1800, 3600, 7200, 10800, 21600, 43200, 86400)
-CLEAR = 4.0  # distance of the label of a tick from both ends of its axis
 TICKS = 6  # at most, of an axis of time; half as many of an axis of values
 NO_GAP = 3.5  # widths of a point, up to which neighbours are joined by a line
 FORMER = 0.3  # opacity of the points of former runs
@@ -142,8 +141,7 @@ def _chart(chart: Chart, top: int, x: FloatArray, points: Points, run: int) -> I
     for tick in ticks:
         at = float(y(np.array(tick)))
         yield _line(LEFT, at, WIDTH - RIGHT, at, GRID, "")
-        if top + CLEAR <= at <= top + chart.height - CLEAR:  # clear of the labels of the neighbours
-            yield f'<text x="{LEFT - 4}" y="{at + 4:.1f}" text-anchor="end" fill="{INK}">{tick:g}</text>'
+        yield f'<text class="value" x="{LEFT - 4}" y="{at + 4:.1f}" text-anchor="end" fill="{INK}">{tick:g}</text>'
     if chart.limit is not None:
         at = float(y(np.array(chart.limit)))
         yield _line(LEFT, at, WIDTH - RIGHT, at, MARK, "6 3")
@@ -194,9 +192,9 @@ def _time_axis(axis: Axis, height: int) -> Iterator[str]:
         at = float(axis.x(np.array(float(time_s))))
         text = utc(time_s * 10**9, "%H:%M" if step % 60 == 0 else "%H:%M:%S")
         yield _line(at, STRIP, at, bottom, GRID, "")
-        yield f'<text class="tick" x="{at:.1f}" y="{bottom + 12}" text-anchor="middle" fill="{INK}">{text}</text>'
+        yield f'<text class="tick" x="{at:.1f}" y="{bottom + 16}" text-anchor="middle" fill="{INK}">{text}</text>'
     date = utc(int(axis.end_s * 1e9), "%Y-%m-%d UTC")
-    yield f'<text id="date" x="{WIDTH - RIGHT}" y="{bottom + 25}" text-anchor="end" fill="{INK}">{date}</text>'
+    yield f'<text id="date" x="{WIDTH - RIGHT}" y="{bottom + 29}" text-anchor="end" fill="{INK}">{date}</text>'
 
 
 def _line(x1: float, y1: float, x2: float, y2: float, colour: str, dashes: str) -> str:

@@ -14,6 +14,7 @@ CHARTS = (
     Chart("chi-square", (Series("elbow", "#1f77b4", 2), Series("base", "#2ca02c", 2)), 60, 1.0),
 )
 STATE = 3
+LETTER = 11.0  # height of a label
 
 
 def filled(times_s: np.typing.ArrayLike, windows_s: tuple[float, ...] = (30.0,)) -> History:
@@ -63,6 +64,18 @@ def test_all_charts_have_one_axis_in_utc() -> None:
     assert ticks == ["00:00:00", "00:00:05", "00:00:10", "00:00:15", "00:00:20", "00:00:25", "00:00:30"][: len(ticks)]
     assert len(ticks) >= 6
     assert [each.text for each in picture.iter("text") if each.get("id") == "date"] == ["2026-01-01 UTC"]
+
+
+def test_labels_of_ticks_are_clear_of_each_other() -> None:
+    picture = drawn(filled(T0_S + np.arange(30.0)), Axis(T0_S, T0_S + 30.0))
+    kinds = {
+        kind: [float(each.get("y", 0.0)) for each in picture.iter("text") if each.get("class") == kind]
+        for kind in ("value", "tick")
+    }
+    values = np.sort(kinds["value"])
+    assert len(values) >= 4
+    assert np.diff(values).min() > LETTER
+    assert min(kinds["tick"]) - values[-1] >= LETTER
 
 
 def test_curves_bands_and_limit() -> None:
