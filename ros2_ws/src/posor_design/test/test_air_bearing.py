@@ -87,7 +87,7 @@ def reynolds_load(bearing: dict[str, Any], method: Method, eccentricity_ratio: f
         slope[ring] = (inflow(state[ring] - 1e-7 * supply) - flow) / (-1e-7 * supply)
         residual = matrix @ state + end * outside
         residual[ring] += flow
-        change = spsolve(sparse.csc_array(matrix + sparse.diags_array(slope)), -residual)
+        change = spsolve(sparse.csc_array(matrix + sparse.diags(slope)), -residual)
         state += change
         # Newton's method may overshoot the supply, where no flow is defined.
         state[ring] = np.minimum(state[ring], supply * (1.0 - 1e-9))

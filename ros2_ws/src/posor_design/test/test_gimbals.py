@@ -15,6 +15,7 @@ from posor_design.gimbals import (
     wire_gimbal,
     yoke_friction,
 )
+from scipy.integrate import trapezoid
 
 TUBE: dict[str, Any] = {
     "length": 0.762,
@@ -56,7 +57,7 @@ def test_the_motion_is_that_of_a_cantilever() -> None:
     assert motion.angle == pytest.approx(force * length**2 / (3.0 * modulus * inertia), rel=1e-12)
     place = np.linspace(0.0, length, 2001)
     slope = force / (modulus * inertia) * (length * place - 0.5 * place**2)
-    assert motion.shortening == pytest.approx(np.trapezoid(0.5 * slope**2, place), rel=1e-6)
+    assert motion.shortening == pytest.approx(trapezoid(0.5 * slope**2, place), rel=1e-6)
 
 
 def test_the_torques_make_the_endpoint_error() -> None:
