@@ -218,8 +218,8 @@ def rig_bag() -> FloatArray:
 
 def arm_bag() -> FloatArray:
     """Return joints and endpoints of the bag of an arm."""
-    arm = load_arm(SOURCES / "posor_bringup" / "arms" / "five_axis_checked" / "arm.yaml")
-    found = arm.estimate(BAGS / "five_axis_checked")
+    arm = load_arm(SOURCES / "posor_bringup" / "arms" / "five_axis" / "arm.yaml")
+    found = arm.estimate(BAGS / "five_axis")
     endpoint = found.endpoint
     outputs = [endpoint.poses, endpoint.covariances_random, endpoint.covariances_systematic]
     for joint in found.joints.values():
