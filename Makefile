@@ -1,7 +1,7 @@
 # POSOR for ROS 2. Every target sets the workspace up first; this takes a fraction of a second if nothing has changed.
 
 .DEFAULT_GOAL := help
-.PHONY: help setup environment audit bounds demo arm calibrate-demo faults commissioning time mutations fuzz foreign-bags instruments soak statement-truth test test-long test-noble coverage accuracy budgets thesis bench bench-core data docs lint words lines rooms lock clean
+.PHONY: help setup environment audit bounds demo arm calibrate-demo faults commissioning time mutations fuzz foreign-bags instruments soak statement-truth test test-long test-noble coverage accuracy budgets thesis bench bench-core data docs lint words lines rooms wheels lock clean
 
 BAG ?= ymo
 CAL ?= printed
@@ -14,6 +14,7 @@ BENCH ?=
 FAULTS ?=
 COMMISSIONING ?=
 FORBIDDEN_WORDS := told|abreast|eights|taking_turns|Outlet|Inlet|places, ints, floats
+WHEELS := posor posor_calibration posor_design
 IN_WORKSPACE := .venv/bin/python -E tools/in_workspace.py
 
 help:
@@ -44,6 +45,7 @@ help:
 	@echo "make rooms                                             draw the packages and the imports between them"
 	@echo "make data                                              regenerate bags and calibrations from tables and designs"
 	@echo "make docs                                              pages of parameters and calculators, and the site build/docs/index.html"
+	@echo "make wheels                                            wheels of the packages without ROS in build/wheels"
 	@echo "make setup                                             virtual environment, ROS 2 Jazzy, colcon build"
 	@echo "make audit                                             known vulnerabilities of the pinned libraries; needs pypi.org"
 	@echo "make bounds                                            lowest and newest versions of the libraries, tried; needs pypi.org"
@@ -140,6 +142,10 @@ docs: setup
 	@$(IN_WORKSPACE) tools/document_messages.py
 	@$(IN_WORKSPACE) -m sphinx -q -W --keep-going -d build/docs/.doctrees docs build/docs
 	@echo "build/docs/index.html"
+
+wheels: setup
+	@POSOR_KERNEL_LIBRARY=$(CURDIR)/ros2_ws/build/posor/posor_kernels.so $(IN_WORKSPACE) -m pip wheel --quiet --no-deps \
+		--no-build-isolation --no-index --wheel-dir build/wheels $(addprefix ./ros2_ws/src/,$(WHEELS))
 
 lint: environment
 	@.venv/bin/python -I -m ruff check

@@ -38,9 +38,10 @@ TOLERANCE = 1e-12  # largest difference of positions [m] and quaternions
 
 RUN_EXAMPLE = f"""
 import json, runpy, sys
+from posor.numerics.compiled import MODE
 endpoint = runpy.run_path({str(EXAMPLE)!r})["endpoint"]
 ros = sorted(name for name in sys.modules if name.split(".")[0] in ("rclpy", "posor_msgs", "ament_index_python"))
-result = {{"ros": ros, "stamps": endpoint.stamps_ns.tolist(), "poses": endpoint.poses.tolist()}}
+result = {{"mode": MODE, "ros": ros, "stamps": endpoint.stamps_ns.tolist(), "poses": endpoint.poses.tolist()}}
 print(json.dumps(result), file=sys.stderr)
 """
 FIT = """
@@ -67,21 +68,39 @@ print(time.perf_counter() - begin, "numpy" in sys.modules)
 
 
 @pytest.fixture(scope="module")
-def python(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return the Python of a virtual environment with nothing but the two libraries and what they require.
+def wheels() -> list[Path]:
+    """Return the wheels of ``make wheels``."""
+    subprocess.run(["make", "--no-print-directory", "wheels"], cwd=ROOT, check=True)  # noqa: S607
+    return [next((ROOT / "build" / "wheels").glob(f"{name}-*.whl")) for name in PACKAGES]
+
+
+@pytest.fixture(scope="module", params=["3.11", "3.12"])
+def python(request: pytest.FixtureRequest, wheels: list[Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the Python of a virtual environment with nothing but the wheels of two libraries and what they require.
 
     The pip of the workspace installs. Libraries that no test imports are not compiled to bytecode.
     """
-    folder = tmp_path_factory.mktemp("plain")
-    ignored = shutil.ignore_patterns("*.egg-info", "build", "__pycache__", "test")
-    sources = ROOT / "ros2_ws" / "src"
-    copies = [shutil.copytree(sources / name, folder / name, ignore=ignored) for name in PACKAGES]
-    subprocess.run([sys.executable, "-I", "-m", "venv", "--without-pip", str(folder / "venv")], check=True)
-    python = folder / "venv" / "bin" / "python"
+    venv = tmp_path_factory.mktemp("plain") / "venv"
+    subprocess.run([find_python(request.param), "-I", "-m", "venv", "--without-pip", str(venv)], check=True)
+    python = venv / "bin" / "python"
     pip = [sys.executable, "-I", "-m", "pip", "--python", str(python), "--quiet", "--disable-pip-version-check"]
-    install = ["install", "--no-compile", "--constraint", str(ROOT / "requirements" / "base.txt"), *map(str, copies)]
-    subprocess.run([*pip, *install], check=True, env=plain_environment())
+    constraints = [f"--constraint={ROOT / 'requirements' / name}.txt" for name in ("base", "ros-jazzy")]
+    subprocess.run(
+        [*pip, "install", "--no-compile", *constraints, *map(str, wheels)], check=True, env=plain_environment()
+    )
     return python
+
+
+def find_python(version: str) -> str:
+    """Return an interpreter of a version, or skip the test."""
+    for candidate in (sys.executable, f"python{version}"):
+        shown = [candidate, "-c", "import sys; print('{}.{}'.format(*sys.version_info))"]
+        if (
+            shutil.which(candidate)
+            and subprocess.run(shown, capture_output=True, text=True, check=False).stdout.strip() == version
+        ):
+            return candidate
+    pytest.skip(f"this machine has no python{version}")
 
 
 def plain_environment() -> dict[str, str]:
@@ -100,7 +119,7 @@ def run(python: Path, code: str) -> subprocess.CompletedProcess[str]:
 def test_the_example_gives_the_published_poses_without_ros(python: Path) -> None:
     done = run(python, RUN_EXAMPLE)
     result: dict[str, Any] = json.loads(done.stderr.splitlines()[-1])
-    assert result["ros"] == []
+    assert (result["mode"], result["ros"]) == ("library", [])
     published = [deserialize_message(data, PoseStamped) for data in read_bag_messages(BAG)["/five_axis/endpoint/pose"]]
     stamps = [message.header.stamp.sec * 10**9 + message.header.stamp.nanosec for message in published]
     positions = [[message.pose.position.x, message.pose.position.y, message.pose.position.z] for message in published]
