@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from configparser import ConfigParser
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
@@ -19,6 +20,16 @@ MANIFESTS = sorted([*ROOT.glob("ros2_ws/src/*/package.xml"), *ROOT.glob("lab/*/p
 def test_every_python_key_has_a_package_of_ubuntu(path: Path) -> None:
     keys = {str(each.text) for each in ET.parse(path).getroot() if each.tag.endswith("depend")}  # noqa: S314
     assert {key for key in keys if key.startswith("python3-")} <= {f"python3-{name}" for name in APT_KEYS}
+
+
+@pytest.mark.parametrize(
+    "path", [each for each in MANIFESTS if (each.parent / "test").is_dir()], ids=lambda path: path.parent.name
+)
+def test_colcon_runs_the_tests_with_pytest(path: Path) -> None:
+    """Without this extra ``colcon test`` calls unittest, which finds no test."""
+    settings = ConfigParser()
+    settings.read(path.parent / "setup.cfg")
+    assert settings["options.extras_require"]["test"].split() == ["pytest"]
 
 
 def test_every_other_library_is_among_those_of_pip() -> None:
