@@ -64,7 +64,7 @@ def main() -> int:
     python = Workspace(CHECKOUT).python
     options = {"cwd": CHECKOUT, "env": os.environ | {"PYTHON": sys.executable}}
     set_up = [sys.executable, "tools/setup_workspace.py", "--without-build"]
-    run_tests = [python, "-E", "tools/run_tests.py", *(sys.argv[1:] or [PRODUCT])]
+    run_tests = [str(python), "-E", "tools/run_tests.py", *(sys.argv[1:] or [PRODUCT])]
     return run_commands(set_up, **options) or run_commands(run_tests, **options)
 
 
