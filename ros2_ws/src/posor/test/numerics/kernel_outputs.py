@@ -207,7 +207,7 @@ def estimates(posor: Posor, scans: Scans) -> list[FloatArray]:
     """Return all numbers of the estimates of scans."""
     found = posor.estimate_all(scans, fault_effects=True)
     covariances = found.covariances_random, found.covariances_systematic, found.fault_effects
-    return [array.ravel() for array in (found.poses, found.natives, found.residuals, *covariances)]
+    return [array.ravel().astype(float) for array in (found.poses, found.natives, found.residuals, *covariances)]
 
 
 def rig_bag() -> FloatArray:
