@@ -1,7 +1,7 @@
 # POSOR for ROS 2. Every target sets the workspace up first; this takes a fraction of a second if nothing has changed.
 
 .DEFAULT_GOAL := help
-.PHONY: help setup environment audit bounds demo arm calibrate-demo faults commissioning time mutations fuzz foreign-bags instruments soak statement-truth test test-long test-noble coverage accuracy budgets thesis bench bench-core data docs lint words lines rooms wheels lock clean
+.PHONY: help setup environment audit bounds demo arm calibrate-demo faults commissioning time mutations fuzz foreign-bags instruments shop soak statement-truth test test-long test-noble coverage accuracy budgets thesis bench bench-core data docs lint words lines rooms wheels lock clean
 
 BAG ?= ymo
 CAL ?= printed
@@ -29,6 +29,7 @@ help:
 	@echo "make foreign-bags [BAGS='--bags 500 ...']              generate bags of other writers, count how each is read"
 	@echo "make fuzz [FUZZ='--scans 10000 ...']                   damage messages and files, count wrong poses"
 	@echo "make instruments [INSTRUMENTS='--trials TEXT ...']      try every kind of device against a server"
+	@echo "make shop [SHOP='--arms 100']                          endpoint in a shop whose temperature changes by 10 K"
 	@echo "make statement-truth [STATEMENT='--draws 500 ...']     U of posor statement against drawn arms"
 	@echo "make soak [SOAK='--seconds 120 ...']                   run an arm for an hour, find losses and growth"
 	@echo "make test [TESTS='path ...']                           linters and all tests, or only the tests of TESTS"
@@ -98,6 +99,9 @@ instruments:
 
 soak:
 	@./run posor_lab soak $(SOAK)
+
+shop:
+	@./run posor_lab shop $(SHOP)
 
 statement-truth:
 	@./run posor_lab statement_truth $(STATEMENT)

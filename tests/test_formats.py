@@ -58,12 +58,13 @@ def test_an_arm_of_the_first_version_is_read_with_all_its_files() -> None:
     assert load_calibration(arm.calibrations["joint1"]).version == 1
 
 
-def test_beams_of_both_versions_are_the_same_but_for_the_temperature() -> None:
-    first, second = (load_beams(FORMATS / f"version_{version}/beams.yaml") for version in (1, 2))
-    (one,), (other,) = first.beams, second.beams
+def test_beams_of_all_versions_are_the_same_but_for_the_temperature() -> None:
+    one, two, three = (load_beams(FORMATS / f"version_{version}/beams.yaml").beams[0] for version in (1, 2, 3))
     assert one.temperature is None
-    assert other.temperature is not None
-    assert one.model_dump(mode="json") == other.model_copy(update={"temperature": None}).model_dump(mode="json")
+    for other, has_thermometer in ((two, False), (three, True)):
+        assert other.temperature is not None
+        assert (other.thermometer is not None) == has_thermometer
+        assert one.model_dump(mode="json") == other.model_copy(update={"temperature": None}).model_dump(mode="json")
 
 
 def test_a_bag_of_the_first_version_gives_the_same_results_as_that_of_today(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache, partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -22,9 +22,11 @@ from posor.model.fault import State
 from posor.numerics.vector import thetas_of
 from posor_design.arm_allotment import beams_with
 from posor_drivers.simulator.arm_truth import true_cycle
+from posor_drivers.simulator.beam_heat import beam_heats
 from posor_drivers.simulator.electronics import JointElectronics
 from posor_drivers.simulator.imperfections import Imperfections
 from posor_drivers.simulator.nominal_arm import NominalArm
+from posor_drivers.simulator.pose_array import PoseArray
 from posor_drivers.simulator.scenario import load_scenario
 
 from posor_lab.accuracy.consistency import REGION_LIMIT, MeanEstimate, normalised_squares
@@ -33,13 +35,14 @@ from posor_lab.independent.true_arm import TrueArm
 from posor_lab.reports.process_pool import ordered_map
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
     from pathlib import Path
 
     from posor.chain.beams_file import BeamsFile
+    from posor.chain.endpoint_estimator import EndpointEstimator
     from posor.estimation.estimate import Estimates
-    from posor.numerics.array_types import FloatArray
-    from posor_drivers.simulator.pose_array import PoseArray
+    from posor.numerics.array_types import BoolArray, FloatArray
+    from posor_drivers.simulator.beam_heat import BeamHeat
     from posor_drivers.simulator.scenario import Scenario
 
 ARMS = 1000
@@ -124,8 +127,34 @@ def _inside(normalised: FloatArray) -> MeanEstimate:
     return MeanEstimate.of(np.mean(np.where(np.isfinite(normalised), normalised, np.inf) <= REGION_LIMIT, axis=1))
 
 
+class MeasuredArm(NamedTuple):
+    """A drawn arm of j joints at p poses, of which n have been measured."""
+
+    known: BoolArray  # which poses, (p,)
+    true: PoseArray  # endpoint, n
+    poses: FloatArray  # measured, (n, j, 7)
+    random: FloatArray  # covariances, (n, j, 6, 6)
+    systematic: FloatArray  # (n, j, 6, 6)
+    effects: FloatArray  # of shared terms, (n, j, T, 6)
+    heats: Mapping[str, BeamHeat]  # of beams at the p poses
+
+    def judge(self, estimator: EndpointEstimator, which: slice = slice(None)) -> tuple[FloatArray, FloatArray]:
+        """Return the errors of the endpoint (n, 6) and their normalised squares (n,), of some of the n poses."""
+        parts = self.poses[which], self.random[which], self.systematic[which]
+        endpoints = estimator.estimate_all(*parts, shared_effects=self.effects[which])
+        true = PoseArray(self.true.rotations[which], self.true.translations[which])
+        errors = pose_errors(_to_pose_array(endpoints.poses), true)
+        return errors, normalised_squares(errors, endpoints.covariances())
+
+
 class ArmSampler:
-    """Draws arms with the files of an arm; a seed determines an arm."""
+    """Draws arms with the files of an arm; a seed determines an arm.
+
+    Attributes:
+        scenario: Of the arm.
+        ticks: Of the poses, (p,).
+
+    """
 
     def __init__(self, arm: ArmFile, poses: int) -> None:
         """Read the files and select a number of poses, evenly spread over the scenario.
@@ -135,7 +164,7 @@ class ArmSampler:
         if arm.scenario is None or arm.beams is None:
             what = "has no scenario or no beams file"
             raise ParameterError(what, where=str(arm.path), expected="a simulated arm with beams")
-        self._scenario = load_scenario(arm.scenario)
+        self.scenario = load_scenario(arm.scenario)
         self._source = str(arm.scenario)
         self.chain = arm.chain()
         beams = load_beams(arm.beams)
@@ -147,41 +176,50 @@ class ArmSampler:
         self._nominal = NominalArm(self.chain, self._truth)
         self._posors = {joint: Posor(arm.calibration(joint), false_alarm=FALSE_ALARM) for joint in self._nominal.joints}
         self._terms = [tuple(posor.calibration.shared) for posor in self._posors.values()]
-        cycle = self._scenario.cycle_ticks
-        self._ticks = (np.arange(poses) * cycle) // poses + cycle // (2 * poses)
-        self._commanded = self._scenario.commanded_angles(self._nominal, self._source)[self._ticks]
+        cycle = self.scenario.cycle_ticks
+        self.ticks = (np.arange(poses) * cycle) // poses + cycle // (2 * poses)
+        self._commanded = self.scenario.commanded_angles(self._nominal, self._source)[self.ticks]
 
     def draw(self, seeds: range) -> ArmSample:
         """Return the errors of the arms with these seeds."""
-        arms, poses = len(seeds), len(self._ticks)
+        arms, poses = len(seeds), len(self.ticks)
         normalised = np.full((arms, poses), np.nan)
         errors, without_sag = np.full((2, arms, poses, 6), np.nan)
         has_terms = bool(self.chain.shared or any(self._terms))
         independent = np.full((arms, poses), np.nan)
         for n, seed in enumerate(seeds):
-            scenario = self._scenario.model_copy(update={"seed": seed})
-            truth = true_cycle(scenario, self.chain, self._nominal, self._commanded, IN_THE_BUDGET, self._truth)
-            found = {joint: self._estimate_joint(joint, scenario, seen) for joint, seen in truth.T_parent_child.items()}
-            known = np.all([estimates.states != State.LOST for estimates in found.values()], axis=0)
+            arm = self.measure(self.scenario.model_copy(update={"seed": seed}))
+            known = arm.known
             if not known.any():
                 continue
-            measured, random, systematic, effects = (
-                np.stack([getattr(each, name) for each in found.values()], axis=1)[known]
-                for name in ("poses", "covariances_random", "covariances_systematic", "shared_effects")
-            )
-            true = truth.endpoint.select(known)
-            straight, estimator = self.straight.estimate_all(measured, random, systematic), self.chain.estimator()
-            estimator.use_terms(self._terms)
-            most = max(map(len, self._terms))
-            endpoints = estimator.estimate_all(measured, random, systematic, shared_effects=effects[:, :, :most])
-            errors[n, known] = pose_errors(_to_pose_array(endpoints.poses), true)
-            without_sag[n, known] = pose_errors(_to_pose_array(straight.poses), true)
-            normalised[n, known] = normalised_squares(errors[n, known], endpoints.covariances())
+            straight = self.straight.estimate_all(arm.poses, arm.random, arm.systematic)
+            errors[n, known], normalised[n, known] = arm.judge(self.estimator())
+            without_sag[n, known] = pose_errors(_to_pose_array(straight.poses), arm.true)
             if has_terms:
-                covariances = self._independent.estimate_all(measured, random, systematic).covariances()
+                covariances = self._independent.estimate_all(arm.poses, arm.random, arm.systematic).covariances()
                 independent[n, known] = normalised_squares(errors[n, known], covariances)
         lost = int(np.isnan(normalised).sum())
         return ArmSample(normalised, errors, without_sag, lost, independent if has_terms else None)
+
+    def measure(self, scenario: Scenario, imperfections: Imperfections = IN_THE_BUDGET) -> MeasuredArm:
+        """Draw the arm of a scenario's seed, and measure its joints at all poses."""
+        shares = self.ticks / scenario.cycle_ticks
+        heats = beam_heats(scenario, self.chain, shares, imperfections, self._source)
+        truth = true_cycle(scenario, self.chain, self._nominal, self._commanded, imperfections, self._truth, heats)
+        found = {joint: self._estimate_joint(joint, scenario, seen) for joint, seen in truth.T_parent_child.items()}
+        known = np.all([estimates.states != State.LOST for estimates in found.values()], axis=0)
+        measured, random, systematic, effects = (
+            np.stack([getattr(each, name) for each in found.values()], axis=1)[known]
+            for name in ("poses", "covariances_random", "covariances_systematic", "shared_effects")
+        )
+        effects = effects[:, :, : max(map(len, self._terms))]
+        return MeasuredArm(known, truth.endpoint.select(known), measured, random, systematic, effects, heats)
+
+    def estimator(self) -> EndpointEstimator:
+        """Return a new estimator of the endpoint, with the shared terms of the joints."""
+        estimator = self.chain.estimator()
+        estimator.use_terms(self._terms)
+        return estimator
 
     def predicted_shift(self) -> FloatArray:
         """Return the endpoint errors by uncorrected sag, (p, 6), that follow from the beams file alone."""
@@ -199,7 +237,7 @@ class ArmSampler:
         posor = self._posors[joint]
         electronics = JointElectronics(scenario, joint, posor.calibration, IN_THE_BUDGET, self._source, self._truth)
         thetas = thetas_of(seen.rotations)
-        return posor.estimate_each(electronics.scans(self._ticks, lambda _: seen).scans, thetas)
+        return posor.estimate_each(electronics.scans(self.ticks, lambda _: seen).scans, thetas)
 
 
 def _independent_beams(beams: BeamsFile, chain: Chain) -> BeamsFile:

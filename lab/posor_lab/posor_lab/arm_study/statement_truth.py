@@ -175,7 +175,8 @@ class StatementTruth:
             for name, effect in beam.shared_effects.items():
                 error += terms[name] * effect
                 factor += terms[name] * beam.shared_sags[name]
-            error[:3] += warm * beam.expansion
+            error[:3] += 0.0 if len(beam.thermal) else warm * beam.expansion
+            error += random.normal(size=len(beam.thermal)) @ beam.thermal
             end = pin.SE3(pin.exp3(error[3:]) @ link.end.rotation, link.end.translation + error[:3])
             gains = {"start_gain": factor * link.start_gain, "end_gain": factor * link.end_gain}
             links.append(replace(link, end=end, **gains))

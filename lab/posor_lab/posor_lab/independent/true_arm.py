@@ -1,4 +1,4 @@
-"""Geometry of an arm by its files: the URDF by pinocchio, the sag of the beams by finite elements."""
+"""Geometry of an arm by its files: the URDF by pinocchio, sag by finite elements, warm beams slice by slice."""
 
 from __future__ import annotations
 
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 FloatArray = NDArray[np.float64]
 
 STANDARD_GRAVITY = (0.0, 0.0, -9.80665)  # [m/s^2], ISO 80000-3
+_SLICES = 256  # of a warm beam
 _SAG_STEPS = 3
 """Steps to the direction of gravity in the line of the gimbals, from that in the plate: each gains a factor of 1e4."""
 
@@ -34,6 +35,27 @@ class TrueLink:
     after: pin.SE3  # from there to the next plate
     start_gain: FloatArray  # motion of the plate at the start for 1 m/s^2 along each axis of the start, (6, 3)
     end_gain: FloatArray  # the same of the plate at the end
+    expansion: float = 0.0  # coefficient of the beam [1/K]
+    width: float = 1.0  # of the beam [m]
+
+    def warm_ends(self, deviations: FloatArray, across: FloatArray, excess: float) -> tuple[FloatArray, FloatArray]:
+        """Return the end without sag in the start, (n, 3, 3), (n, 3) [m], at temperatures from that of the URDF.
+
+        ``deviations``: means [K], (n,); ``across``: differences between opposite sides in two directions [K], (2,);
+        ``excess``: relative error of the coefficient. Each slice grows, and turns from its warm side to its cold side.
+        """
+        length, span = float(np.linalg.norm(self.end.translation)), self.end.translation
+        coefficient = self.expansion * (1.0 + excess)
+        frame = Rotation.align_vectors([span], [[length, 0.0, 0.0]])[0].as_matrix()  # X along the beam
+        turn = coefficient * length / self.width / _SLICES * np.array([0.0, across[1], -across[0]])
+        step = np.tile(np.eye(4), (len(deviations), 1, 1))
+        step[:, :3, :3] = Rotation.from_rotvec(turn).as_matrix()
+        half = np.zeros((len(deviations), 3))
+        half[:, 0] = 0.5 * length / _SLICES * (1.0 + coefficient * deviations)
+        step[:, :3, 3] = half + half @ step[0, :3, :3].T
+        grown = np.linalg.matrix_power(step, _SLICES)
+        rotations = frame @ grown[:, :3, :3] @ frame.T @ self.end.rotation
+        return rotations, grown[:, :3, 3] @ frame.T
 
 
 class TrueArm:
@@ -72,21 +94,21 @@ class TrueArm:
             return int(frame)
 
         end = model.getFrameId(arm.get("endpoint_frame", "endpoint"), pin.FrameType.BODY)
-        sags = {beam["joint"]: beam.get("sag") for beam in beams["beams"]}
+        entries = {beam["joint"]: beam for beam in beams["beams"]}
         joints, origins, links = [], [], []
         last, frame = end, end  # last: the plate at which the present link ends
         beam: tuple[str, int, int] | None = None  # name, frame of its start, frame of its end
         while frame > 0:
             kind, name = frames[frame].type, frames[frame].name
-            if kind == pin.FrameType.FIXED_JOINT and name in sags:
+            if kind == pin.FrameType.FIXED_JOINT and name in entries:
                 beam = name, link_before(frames[frame].parentFrame), frame
             elif kind == pin.FrameType.JOINT:
-                links.append(_link(place(frame), place(last), beam, place, sags))
+                links.append(_link(place(frame), place(last), beam, place, entries))
                 last, beam = link_before(frames[frame].parentFrame), None
                 joints.append(name)
                 origins.append(place(last).actInv(place(frame)))
             frame = frames[frame].parentFrame
-        links.append(_link(pin.SE3.Identity(), place(last), beam, place, sags))
+        links.append(_link(pin.SE3.Identity(), place(last), beam, place, entries))
         self.joints: tuple[str, ...] = tuple(joints[::-1])
         self.origins: tuple[pin.SE3, ...] = tuple(origins[::-1])
         self.links: tuple[TrueLink, ...] = tuple(links[::-1])
@@ -137,11 +159,17 @@ def _motions(gain: FloatArray, field: FloatArray) -> FloatArray:
     return out
 
 
-def _link(begin: pin.SE3, end: pin.SE3, beam: tuple[str, int, int] | None, place: Any, sags: Any) -> TrueLink:
+def _link(begin: pin.SE3, end: pin.SE3, beam: tuple[str, int, int] | None, place: Any, entries: Any) -> TrueLink:
     """Return the link between two places in the base, with all joints in their neutral position."""
     if beam is None:
         return TrueLink(begin.actInv(end), pin.SE3.Identity(), pin.SE3.Identity(), np.zeros((6, 3)), np.zeros((6, 3)))
     name, first, last = beam
     straight = place(first).actInv(place(last))
-    gains = (np.zeros((6, 3)),) * 2 if sags[name] is None else sag_gains(straight.translation, sags[name])
-    return TrueLink(begin.actInv(place(first)), straight, place(last).actInv(end), *gains)
+    sag, heat = entries[name].get("sag"), entries[name].get("temperature") or {}
+    gains = (np.zeros((6, 3)),) * 2 if sag is None else sag_gains(straight.translation, sag)
+    width = (heat.get("gradient") or {}).get("width") or (sag and sag["tube"]["outer_diameter"])
+    warm = {
+        "expansion": float(si_values(heat["coefficient"], "1/K")) if heat else 0.0,
+        "width": float(si_values(width, "m")) if width else 1.0,
+    }
+    return TrueLink(begin.actInv(place(first)), straight, place(last).actInv(end), *gains, **warm)

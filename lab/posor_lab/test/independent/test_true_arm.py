@@ -13,11 +13,13 @@ from posor.arm_names import find_arm
 from posor.chain.arm_file import load_arm_file
 from posor.errors import CalibrationError
 from posor_drivers.simulator.arm_simulation import ArmSimulation
+from posor_drivers.simulator.beam_heat import BeamHeat
 from posor_drivers.simulator.imperfections import Imperfections
 from posor_lab.faults.fault_table import write_fault_arm
 from posor_lab.independent.finite_elements import end_motions, sag_gains
 from posor_lab.independent.true_arm import TrueArm
 from posor_lab.mutations.model_checks import ARMS
+from posor_lab.shop.shop_arm import write_shop_arm
 
 LENGTH, OVERHANG, MASS = 1.0, 0.2, 2.0
 OUTER, INNER, MODULUS, DENSITY = 0.05, 0.04, 70e9, 2700.0
@@ -107,3 +109,33 @@ def test_a_truth_that_cannot_be_used_is_named(tmp_path: Path, file: str, change:
     path.write_text(yaml.safe_dump(yaml.safe_load(path.read_text()) | change), encoding="utf-8")
     with pytest.raises(CalibrationError, match=sentence):
         ArmSimulation(arm)
+
+
+def test_a_warm_beam_grows_and_bends_as_the_simulator_computes(tmp_path: Path) -> None:
+    path = write_shop_arm(load_arm_file(find_arm("five_axis")), tmp_path)
+    truth, chain = TrueArm(path), load_arm_file(path).chain()
+    kelvins, across = np.array([-10.0, 0.0, 7.0]), np.array([3.0, -2.0])
+    for link, beam in ((true, known.beam) for true, known in zip(truth.links, chain.links, strict=True)):
+        assert beam is not None
+        for sides in (np.zeros(2), across):
+            heat = BeamHeat(kelvins, sides, 0.1, kelvins)
+            rotations, translations = link.warm_ends(kelvins, sides, 0.1)
+            stretched, length = heat.ends(beam, None), np.linalg.norm(link.end.translation)
+            strains = 1.1 * 23e-6 * kelvins
+            if not sides.any():
+                expected = np.multiply.outer(1.0 + strains, link.end.translation)
+                np.testing.assert_allclose(translations, expected, rtol=0.0, atol=1e-15 * length)
+                np.testing.assert_allclose(rotations, np.tile(link.end.rotation, (3, 1, 1)), atol=1e-15)
+                for found, own in zip(stretched, (rotations, translations), strict=True):
+                    np.testing.assert_allclose(found, own, rtol=0.0, atol=1e-15)
+                continue
+            # The directions across are not the same in both; the amounts are, to first order.
+            turns = [pin.log3(rotation @ link.end.rotation.T) for rotation in rotations]
+            shifts = translations - np.multiply.outer(1.0 + strains, link.end.translation)
+            own_turns = [pin.log3(rotation @ link.end.rotation.T) for rotation in stretched[0]]
+            own_shifts = stretched[1] - np.multiply.outer(1.0 + strains, link.end.translation)
+            for one, other in ((turns, own_turns), (shifts, own_shifts)):
+                amounts = np.linalg.norm(one, axis=1), np.linalg.norm(other, axis=1)
+                np.testing.assert_allclose(*amounts, rtol=0.11)
+            for turn, shift in zip(turns, shifts, strict=True):  # the beam bends in one plane
+                np.testing.assert_allclose(np.cross(turn, link.end.translation) * 0.5, shift, rtol=0.0, atol=1e-8)

@@ -13,6 +13,7 @@ from pydantic import Field, field_validator, model_validator
 
 from posor.calibration.causes import FALSE_ALARM
 from posor.parameter_model import ChangeableAtRunTime, FixedAtStart, ParameterGroup
+from posor.ros_names import TEMPERATURE_TOPIC
 
 MIN_TF_RATE = 0.01
 MIN_ZERO_SCANS = 10  # scans below which their scatter is unknown
@@ -208,6 +209,11 @@ class ChainParameters(AlarmParameters):
         default="absolute",
         description="publish the endpoint in the URDF's base frame, or relative to its pose at home: at the first "
         "pose, or at the last call of ~/set_home",
+    )
+    temperature_topic: str = Field(
+        default=TEMPERATURE_TOPIC,
+        description="name before those of the thermometers of the beams file in their topics, relative to the node's "
+        "namespace: 'temperature/upper_arm'",
     )
     tf_rate: Annotated[float, Field(ge=0.0, allow_inf_nan=True)] = Field(
         default=math.inf, description="how often /tf is published at most [1/s]; .inf: with each pose; 0: not at all"

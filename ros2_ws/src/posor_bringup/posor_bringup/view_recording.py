@@ -15,9 +15,10 @@ from posor.bags.bag_reader import opened_bag
 from posor.bags.bag_writer import BagWriter, TopicMessages
 from posor.bags.offline_pipeline import estimate_bag, topics_of
 from posor.bags.reprocess_task import Settings
+from posor.chain.beam_temperatures import PERIOD_NS
 from posor.chain.fault_bounds import EndpointBounds
 from posor.errors import ChainError
-from posor.messages.endpoint_messages import POSE
+from posor.messages.endpoint_messages import MAX_REASON, POSE
 from posor.messages.estimate_arrays import EndpointEstimates
 from posor.messages.joint_transform import pack_joint_transforms
 from posor.messages.message_definitions import MessageTypes
@@ -25,7 +26,13 @@ from posor.messages.message_table import TableLayout
 from posor.model.fault import State
 from posor.numerics.stamps import NS
 from posor.ros_names import ENDPOINT_STATE, ENDPOINT_STATE_TOPIC, JOINT_TRANSFORM, RAW_TOPIC, TRANSFORM_TOPIC
-from posor_estimator.endpoint_verdict import SOUND, JointStatus, degraded_verdict, unusable_verdict
+from posor_estimator.endpoint_verdict import (
+    SOUND,
+    JointStatus,
+    degraded_verdict,
+    unusable_verdict,
+    without_thermometers,
+)
 from posor_ros.qos import RELIABLE_QOS
 
 if TYPE_CHECKING:
@@ -97,13 +104,17 @@ class EndpointStates:
         place[np.searchsorted(stamps, endpoint.stamps_ns)] = np.arange(len(endpoint))
         causes = np.full((count, 12), MISSING)
         causes[place >= 0] = np.concatenate([bounds.joints, bounds.causes], axis=1)[place[place >= 0]]
-        keys = np.concatenate([states, faults, causes, (place >= 0)[:, None]], axis=1)
+        reasons = [self._endpoint.reasons.get(period, "") for period in (stamps // PERIOD_NS).tolist()]
+        reason_of = np.unique(reasons, return_inverse=True)[1]
+        keys = np.concatenate([states, faults, causes, (place >= 0)[:, None], reason_of[:, None]], axis=1)
         kinds, kind_of = np.unique(keys, axis=0, return_inverse=True)
         found: list[tuple[int, bytes]] = []
         for kind in range(len(kinds)):
             rows = np.flatnonzero(kind_of.ravel() == kind)
             first = rows[0]
             verdict = self._verdict(list(joints), states[first], faults[first], has_pose=bool(place[first] >= 0))
+            if verdict.has_pose:
+                verdict = without_thermometers(verdict, reasons[first])
             set_by = self._endpoint.set_by(bounds, int(place[first])) if verdict.has_pose else ()
             table = self._table(verdict, set_by, len(rows))
             table["header.stamp.sec"], table["header.stamp.nanosec"] = np.divmod(stamps[rows], NS)
@@ -123,7 +134,7 @@ class EndpointStates:
             "state": verdict.state,
             "faults": verdict.faults,
             "joint": verdict.joint,
-            "reason": verdict.reason,
+            "reason": verdict.reason.encode()[:MAX_REASON].decode(errors="ignore"),
             "protection_causes": [f"{joint}: {cause}" if cause else "" for joint, cause in set_by],
         }
         table = TableLayout.of(self._schema.encode(self._frames | values), self._schema).copies(count)
@@ -156,7 +167,8 @@ def estimate_raw_scans(bag: Path, arm: ArmFile, folder: Path, copied: Iterable[s
     joints = {
         name: replace(each, topic=f"{arm.namespace}/{name}/{RAW_TOPIC}") for name, each in settings.joints.items()
     }
-    topics, estimator, types = topics_of(bag, joints), ArmEstimator(settings), MessageTypes()
+    estimator, types = ArmEstimator(settings), MessageTypes()
+    topics = topics_of(bag, joints, estimator.thermometers)
     with BagWriter(folder / arm.name) as writer:
         recording = Recording(writer, arm, estimator, estimator.transforms)
         with opened_bag(bag) as reader:

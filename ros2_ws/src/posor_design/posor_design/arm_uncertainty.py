@@ -209,10 +209,9 @@ def _chain(arm: ArmFile, deviation: float | None) -> Chain:
     if deviation is None or arm.beams is None:
         return chain
     beams, stated = load_beams(arm.beams), Quantity(value=deviation, unit="K")
+    given = {"deviation": stated, "spread": None, "thermometer": None}
     entries = [
-        beam.model_copy(
-            update={"temperature": beam.temperature and beam.temperature.model_copy(update={"deviation": stated})}
-        )
+        beam.model_copy(update={"temperature": beam.temperature and beam.temperature.model_copy(update=given)})
         for beam in beams.beams
     ]
     changed = beams.model_copy(update={"beams": entries})

@@ -121,7 +121,10 @@ class ArmPropagation:
             placement = to_endpoint @ beam.covariance @ to_endpoint.T
             found += [Component(beam.name, Kind.SYSTEMATIC, placement), Component(beam.name, Kind.SAG, _square(sag))]
             add_shared(beam.shared_effects_under(force), to_endpoint)
-            expansion[:3] += to_endpoint[:3, :3] @ beam.expansion
+            if len(beam.thermal):  # a stated spread replaces the largest deviation
+                found.append(Component(beam.name, Kind.TEMPERATURE, _products(to_endpoint @ beam.thermal.T)))
+            else:
+                expansion[:3] += to_endpoint[:3, :3] @ beam.expansion
         found += [Component(term, Kind.SHARED, _square(effect)) for term, effect in shared.items()]
         found.append(Component(ALL_BEAMS, Kind.TEMPERATURE, RECTANGULAR * _square(expansion)))
         if stamp_shift is not None:
@@ -132,6 +135,11 @@ class ArmPropagation:
 def total_covariance(components: Sequence[Component]) -> FloatArray:
     """Return the covariance of the endpoint, (6, 6)."""
     return np.asarray(np.sum([each.covariance for each in components], axis=0))
+
+
+def _products(effects: FloatArray) -> FloatArray:
+    """Return the covariance by independent effects, (6, n)."""
+    return np.asarray(effects @ effects.T)
 
 
 def _square(effect: FloatArray) -> FloatArray:

@@ -251,8 +251,10 @@ def _identity(arm: ArmFile, calibrations: Mapping[str, Calibration]) -> tuple[st
 
 def _conditions(arm: ArmFile, model: ArmUncertainty, records: Records, scans: int, *, moving: bool) -> list[Condition]:
     chain, beams = model.chain, records.origin(BEAMS, "beams") if BEAMS in records else "no beams file"
-    strains = sorted({_strain(beam) for beam in chain.beams if beam.expansion.any()})
+    strains = sorted({_strain(beam) for beam in chain.beams if beam.expansion.any() and not len(beam.thermal)})
     warm = "no range of the temperature of the beams is stated"
+    if any(len(beam.thermal) for beam in chain.beams):
+        warm = "beams within the spread of their temperature, without thermometers"
     if strains:
         warm = f"beams longer or shorter by up to {' or '.join(map(str, strains))} µm/m, all alike"
     gravity = records.origin(BEAMS, "gravity") if BEAMS in records else None

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pinocchio as pin
+from posor.chain.beam_temperatures import CELSIUS
 from posor.numerics.stamps import NS
 from posor.ros_names import (
     JOINT_STATE,
@@ -14,6 +15,8 @@ from posor.ros_names import (
     POSE_STAMPED,
     RAW_SCAN,
     RAW_TOPIC,
+    TEMPERATURE,
+    TEMPERATURE_TOPIC,
     TRANSFORM_STAMPED,
     VECTOR_STAMPED,
 )
@@ -124,6 +127,10 @@ class SimulatedTopics:
         """Return the topic of a joint's true ``T_parent_child``."""
         return Topic(f"{self._namespace}/truth/{joint}", POSE_STAMPED)
 
+    def temperature(self, thermometer: str) -> Topic:
+        """Return the topic of a thermometer of a beam."""
+        return Topic(f"{self._namespace}/{TEMPERATURE_TOPIC}/{thermometer}", TEMPERATURE)
+
 
 class SimulatedMessages:
     """Serialises the results of an ``ArmSimulation``; ``n`` is the index of a tick in them."""
@@ -170,6 +177,12 @@ class SimulatedMessages:
         vector = self._types.new("geometry_msgs/msg/Vector3", x=x, y=y, z=z)
         message = self._types.new(VECTOR_STAMPED, header=header(self._types, stamp_ns, self._endpoint), vector=vector)
         return self._serialize(self.topics.stage, stamp_ns, message)
+
+    def temperature(self, name: str, stamp_ns: int, kelvin: float, uncertainty: float) -> SourceMessage:
+        """Return a reading of a thermometer and its standard uncertainty [K]."""
+        fields = {"temperature": kelvin - CELSIUS, "variance": uncertainty**2}
+        message = self._types.new(TEMPERATURE, header=header(self._types, stamp_ns, name), **fields)
+        return self._serialize(self.topics.temperature(name), stamp_ns, message)
 
     def pose(self, topic: Topic, stamp_ns: int, frame: str, pose: pin.SE3) -> SourceMessage:
         """Return a pose in a frame (geometry_msgs/PoseStamped), on any topic."""

@@ -3,6 +3,7 @@
 Subscribes to ``<joint>/transform`` (posor_msgs/JointTransform) for every floating joint of the URDF. Publishes
 ``endpoint/pose``, ``endpoint/pose_with_covariance`` and ``joint_states``, the angles about the joints' nominal axes.
 /tf has the frames of the arm with the stamp of each pose; /tf_static and ``robot_description`` have what is fixed.
+It also subscribes to the thermometers of the beams file, and keeps the beams at their temperatures.
 Transforms are joined by equal stamps. Without a usable transform of every joint in time there is no pose.
 ``endpoint/state`` (posor_msgs/EndpointState) is published for every scan, for every transform that is refused, and
 every 0.08 s during a silence of the input; it and the diagnostics name the joint and the reason.
@@ -21,6 +22,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 from posor.chain.arm_file import CHAIN_NODE
+from posor.chain.beam_temperatures import BeamTemperatures
 from posor.chain.kinematic_chain import load_chain
 from posor.chain.time_synchroniser import MAX_OPEN_SCANS, TimeSynchroniser
 from posor.errors import TopicError
@@ -29,7 +31,7 @@ from posor.messages.endpoint_messages import EndpointStateWriter, EndpointVerdic
 from posor.messages.joint_transform import JointTransformFormat, TransformTail, stamp_ns_of
 from posor.model.fault import State
 from posor.node_parameters import ChainParameters
-from posor.numerics.stamps import NO_TIME, NS
+from posor.numerics.stamps import NO_TIME, NS, time_ns
 from posor.ros_names import (
     ENDPOINT_COVARIANCE_TOPIC,
     ENDPOINT_STATE_TOPIC,
@@ -47,10 +49,16 @@ from posor_ros.node_program import run_node
 from posor_ros.qos import input_qos, result_qos
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
-from sensor_msgs.msg import JointState
+from sensor_msgs.msg import JointState, Temperature
 
 from posor_estimator.alarm_rate import AlarmRate
-from posor_estimator.endpoint_verdict import SOUND, JointStatus, degraded_verdict, unusable_verdict
+from posor_estimator.endpoint_verdict import (
+    SOUND,
+    JointStatus,
+    degraded_verdict,
+    unusable_verdict,
+    without_thermometers,
+)
 from posor_estimator.frame_publisher import FramePublisher
 from posor_estimator.identity_check import IdentityCheck
 
@@ -78,6 +86,7 @@ class ChainNode(PosorNode[ChainParameters]):
 
     _estimator: EndpointEstimator
     _synchroniser: TimeSynchroniser[bytes]
+    _temperatures: BeamTemperatures
     _kinds: dict[str, JointTransformFormat]
     # name, format, and memory of the row, of shared effects and of fault effects of each joint
     _buffers: list[tuple[str, JointTransformFormat, tuple[memoryview, memoryview, memoryview]]]
@@ -116,6 +125,7 @@ class ChainNode(PosorNode[ChainParameters]):
         self._kinds = {joint.name: JointTransformFormat(joint.parent, joint.child) for joint in chain.joints}
         layouts = [self._kinds[name].row_layout for name in names]
         self._estimator = chain.estimator(self.parameters.acceleration_window, layouts)
+        self._temperatures = BeamTemperatures(chain.beams, self._estimator)
         self._buffers = [
             (name, self._kinds[name], self._kinds[name].row_parts(row))
             for name, row in zip(names, self._estimator.rows, strict=True)
@@ -147,6 +157,10 @@ class ChainNode(PosorNode[ChainParameters]):
         self._joint_of_topic: dict[str, str] = {}
         for joint in chain.joints:
             self._subscribe(joint)
+        for name in self._temperatures.names:
+            topic, callback = f"{self.parameters.temperature_topic}/{name}", partial(self._on_temperature, name)
+            subscription = self.create_subscription(Temperature, topic, callback, input_qos(self.parameters))
+            self.add_cleanup(self.destroy_subscription, subscription)
         steady_clock = Clock(clock_type=ClockType.STEADY_TIME)
         period_s = min(self.parameters.max_wait, LATE_CHECK_S)
         self.add_cleanup(self.destroy_timer, self.create_timer(period_s, self._close_late_scans, clock=steady_clock))
@@ -164,7 +178,9 @@ class ChainNode(PosorNode[ChainParameters]):
         self._joint_of_topic[subscription.topic_name] = joint.name
 
     def activate(self) -> None:
-        """Expect transforms with present stamps from now on."""
+        """Expect transforms with present stamps, and new readings of the thermometers, from now on."""
+        with self._lock:
+            self._temperatures.restart()
         self._inputs.start()
 
     def deactivate(self) -> None:
@@ -216,6 +232,12 @@ class ChainNode(PosorNode[ChainParameters]):
                 self._report_incomplete_scans()
             if scan is not None:
                 self._publish_endpoint(scan, stamp_ns)
+
+    def _on_temperature(self, name: str, message: Temperature) -> None:
+        """Add a reading of a thermometer; the scans that follow check and use it."""
+        stamp, frame = message.header.stamp, message.header.frame_id
+        with self._lock:
+            self._temperatures.add(name, time_ns(stamp.sec, stamp.nanosec), message.temperature, frame)
 
     def _normalise(self, joint: FreeJoint, data: bytes) -> bytes:
         """Return a transform in plain CDR; refuse an invalid transform or wrong frames and return empty bytes."""
@@ -307,6 +329,7 @@ class ChainNode(PosorNode[ChainParameters]):
         if refusal:
             self._refuse_scan(stamp, stamp_ns, EndpointVerdict(EndpointState.STATE_LOST, 0, "", refusal))
             return
+        self._temperatures.update(stamp_ns)
         worst = estimator.estimate_rows(stamp_ns)
         if worst < 0 or identity.refuses:
             verdict = unusable_verdict(self._joints_of(scan)) if worst < 0 else identity.verdict
@@ -325,7 +348,7 @@ class ChainNode(PosorNode[ChainParameters]):
         if self._frames is not None:
             self._frames.publish(stamp)
         verdict = SOUND if worst == State.OK else degraded_verdict(self._joints_of(scan))
-        verdict = identity.degraded(verdict)
+        verdict = without_thermometers(identity.degraded(verdict), self._temperatures.reason)
         self._publish_state(stamp, stamp_ns, verdict)
         self.timing.record(stamp_ns)
         self._poses += 1
@@ -366,7 +389,10 @@ class ChainNode(PosorNode[ChainParameters]):
         self._reported = key
 
     def _counts(self) -> dict[str, Value]:
-        return {"poses": self._poses, "scans_refused": self._scans_refused, "scans_incomplete": self._scans_incomplete}
+        present, names = self._temperatures.kelvins, self._temperatures.names
+        kelvins = {f"temperature {name} [K]": round(present.get(name, math.nan), 3) for name in names}
+        counts = {"scans_refused": self._scans_refused, "scans_incomplete": self._scans_incomplete}
+        return {"poses": self._poses, **counts, **kelvins}
 
     def _on_set_home(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         with self._lock:

@@ -42,6 +42,15 @@ def degraded_verdict(joints: Sequence[JointStatus]) -> EndpointVerdict:
     return EndpointVerdict(EndpointState.STATE_DEGRADED, _all_faults(degraded), degraded[0].name, f"degraded: {reason}")
 
 
+def without_thermometers(verdict: EndpointVerdict, reason: str) -> EndpointVerdict:
+    """Return the verdict on a scan with a pose, with what is wrong with thermometers; empty: nothing."""
+    if not reason:
+        return verdict
+    if verdict is SOUND:
+        return EndpointVerdict(EndpointState.STATE_DEGRADED, 0, "", f"degraded: {reason}")
+    return verdict._replace(reason=f"{verdict.reason}; {reason}")
+
+
 def unusable_verdict(joints: Sequence[JointStatus]) -> EndpointVerdict:
     """Return the verdict on a scan without an endpoint: UNCOUNTED if all unusable joints are, else LOST."""
     unusable = [joint for joint in joints if joint.state > State.DEGRADED or joint.code]

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections import Counter
-from typing import TYPE_CHECKING
+from itertools import pairwise
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from posor.bags.block_synchroniser import BlockSynchroniser, joint_rows
 from posor.bags.reprocess_task import EndpointSummary, JointSummary
 from posor.calibration.shared_terms import check_same_terms
+from posor.chain.beam_temperatures import PERIOD_NS, BeamTemperatures
 from posor.chain.fault_bounds import EndpointBounds
 from posor.errors import ChainError
 from posor.estimation.estimate import Estimates
@@ -20,7 +22,7 @@ from posor.model.fault import USABLE_STATES, Fault, State
 from posor.model.scan import Scans
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -35,12 +37,22 @@ if TYPE_CHECKING:
 NO_SCANS = Scans.from_fields(stamps_ns=np.empty(0, dtype=np.int64))
 
 
+class RecordedTemperature(NamedTuple):
+    """A recorded message of a thermometer."""
+
+    name: str
+    stamp_ns: int
+    celsius: float  # [degree Celsius]
+    frame: str
+
+
 class ArmEstimator:
     """The POSORs of an arm and its kinematic chain, block after block of recorded scans.
 
     Attributes:
         transforms: What is the same in all transforms of each joint.
         endpoint: The kinematic chain; None: joints only.
+        thermometers: Names of the thermometers of its beams, and ends of their topics.
 
     """
 
@@ -53,18 +65,25 @@ class ArmEstimator:
         self.transforms = {name: joint.transforms for name, joint in self._joints.items()}
         loaded = settings.load_chain()
         self.endpoint = None if loaded is None else EndpointPipeline(*loaded, self.transforms)
+        names = () if self.endpoint is None else self.endpoint.temperatures.names
+        prefix = "" if loaded is None else loaded[1].temperature_topic.strip("/")
+        self.thermometers = {name: f"/{prefix}/{name}" for name in names}
         files = {str(settings.joints[name].calibration): each.shared for name, each in calibrations.items()}
         if loaded is not None:
             check_same_terms({loaded[1].beams: loaded[0].shared, **files})
 
-    def estimate_block(self, scans: Mapping[str, Sequence[RecordedScans]]) -> ArmEstimates:
+    def estimate_block(
+        self, scans: Mapping[str, Sequence[RecordedScans]], readings: Sequence[RecordedTemperature] = ()
+    ) -> ArmEstimates:
         """Return the transforms of all joints, and the endpoint at all stamps that become complete with them.
 
-        ``scans``: the next scans of each joint.
+        ``scans``: the next scans of each joint; ``readings``: of thermometers, recorded with them.
         """
         joints = {name: joint.estimate(scans[name]) for name, joint in self._joints.items()}
         if self.endpoint is None:
             return ArmEstimates(joints, EndpointEstimates.none())
+        for reading in readings:
+            self.endpoint.temperatures.add(*reading)
         orders = {
             name: np.concatenate([np.empty(0, dtype=np.int64), *(part.order for part in scans[name])])
             for name in self.endpoint.joints
@@ -75,6 +94,15 @@ class ArmEstimator:
         """Count the stamps that are incomplete at the end."""
         if self.endpoint is not None:
             self.endpoint.synchroniser.finish()
+
+    def notes(self) -> list[str]:
+        """Return a sentence for each way in which thermometers could not be used, with the number of poses."""
+        if self.endpoint is None:
+            return []
+        total = self.endpoint.poses
+        return [
+            f"{reason}: {count:,} of {total:,} poses" for reason, count in self.endpoint.without_thermometer.items()
+        ]
 
     def summarise(self) -> tuple[dict[str, JointSummary], EndpointSummary | None]:
         """Return the counts of the joints' scans and of the endpoint's stamps."""
@@ -118,7 +146,10 @@ class EndpointPipeline:
         frame: Frame of the endpoint's pose.
         synchroniser: Joins the transforms by stamp, and counts incomplete stamps.
         poses: Number of poses.
-        degraded: Number of poses that depend on a DEGRADED joint.
+        temperatures: Of the beams with thermometers.
+        reasons: What is wrong with thermometers, see ``BeamTemperatures.reason``, by period of the stamps.
+        without_thermometer: Number of poses by what is wrong with thermometers.
+        degraded: Number of poses that depend on a DEGRADED joint, or on a thermometer that cannot be used.
         unusable: Number of complete stamps without a pose, and of transforms with an invalid stamp.
         refused: The same, by the joint whose transform cannot be used.
         bounds: Protection levels of the endpoints that ``estimate`` has returned last.
@@ -146,6 +177,9 @@ class EndpointPipeline:
                     expected=f"'{joint.parent}' to '{joint.child}'",
                 )
         self._estimator = chain.estimator(parameters.acceleration_window)
+        self.temperatures = BeamTemperatures(chain.beams, self._estimator)
+        self.reasons: dict[int, str] = {}
+        self.without_thermometer: Counter[str] = Counter()
         own = [transforms[name] for name in self.joints]
         self._estimator.use_terms([each.shared for each in own])
         self._estimator.use_causes([each.causes for each in own])
@@ -167,6 +201,27 @@ class EndpointPipeline:
         """
         rows = [self._with_stamp(name, _joint_rows(joints[name], orders[name], self._effects)) for name in self.joints]
         complete = self.synchroniser.join(rows)
+        parts, bounds = zip(*[(self._estimate(part), self.bounds) for part in self._periods(complete)], strict=True)
+        if len(parts) == 1:
+            return parts[0]
+        self.bounds = EndpointBounds(*(np.concatenate(each) for each in zip(*bounds, strict=True)))
+        return EndpointEstimates.concatenate(parts)
+
+    def _periods(self, complete: Sequence[NDArray[np.void]]) -> Iterator[Sequence[NDArray[np.void]]]:
+        """Yield the transforms of complete stamps in parts with the same temperatures of the beams."""
+        stamps = complete[0]["stamp_ns"]
+        if not self.temperatures.names or not len(stamps):
+            yield complete
+            return
+        borders = np.flatnonzero(np.diff(stamps // PERIOD_NS)) + 1
+        for begin, end in pairwise([0, *borders.tolist(), len(stamps)]):
+            self.temperatures.update(int(stamps[begin]))
+            if self.temperatures.reason:
+                self.reasons[int(stamps[begin]) // PERIOD_NS] = self.temperatures.reason
+            yield [each[begin:end] for each in complete]
+
+    def _estimate(self, complete: Sequence[NDArray[np.void]]) -> EndpointEstimates:
+        """Return the endpoint at complete stamps, and write ``bounds``."""
         states = np.array([each["state"] for each in complete])
         usable: BoolArray = np.isin(states, USABLE_STATES)
         all_usable: BoolArray = np.all(usable, axis=0)
@@ -207,7 +262,11 @@ class EndpointPipeline:
         sound = usable.all(axis=0)
         self.poses += int(np.count_nonzero(sound))
         self.unusable += int(np.count_nonzero(~sound))
-        self.degraded += int(np.count_nonzero(np.any(states[:, sound] == int(State.DEGRADED), axis=0)))
+        degraded = np.any(states[:, sound] == int(State.DEGRADED), axis=0)
+        if reason := self.temperatures.reason:
+            degraded[:] = True
+            self.without_thermometer[reason] += len(degraded)
+        self.degraded += int(np.count_nonzero(degraded))
 
     def _endpoint_estimates(self, complete: Sequence[NDArray[np.void]], endpoints: Endpoints) -> EndpointEstimates:
         """Return the valid endpoints, relative to the first one if requested."""

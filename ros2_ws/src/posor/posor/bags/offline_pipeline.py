@@ -9,7 +9,9 @@ from __future__ import annotations
 from time import perf_counter, process_time
 from typing import TYPE_CHECKING
 
-from posor.bags.arm_estimator import ArmEstimator
+import numpy as np
+
+from posor.bags.arm_estimator import ArmEstimator, RecordedTemperature
 from posor.bags.bag_reader import log_once, opened_bag, scan_schema
 from posor.bags.block_reader import read_blocks
 from posor.bags.message_block import TopicReader
@@ -21,8 +23,10 @@ from posor.chain.arm_file import ArmFile, load_arm_file
 from posor.errors import BagError, checked_path
 from posor.estimation.estimate import Estimates
 from posor.messages.estimate_arrays import ArmEstimates, EndpointEstimates
+from posor.messages.message_definitions import installed_schema
 from posor.messages.raw_scan import RecordedScans
-from posor.ros_names import RAW_SCAN, RAW_TOPIC
+from posor.numerics.stamps import times_ns
+from posor.ros_names import RAW_SCAN, RAW_TOPIC, TEMPERATURE
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -34,11 +38,13 @@ if TYPE_CHECKING:
     from posor.bags.reprocess_task import JointSettings
 
 
-def topics_of(bag: Path, joints: Mapping[str, JointSettings]) -> BagTopics:
+def topics_of(
+    bag: Path, joints: Mapping[str, JointSettings], thermometers: Mapping[str, str] | None = None
+) -> BagTopics:
     """Return the topics of a bag after checking them.
 
-    Raises BagError: the bag cannot be read, a joint has no scans or scans on several topics, or a topic has another
-    type.
+    ``thermometers``: names of the arm's thermometers and ends of their topics. Raises BagError: the bag cannot be read,
+    a joint has no scans, a joint or a thermometer may have several topics, or a topic has another type.
     """
     where = str(bag)
     with opened_bag(bag, log_notes=False) as reader:
@@ -57,13 +63,16 @@ def topics_of(bag: Path, joints: Mapping[str, JointSettings]) -> BagTopics:
         own = [connection for connection in connections if connection.topic in raw.values()]
         scans = {connection.topic for connection in connections if connection.msgtype == RAW_SCAN}
         offered = getattr(own[0].ext, "offered_qos_profiles", [])
+        temperatures = {name: _temperature_topic(end, connections, where) for name, end in (thermometers or {}).items()}
+        unread = [f"there are no readings of thermometer '{name}'" for name, topic in temperatures.items() if not topic]
         return BagTopics(
             raw,
             schemas,
             tuple(sorted(scans - set(raw.values()))),
             list(offered[:1]),
             sum(connection.msgcount for connection in own),
-            tuple(reader.notes()),
+            (*reader.notes(), *unread),
+            {name: topic for name, topic in temperatures.items() if topic},
         )
 
 
@@ -87,6 +96,14 @@ def _topic(joint: str, connections: Sequence[Connection], where: str) -> str:
     raise BagError(what, where=where, expected=expected)
 
 
+def _temperature_topic(end: str, connections: Sequence[Connection], where: str) -> str:
+    """Return the topic of a thermometer; empty: there is no such topic."""
+    found = sorted({each.topic for each in connections if each.msgtype == TEMPERATURE and each.topic.endswith(end)})
+    if len(found) > 1:
+        raise BagError(f"readings of one thermometer may be on {', '.join(found)}", where=where, expected="one of them")
+    return found[0] if found else ""
+
+
 def reprocess_bag(task: Task, progress: Callable[[int], object] = lambda _: None) -> Summary:
     """Estimate the joints and the endpoint of a recorded arm, and write the results.
 
@@ -96,7 +113,7 @@ def reprocess_bag(task: Task, progress: Callable[[int], object] = lambda _: None
     """
     wall, cpu = perf_counter(), process_time()
     estimator = ArmEstimator(task.settings)
-    topics = topics_of(task.bag, task.settings.joints)
+    topics = topics_of(task.bag, task.settings.joints, estimator.thermometers)
     if task.output is None:
         for estimates in estimate_bag(task.bag, topics, estimator):
             progress(_scan_count(estimates))
@@ -113,7 +130,8 @@ def reprocess_bag(task: Task, progress: Callable[[int], object] = lambda _: None
     joints, endpoint = estimator.summarise()
     wall_s, cpu_s = perf_counter() - wall, process_time() - cpu
     changed = differences(custom_data(task.bag), task.settings)
-    return Summary(task.bag, task.output, joints, endpoint, topics.left_out, changed, topics.notes, wall_s, cpu_s)
+    notes = (*topics.notes, *estimator.notes())
+    return Summary(task.bag, task.output, joints, endpoint, topics.left_out, changed, notes, wall_s, cpu_s)
 
 
 def estimate_bag(bag: Path, topics: BagTopics, estimator: ArmEstimator) -> Iterator[ArmEstimates]:
@@ -121,25 +139,41 @@ def estimate_bag(bag: Path, topics: BagTopics, estimator: ArmEstimator) -> Itera
 
     ``topics``: its topics with the joints' raw scans. Raises BagError: the bag cannot be read.
     """
-    for scans in read_recorded_scans(bag, topics):
-        yield estimator.estimate_block(scans)
+    for scans, readings in read_recorded_scans(bag, topics):
+        yield estimator.estimate_block(scans, readings)
     estimator.finish()
 
 
-def read_recorded_scans(bag: Path, topics: BagTopics) -> Iterator[Mapping[str, Sequence[RecordedScans]]]:
-    """Yield the raw scans of all joints, block after block; scans with different readings are in separate parts.
+def read_recorded_scans(
+    bag: Path, topics: BagTopics
+) -> Iterator[tuple[Mapping[str, Sequence[RecordedScans]], Sequence[RecordedTemperature]]]:
+    """Yield the raw scans of all joints and the readings of thermometers, block after block.
 
-    Raises BagError: the bag cannot be read.
+    Scans with different readings are in separate parts. Raises BagError: the bag cannot be read.
     """
     readers = {
         joint: TopicReader(number, topic, topics.schemas[joint], str(bag))
         for number, (joint, topic) in enumerate(topics.raw.items())
     }
-    for block in _read_blocks(bag, list(topics.raw.values())):
-        yield {
+    schema = installed_schema(TEMPERATURE)
+    thermometers = {
+        name: TopicReader(len(readers) + number, topic, schema, str(bag))
+        for number, (name, topic) in enumerate(topics.temperatures.items())
+    }
+    for block in _read_blocks(bag, [*topics.raw.values(), *topics.temperatures.values()]):
+        scans = {
             joint: [RecordedScans.unpack(*part) for part in reader.read_tables(block)]
             for joint, reader in readers.items()
         }
+        yield scans, [reading for name, each in thermometers.items() for reading in _readings(name, each, block)]
+
+
+def _readings(name: str, reader: TopicReader, block: MessageBlock) -> Iterator[RecordedTemperature]:
+    for _, _, table in reader.read_tables(block):
+        stamps = times_ns(table["header.stamp.sec"].astype(np.int64), table["header.stamp.nanosec"].astype(np.int64))
+        frame = table.layout.strings["header.frame_id"]
+        for stamp_ns, celsius in zip(stamps.tolist(), table["temperature"].tolist(), strict=True):
+            yield RecordedTemperature(name, stamp_ns, celsius, frame)
 
 
 def _read_blocks(bag: Path, topics: Sequence[str]) -> Iterator[MessageBlock]:
@@ -179,10 +213,12 @@ class Arm(ArmFile):
         path = checked_path(bag, "Arm.estimate", "the path of a bag")
         settings = Settings.of_arm(self).with_false_alarm(false_alarm)
         estimator = ArmEstimator(settings)
-        topics = topics_of(path, settings.joints)
+        topics = topics_of(path, settings.joints, estimator.thermometers)
         for note in topics.notes:
             log_once(f"{path}: {note}")
         parts = list(estimate_bag(path, topics, estimator))
+        for note in estimator.notes():
+            log_once(f"{path}: {note}")
         joints = {name: Estimates.concatenate([part.joints[name] for part in parts]) for name in settings.joints}
         return ArmEstimates(joints, EndpointEstimates.concatenate([part.endpoint for part in parts]), parts[0].chain)
 

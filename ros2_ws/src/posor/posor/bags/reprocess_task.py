@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -97,6 +97,7 @@ class BagTopics:
     offered: Sequence[Qos]  # quality of service with which the raw scans were recorded
     messages: int  # number of raw scans of the joints
     notes: tuple[str, ...] = ()  # what is left out of the bag, and what it lacks, one sentence each
+    temperatures: Mapping[str, str] = field(default_factory=dict)  # topic of each thermometer that has one
 
     @property
     def transforms(self) -> dict[str, str]:

@@ -28,7 +28,7 @@ BEAM = np.dtype(
         ("end_turn_gain", float, (3, 3)),  # turn of the end [rad], axes of the end
         ("sigma_shift_gain", float, (3, 3)),  # one standard deviation of the sag: translation [m], axes of the start
         ("sigma_turn_gain", float, (3, 3)),  # the same: rotation [rad], axes of the start
-        ("covariance", float, (6, 6)),  # ``MeasuringBeam.covariance``
+        ("covariance", float, (6, 6)),  # ``MeasuringBeam.covariance_without_sag``
         ("expansion", float, 3),  # ``MeasuringBeam.expansion`` [m]
     ]
 )
@@ -67,7 +67,7 @@ class ArmGeometry(NamedTuple):
         elements.append((NO_INDEX, NO_INDEX, frame.rotation, frame.translation))
         return cls(
             np.array(elements, dtype=ELEMENT),
-            np.array([_beam_record(beam) for beam in beams], dtype=BEAM),
+            np.array([beam_record(beam) for beam in beams], dtype=BEAM),
             np.array([joint.T_parent_joint.rotation for joint in robot.joints]),
             np.array([joint.T_parent_joint.translation for joint in robot.joints]),
             np.array(gravity, dtype=float),
@@ -93,7 +93,8 @@ class ArmGeometry(NamedTuple):
         )
 
 
-def _beam_record(beam: MeasuringBeam) -> tuple[FloatArray, ...]:
+def beam_record(beam: MeasuringBeam) -> tuple[FloatArray, ...]:
+    """Return the fields of ``BEAM``."""
     span, sigma_gain = beam.T_start_end, beam.sag_sigma * beam.sag_gain
     return (
         span.rotation,
@@ -103,6 +104,6 @@ def _beam_record(beam: MeasuringBeam) -> tuple[FloatArray, ...]:
         span.rotation.T @ beam.end_gain[3:],
         sigma_gain[:3],
         sigma_gain[3:],
-        beam.covariance,
+        beam.covariance_without_sag,
         beam.expansion,
     )

@@ -1,10 +1,11 @@
-"""The beams file, version 2: uncertainty, sag and temperature of an arm's beams, whose transforms are in the URDF.
+"""The beams file, version 3: uncertainty, sag and temperature of an arm's beams, whose transforms are in the URDF.
 
 Versions of the format:
 
 1. First version: ``gravity`` and ``beams``, each with ``uncertainty`` and, where it sags, ``sag``. Still read.
 2. ``temperature`` of a beam: coefficient of expansion, and largest deviation from the temperature of the URDF;
-   ``shared``: errors that several beams share, also with calibrations.
+   ``shared``: errors that several beams share, also with calibrations. Still read.
+3. ``spread``, ``gradient`` and ``thermometer`` in the ``temperature`` of a beam.
 """
 
 from __future__ import annotations
@@ -20,15 +21,22 @@ from posor.calibration.file_model import EntryError, FrozenModel
 from posor.calibration.quantity import Quantity, measured
 from posor.calibration.shared_terms import SharedQuantity, SharedTerm, check_shared_terms
 from posor.calibration.yaml_document import parse_document, read_text
+from posor.ros_names import ROS_NAME_RULE, is_ros_name
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterable, Mapping
     from pathlib import Path
 
 FILE_KIND = "beams file"
-VERSION = 2
-FORMER_VERSIONS = (1,)
+VERSION = 3
+FORMER_VERSIONS = (1, 2)
+SHARED_VERSION = 2  # the first with ``shared`` and ``temperature``
 STANDARD_GRAVITY = 9.80665  # [m/s^2] (ISO 80000-3)
+
+
+PERIOD_S, DELAY_S = 1.0, 0.5
+"""At each whole ``PERIOD_S`` of the stamps, readings enter that are at least ``DELAY_S`` old and so have arrived."""
+LEAST_AGE_S = 2.0 * PERIOD_S + DELAY_S  # that a reading may reach: delay, wait for the next reading, use of this one
 
 
 @dataclass(frozen=True)
@@ -56,6 +64,10 @@ _DENSITY = _Range(10.0, 23e3, {"in g/cm^3": 1e3})  # of foams to that of osmium
 _MASS = _Range(0.0, 200.0, {"in g": 1e-3})
 _EXPANSION = _Range(1e-10, 1e-3, {"in um/m/K": 1e-6}, or_zero=True)
 _DEVIATION = _Range(0.0, 150.0, {"the temperature itself": 0.1})
+_TEMPERATURE = _Range(100.0, 600.0, {"in degrees Celsius": 15.0})
+_KELVINS = _Range(1e-4, 50.0, {"in mK": 1e-3}, or_zero=True)
+_RATE = _Range(1e-6, 10.0, {"in K/min": 1.0 / 60.0, "in K/h": 1.0 / 3600.0})
+_AGE = _Range(LEAST_AGE_S, 3600.0, {"in ms": 1e-3})
 _POSITION = _Range(0.0, 0.1, {"in um": 1e-6, "in mm": 1e-3})
 _ORIENTATION = _Range(0.0, 0.2, {"in urad": 1e-6, "in arcseconds": 4.848e-6, "in degrees": 0.01745})
 _SHARE = _Range(0.0, 1.0, {"in percent": 0.01})
@@ -130,16 +142,86 @@ class PlacementFile(FrozenModel):
         return self
 
 
+class GradientFile(FrozenModel):
+    """Standard uncertainties of differences of the temperature within a beam.
+
+    ``along``: between the mean of the beam and its thermometer; it stretches the beam. ``across``: between opposite
+    sides, ``width`` apart, in each of two directions across the beam; it bends the beam.
+    """
+
+    along: Annotated[Quantity, measured("K")] = Quantity(value=0.0, unit="K")
+    across: Annotated[Quantity, measured("K")] = Quantity(value=0.0, unit="K")
+    width: Annotated[Quantity, measured("m")] | None = None  # default: outer diameter of the tube in ``sag``
+
+    @model_validator(mode="after")
+    def _check_values(self) -> Self:
+        _KELVINS.check("along", self.along)
+        _KELVINS.check("across", self.across)
+        if self.width is not None:
+            _DIAMETER.check("width", self.width)
+        return self
+
+
+class NeighbourFile(FrozenModel):
+    """Another thermometer, whose readings differ by at most ``difference`` while both are sound."""
+
+    name: str
+    difference: Annotated[Quantity, measured("K")]
+
+    @model_validator(mode="after")
+    def _check_values(self) -> Self:
+        _KELVINS.check("difference", self.difference)
+        return self
+
+
+class ThermometerFile(FrozenModel):
+    """The thermometer of a beam; ``name`` is the last part of its topic."""
+
+    name: str
+    reference: Annotated[Quantity, measured("K")]  # temperature at which the URDF holds
+    uncertainty: Annotated[Quantity, measured("K")]  # standard uncertainty of a reading, common to all readings
+    range: Annotated[Quantity, measured("K", 2)]  # of plausible readings
+    rate: Annotated[Quantity, measured("K/s")]  # largest rate of change
+    age: Annotated[Quantity, measured("s")]  # largest age of a reading in use
+    neighbour: NeighbourFile | None = None
+
+    @model_validator(mode="after")
+    def _check_values(self) -> Self:
+        if not is_ros_name(self.name):
+            raise EntryError(f"name '{self.name}'", key=("name",), expected=ROS_NAME_RULE)
+        for name, limits in (("reference", _TEMPERATURE), ("range", _TEMPERATURE), ("rate", _RATE), ("age", _AGE)):
+            limits.check(name, getattr(self, name))
+        _KELVINS.check("uncertainty", self.uncertainty)
+        least, most = self.range.array
+        if not least < self.reference.number < most:
+            what, expected = f"range {self.range.value} K", "two temperatures, the reference between them"
+            raise EntryError(what, key=("range",), expected=expected)
+        return self
+
+
 class TemperatureFile(FrozenModel):
-    """Amounts of the linear expansion of the beam, and of the largest deviation from the temperature of the URDF."""
+    """Linear expansion of the beam, and what is known of the beam's temperature.
+
+    ``coefficient``: its amount, with its standard uncertainty ``sigma``, which a thermometer needs; ``deviation``:
+    largest deviation from the temperature of the URDF; ``spread``: standard uncertainty of the temperature while no
+    thermometer can be used, beside shared terms.
+    """
 
     coefficient: Annotated[Quantity, measured("1/K")]
     deviation: Annotated[Quantity, measured("K")]
+    spread: Annotated[Quantity, measured("K")] | None = None
+    gradient: GradientFile | None = None
+    thermometer: ThermometerFile | None = None
 
     @model_validator(mode="after")
     def _check_values(self) -> Self:
         _EXPANSION.check("coefficient", self.coefficient)
         _DEVIATION.check("deviation", self.deviation)
+        if self.spread is not None:
+            _KELVINS.check("spread", self.spread)
+        elif self.thermometer is not None:
+            expected = "'spread', with which the beam is measured while its thermometer cannot be used"
+            raise EntryError("a thermometer without 'spread'", key=("thermometer",), expected=expected)
         return self
 
 
@@ -154,12 +236,31 @@ class BeamFile(FrozenModel):
     sag: SagFile | None = None
     temperature: TemperatureFile | None = None
 
+    @model_validator(mode="after")
+    def _check_width(self) -> Self:
+        gradient = None if self.temperature is None else self.temperature.gradient
+        if gradient is not None and gradient.across.number and self.width is None:
+            key = ("temperature", "gradient")
+            raise EntryError("'across' without 'width'", key=key, expected="'width', as the beam has no tube in 'sag'")
+        return self
+
+    @property
+    def width(self) -> Quantity | None:
+        """Distance [m] of opposite sides between which the temperature differs; None: it is not stated."""
+        stated = self.temperature and self.temperature.gradient and self.temperature.gradient.width
+        return stated or (None if self.sag is None else self.sag.tube.outer_diameter)
+
+    @property
+    def thermometer(self) -> ThermometerFile | None:
+        """The thermometer; None: the beam has no thermometer."""
+        return None if self.temperature is None else self.temperature.thermometer
+
 
 class BeamsFile(FrozenModel):
     """Content of a beams file. ``gravity`` is in the base frame of the URDF; default: along -Z."""
 
     format: Literal["posor_beams"]
-    version: Literal[1, 2]
+    version: Literal[1, 2, 3]
     name: str
     provenance: Provenance
     gravity: Annotated[Quantity, measured("m/s^2", 3)] = Quantity(value=[0.0, 0.0, -STANDARD_GRAVITY], unit="m/s^2")
@@ -174,13 +275,32 @@ class BeamsFile(FrozenModel):
 
     @model_validator(mode="after")
     def _check_version(self) -> Self:
-        if self.shared and self.version < VERSION:
-            what = f"shared in a file of version {self.version}"
-            raise EntryError(what, key=("shared",), expected=f"version {VERSION}")
+        found: list[tuple[int, tuple[str | int, ...]]] = [(SHARED_VERSION, ("shared",))] if self.shared else []
         for index, beam in enumerate(self.beams):
-            if beam.temperature is not None and self.version < VERSION:
-                what, key = f"temperature in a file of version {self.version}", ("beams", index, "temperature")
-                raise EntryError(what, key=key, expected=f"version {VERSION}")
+            if beam.temperature is not None:
+                at = ("beams", index, "temperature")
+                newer = [key for key in ("spread", "gradient", "thermometer") if getattr(beam.temperature, key)]
+                found += [(SHARED_VERSION, at), *((VERSION, (*at, key)) for key in newer)]
+        for version, key in found:
+            if self.version < version:
+                what = f"{key[-1]} in a file of version {self.version}"
+                raise EntryError(what, key=key, expected=f"version {version}")
+        return self
+
+    @model_validator(mode="after")
+    def _check_thermometers(self) -> Self:
+        """Check that no two thermometers have one name, and that each neighbour is another one."""
+        found = [(n, beam.thermometer) for n, beam in enumerate(self.beams) if beam.thermometer is not None]
+        names = [thermometer.name for _, thermometer in found]
+        for index, thermometer in found:
+            key, neighbour = ("beams", index, "temperature", "thermometer"), thermometer.neighbour
+            if names.count(thermometer.name) > 1:
+                what = f"two thermometers have the name '{thermometer.name}'"
+                raise EntryError(what, key=(*key, "name"), expected="a name, and a topic, for each")
+            others = [name for name in names if name != thermometer.name]
+            if neighbour is not None and neighbour.name not in others:
+                expected = f"another thermometer: {', '.join(others) or 'there is none'}"
+                raise EntryError(f"'{neighbour.name}'", key=(*key, "neighbour", "name"), expected=expected)
         return self
 
     @model_validator(mode="after")
@@ -194,11 +314,23 @@ class BeamsFile(FrozenModel):
 
     @model_validator(mode="after")
     def _check_shared(self) -> Self:
-        """Check the terms: they may change ``position``, ``orientation`` and ``sag`` of a beam, after its name."""
-        positions = {f"{beam.joint}.position": SharedQuantity("m", (3,)) for beam in self.beams}
-        orientations = {f"{beam.joint}.orientation": SharedQuantity("rad", (3,)) for beam in self.beams}
-        sags = {f"{beam.joint}.sag": SharedQuantity("1", ()) for beam in self.beams if beam.sag is not None}
-        check_shared_terms(self.shared, positions | sags, positions | orientations)
+        """Check the terms: they may change ``position``, ``orientation`` and ``sag`` of a beam, after its name.
+
+        They may also change ``coefficient`` and ``temperature`` of a beam with them, and readings of its
+        ``thermometer``.
+        """
+
+        def of(key: str, unit: str, shape: tuple[int, ...], beams: Iterable[BeamFile]) -> dict[str, SharedQuantity]:
+            return {f"{beam.joint}.{key}": SharedQuantity(unit, shape) for beam in beams}
+
+        warm = [beam for beam in self.beams if beam.temperature is not None]
+        measured_ones = [beam for beam in self.beams if beam.thermometer is not None]
+        positions = of("position", "m", (3,), self.beams)
+        sags = of("sag", "1", (), [beam for beam in self.beams if beam.sag is not None])
+        orientations = of("orientation", "rad", (3,), self.beams)
+        kelvins = of("temperature", "K", (), warm) | of("thermometer", "K", (), measured_ones)
+        relative = positions | sags | of("coefficient", "1/K", (), measured_ones)
+        check_shared_terms(self.shared, relative, positions | orientations | kelvins)
         return self
 
 

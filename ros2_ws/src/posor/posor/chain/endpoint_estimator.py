@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pinocchio as pin
 
+from posor.chain.arm_geometry import beam_record
 from posor.chain.beam_acceleration import BeamHistory
 from posor.chain.fault_bounds import UNKNOWN, ArmCauses, EndpointBounds, bound_endpoints
 from posor.chain.forward_kinematics import (
@@ -85,7 +86,7 @@ class EndpointEstimator:
         rows, for ``estimate_rows``; ``beams``: its measuring beams.
         """
         self.joints = joints
-        self._arm = arm
+        self._arm = arm._replace(beams=arm.beams.copy())  # ``use_beam`` changes them
         self._history = BeamHistory.allocate(acceleration_window, len(arm.beams))
         self._measurements = JointMeasurements.allocate(1, len(joints))
         self._endpoints = Endpoints.allocate(1, len(joints))
@@ -112,7 +113,7 @@ class EndpointEstimator:
         self.relative_pose, self.relative_covariance_random, self.relative_covariance_systematic = (
             array[0] for array in self._relative[:3]
         )
-        self._beams = beams
+        self._beams = list(beams)
         self._joint_terms: list[tuple[str, ...]] = [()] * len(joints)
         self.shared_terms: tuple[str, ...] = ()
         self._prepare_arguments()
@@ -133,6 +134,14 @@ class EndpointEstimator:
             each._replace(shared_effects=np.full((1, count, 6), np.nan)) for each in (self._endpoints, self._relative)
         )
         self._prepare_arguments()
+
+    def use_beam(self, index: int, beam: MeasuringBeam) -> None:
+        """Take a beam at another temperature (``MeasuringBeam.at_temperature``) from the next scan on."""
+        self._beams[index] = beam
+        self._arm.beams[index] = beam_record(beam)
+        self.beam_transforms[index] = pin.SE3ToXYZQUAT(beam.T_start_end)
+        for k, name in enumerate(self.shared_terms):
+            self._arm.beam_effects[k, index] = beam.shared_effects.get(name, 0.0)
 
     def use_causes(self, of_joints: list[JointCauses]) -> None:
         """Take the causes of each joint's faults, in the order of its effects, from the next scan on."""

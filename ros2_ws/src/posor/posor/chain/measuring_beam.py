@@ -2,12 +2,15 @@
 
 The beam carries only its own weight and the plates of the POSORs at its ends. Its sag follows from its section and
 from the direction of gravity, and is corrected (thesis 6.2.1, 9.3.2). Sag is linear in the component of the specific
-force (gravity minus acceleration) across the beam. The temperature of the beam is not measured: the expansion is a
-bound, which only protection levels use (``uncertainty.protection_level``).
+force (gravity minus acceleration) across the beam. A beam whose temperature is measured has the length that follows
+from the temperature (``at_temperature``); of every other beam, the uncertainty of the temperature is in the covariance.
+The largest expansion that may remain is a bound, which only protection levels use (``chain.fault_bounds``).
 """
 
 from __future__ import annotations
 
+import math
+from copy import copy
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -38,17 +41,20 @@ class MeasuringBeam:
 
     Attributes:
         name: Name of the fixed joint in the URDF.
-        T_start_end: The beam without sag.
-        covariance: (6, 6) of x, y, z [m], about X, Y, Z [rad] of the end, axes of the start, the small turn applied on
-            the start's side at the end's origin.
-        expansion: Largest change of the end's translation by the temperature, (3,) [m], axes of the start: coefficient
-            of expansion times deviation times translation; zero: not stated.
+        T_start_end: The beam without sag, at its measured temperature or that of the URDF.
+        covariance: Of the placement, (6, 6) of x, y, z [m], about X, Y, Z [rad] of the end, axes of the start, the
+            small turn applied on the start's side at the end's origin.
+        thermal: Independent changes of the end by the uncertain temperature, one standard deviation each, (n, 6), as
+            ``covariance``, which does not contain them; no rows: no uncertainty is stated.
+        expansion: Largest change of the end's translation by the unknown temperature, (3,) [m], axes of the start;
+            zero: not stated.
         sag_sigma: Standard uncertainty of the sag, relative to the sag.
         start_gain: (6, 3): translation [m] and rotation vector [rad] of the plate at the start, axes of the start, for
             a specific force [m/s^2] in the same axes, counted from the line through the gimbals.
         end_gain: (6, 3): the same of the plate at the end.
-        shared_effects: By name of a shared term: change of the end by one standard uncertainty, (6,) as ``covariance``,
-            which does not contain the terms; the change of the sag apart.
+        shared_placements: By name of a shared term: change of the end by one standard uncertainty, (6,) as
+            ``covariance``, which does not contain the terms; changes of the sag and by the temperature apart.
+        shared_effects: The same with the change by the temperature.
         shared_sags: The same: relative change of the sag.
 
     """
@@ -59,27 +65,83 @@ class MeasuringBeam:
         ``entry``: its entry in the beams file; ``T_start_end``: origin of its fixed joint; ``shared``: the file's
         shared terms.
         """
-        self.name = entry.joint
-        self.T_start_end = T_start_end
+        self.name, self.entry, self._shared = entry.joint, entry, shared or {}
+        self._cold = self.T_start_end = T_start_end
         sigmas = np.concatenate([entry.uncertainty.position.array, entry.uncertainty.orientation.array])
         self.covariance: FloatArray = np.diag(np.square(sigmas))
-        self.expansion: FloatArray = np.zeros(3)
-        if entry.temperature is not None:
-            strain = entry.temperature.coefficient.number * entry.temperature.deviation.number
-            self.expansion = strain * T_start_end.translation
         self.start_gain: FloatArray = np.zeros((6, 3))
         self.end_gain: FloatArray = np.zeros((6, 3))
         self.sag_sigma = 0.0
         if entry.sag is not None:
             self.sag_sigma = entry.sag.uncertainty.number
             self._compute_gains(entry.sag)
-        self.shared_effects: dict[str, FloatArray] = {}
+        self.shared_placements: dict[str, FloatArray] = {}
         self.shared_sags: dict[str, float] = {}
-        for name, term in (shared or {}).items():
+        for name, term in self._shared.items():
             shift = effect_on(term, f"{entry.joint}.position", T_start_end.translation)
             turn = effect_on(term, f"{entry.joint}.orientation", np.zeros(3))
-            self.shared_effects[name] = np.concatenate([shift, turn])
-            self.shared_sags[name] = float(effect_on(term, f"{entry.joint}.sag", np.ones(())))
+            self.shared_placements[name] = np.concatenate([shift, turn])
+            self.shared_sags[name] = self.shared_change(name, "sag")
+        self._set_temperature(None)
+
+    def shared_change(self, term: str, quantity: str) -> float:
+        """Return the change of a number of the beam by one standard uncertainty of a shared term."""
+        return float(effect_on(self._shared[term], f"{self.name}.{quantity}", np.ones(())))
+
+    def at_temperature(self, kelvin: float | None) -> MeasuringBeam:
+        """Return the same beam at the temperature of its thermometer [K]; None: the thermometer cannot be used."""
+        beam = copy(self)
+        beam._set_temperature(kelvin)  # noqa: SLF001  of the same class
+        return beam
+
+    def _set_temperature(self, kelvin: float | None) -> None:
+        own, self.T_start_end = self.entry.temperature, self._cold
+        self.thermal: FloatArray = np.zeros((0, 6))
+        self.expansion: FloatArray = np.zeros(3)
+        self.shared_effects: dict[str, FloatArray] = dict(self.shared_placements)
+        if own is None:
+            return
+        span, coefficient = self._cold.translation, own.coefficient.number
+        spread, bound, change, unknown = (
+            0.0 if own.spread is None else own.spread.number,
+            own.deviation.number,
+            0.0,
+            0.0,
+        )
+        if kelvin is not None and (thermometer := own.thermometer) is not None:
+            change = kelvin - thermometer.reference.number
+            self.T_start_end = pin.SE3(self._cold.rotation, (1.0 + coefficient * change) * span)
+            drift = thermometer.rate.number * thermometer.age.number
+            along = 0.0 if own.gradient is None else own.gradient.along.number
+            spread = math.hypot(thermometer.uncertainty.number, along, drift / math.sqrt(3.0))  # drift: rectangular
+            bound += abs(change)  # what a wrong reading within its range does unseen
+            if thermometer.neighbour is not None:
+                bound = min(bound, 2.0 * thermometer.neighbour.difference.number + drift)
+            unknown = float(own.coefficient.sigmas) * change
+        self.expansion = coefficient * bound * span
+        stretch = math.hypot(coefficient * spread, unknown) * span
+        across = 0.0 if own.gradient is None else own.gradient.across.number
+        effects = [np.concatenate([stretch, np.zeros(3)]), *(across * bend for bend in self.bends_per_kelvin())]
+        self.thermal = np.array([effect for effect in effects if effect.any()]).reshape(-1, 6)
+        for name in self._shared:
+            heat = (
+                self.shared_change(name, "temperature") if kelvin is None else -self.shared_change(name, "thermometer")
+            )
+            strain = coefficient * (heat + self.shared_change(name, "coefficient") * change)
+            if strain:
+                self.shared_effects[name] = self.shared_placements[name] + np.concatenate([strain * span, np.zeros(3)])
+
+    def bends_per_kelvin(self) -> list[FloatArray]:
+        """Return the changes of the end, (6,) each as ``covariance``, by 1 K between opposite sides, in two directions.
+
+        Such a difference bends a beam that is free to an arc. Empty: the beam has no difference across.
+        """
+        length, own, width = float(np.linalg.norm(self._cold.translation)), self.entry.temperature, self.entry.width
+        if own is None or width is None or not length:
+            return []
+        curvature, along = own.coefficient.number / width.number, self._cold.translation / length
+        sides = np.linalg.svd(along[None, :])[2][1:]  # two directions across
+        return [curvature * np.concatenate([0.5 * length**2 * side, length * np.cross(along, side)]) for side in sides]
 
     def _compute_gains(self, sag: SagFile) -> None:
         length = float(np.linalg.norm(self.T_start_end.translation))
@@ -98,10 +160,16 @@ class MeasuringBeam:
 
     def covariance_under(self, force: FloatArray) -> FloatArray:
         """Return the covariance of ``T_under``, as the attribute ``covariance``, including that of the sag."""
+        total = self.covariance_without_sag
         if self.sag_sigma == 0.0:
-            return self.covariance
+            return total
         sag = self.sag_sigma * (self.sag_gain @ force)
-        return self.covariance + np.outer(sag, sag)
+        return total + np.outer(sag, sag)
+
+    @property
+    def covariance_without_sag(self) -> FloatArray:
+        """Sum of ``covariance`` and of the products of ``thermal``, (6, 6)."""
+        return self.covariance + self.thermal.T @ self.thermal
 
     def shared_effects_under(self, force: FloatArray) -> dict[str, FloatArray]:
         """Return the changes of ``T_under`` by one standard uncertainty of each shared term, by name, (6,)."""

@@ -21,6 +21,22 @@ shared:
     relative: {forearm.position: {value: 23.0e-6, unit: 1/K}, forearm.sag: {value: 0.1, unit: 1/K}}
     change: {forearm.orientation: {value: [1.0e-6, 0, 0], unit: rad/K}}
 """
+THERMOMETER = """\
+      spread: {value: 2.0, unit: K}
+      gradient: {along: {value: 0.1, unit: K}, across: {value: 0.02, unit: K}}
+      thermometer:
+        name: forearm_skin
+        reference: {value: 293.15, unit: K}
+        uncertainty: {value: 0.05, unit: K}    # reading
+        range: {value: [280, 310], unit: K}
+        rate: {value: 0.01, unit: K/s}
+        age: {value: 10, unit: s}
+        # neighbour
+shared:
+  shop: {uncertainty: {value: 5, unit: K}, change: {forearm.temperature: {value: 1, unit: "1"}}}
+  scale: {uncertainty: {value: 1, unit: K}, change: {forearm.thermometer: {value: 1, unit: "1"}}}
+  alloy: {uncertainty: {value: 0.01, unit: "1"}, relative: {forearm.coefficient: {value: 1.0, unit: "1"}}}
+"""
 
 
 @pytest.fixture
@@ -63,6 +79,25 @@ def test_a_file_of_the_first_version_is_read_but_has_no_temperature(path: Path) 
     error = refusal(CalibrationError, load_beams, path)
     assert error.where == f"{path}, line 20, key beams[0].temperature"
     assert (error.what, error.expected) == ("temperature in a file of version 1", "version 2")
+
+
+@pytest.mark.parametrize(**cases(__file__, "thermometer_mistakes.yaml"))
+def test_a_wrong_thermometer_is_refused(path: Path, old: str, new: str, sentence: str) -> None:
+    good = GOOD.replace("version: 2", "version: 3") + TEMPERATURE + THERMOMETER
+    path.write_text(good, encoding="utf-8")
+    assert load_beams(path).beams[0].thermometer is not None
+    path.write_text(edited(good, old, new), encoding="utf-8")
+    assert sentence in str(refusal(CalibrationError, load_beams, path))
+
+
+def test_a_name_of_two_thermometers_and_a_gradient_without_a_width_are_refused(path: Path) -> None:
+    good = GOOD.replace("version: 2", "version: 3") + TEMPERATURE + THERMOMETER
+    beams = good.partition("beams:\n")[2].partition("shared:")[0]
+    path.write_text(good.replace("shared:", beams.replace("joint: forearm", "joint: wrist") + "shared:"), "utf-8")
+    assert "two thermometers have the name 'forearm_skin'" in str(refusal(CalibrationError, load_beams, path))
+    rigid = good.replace(good[good.index("    sag:") : good.index("    temperature:")], "")
+    path.write_text(rigid, encoding="utf-8")
+    assert "'across' without 'width'; expected 'width'" in str(refusal(CalibrationError, load_beams, path))
 
 
 @pytest.mark.parametrize(**cases(__file__, "beams_mistakes.yaml"))

@@ -12,6 +12,7 @@ import numpy as np
 from posor.errors import CalibrationError, ChainError
 
 from posor_drivers.simulator.arm_truth import true_cycle
+from posor_drivers.simulator.beam_heat import beam_heats
 from posor_drivers.simulator.electronics import JointElectronics
 from posor_drivers.simulator.faults import JointFaults
 from posor_drivers.simulator.imperfections import Imperfections
@@ -21,9 +22,10 @@ from posor_drivers.simulator.scenario import load_scenario
 from posor_drivers.simulator.truth_model import load_truth
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from posor.chain.arm_file import ArmFile
+    from posor.chain.beams_file import ThermometerFile
     from posor.numerics.array_types import FloatArray, IntArray
 
     from posor_drivers.simulator.faults import SimulatedFault
@@ -76,7 +78,9 @@ class ArmSimulation:
             raise CalibrationError(f"joints {found}", where=f"{source}, key joints", expected=", ".join(self.joints))
         imperfections = imperfections or Imperfections()
         commanded = self.scenario.commanded_angles(nominal, source)
-        self._cycle = true_cycle(self.scenario, self.chain, nominal, commanded, imperfections, model)
+        shares = np.arange(self._cycle_ticks) / self._cycle_ticks
+        self._heats = beam_heats(self.scenario, self.chain, shares, imperfections, source)
+        self._cycle = true_cycle(self.scenario, self.chain, nominal, commanded, imperfections, model, self._heats)
         self.calibrations = {joint: arm.calibration(joint) for joint in self.joints}
         self._electronics = {
             joint: JointElectronics(self.scenario, joint, calibration, imperfections, source, model)
@@ -122,6 +126,20 @@ class ArmSimulation:
         """Return the truth at ticks (n,), with the stage at positions (n, 3) [m], axes of the endpoint; None: zero."""
         truth = self._cycle.select(np.mod(ticks, self._cycle_ticks))
         return truth if stage is None else truth.with_stage(stage)
+
+    @property
+    def thermometers(self) -> Mapping[str, ThermometerFile]:
+        """The thermometers of the beams, by beam."""
+        found = {beam.name: beam.entry.thermometer for beam in self.chain.beams}
+        return {name: entry for name, entry in found.items() if entry is not None}
+
+    def temperatures(self, tick: int) -> dict[str, float]:
+        """Return the readings [K] that the thermometers of beams publish at a tick, by beam; empty: none is due."""
+        if tick % max(1, round(self.scenario.thermometer_period.number * self.scenario.ticks_per_second)):
+            return {}
+        place = tick % self._cycle_ticks
+        readings = {name: float(self._heats[name].readings[place]) for name in self.thermometers if name in self._heats}
+        return {name: kelvin + self.thermometers[name].reference.number for name, kelvin in readings.items()}
 
     def latency_ns(self, joint: str, tick: int) -> int:
         """Return the delay from the stamp of a joint's scan to its publication [ns]."""

@@ -30,12 +30,13 @@ from posor_drivers.simulator.mechanics import (
 from posor_drivers.simulator.pose_array import ArmTruth, PoseArray
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from posor.chain.kinematic_chain import Chain, FixedLink
     from posor.chain.measuring_beam import MeasuringBeam
     from posor.numerics.array_types import FloatArray
 
+    from posor_drivers.simulator.beam_heat import BeamHeat
     from posor_drivers.simulator.imperfections import Imperfections
     from posor_drivers.simulator.nominal_arm import NominalArm
     from posor_drivers.simulator.scenario import Scenario
@@ -52,6 +53,7 @@ class TrueBeam:
     start_gain: FloatArray
     """Motion of the plate at the start per specific force, axes of the start, (6, 3), see ``MeasuringBeam``."""
     end_gain: FloatArray  # the same for the plate at the end
+    warm_ends: PoseArray | None = None  # the end at the temperatures of n ticks; None: it does not change
 
     @classmethod
     def without_errors(cls, link: FixedLink, true_link: TrueLink | None) -> TrueBeam:
@@ -62,21 +64,32 @@ class TrueBeam:
             return cls(link.before, pin.SE3.Identity(), link.after, np.zeros((6, 3)), np.zeros((6, 3)))
         return cls(link.before, link.beam.T_start_end, link.after, link.beam.start_gain, link.beam.end_gain)
 
-    def draw(self, beam: MeasuringBeam | None, seed: int, imperfections: Imperfections) -> TrueBeam:
-        """Return the beam with errors; ``beam`` states their uncertainties, ``seed`` is that of the scenario."""
+    def draw(
+        self,
+        beam: MeasuringBeam | None,
+        seed: int,
+        imperfections: Imperfections,
+        warm_ends: tuple[FloatArray, FloatArray] | None = None,
+    ) -> TrueBeam:
+        """Return the beam with errors; ``beam`` states their uncertainties, ``seed`` is that of the scenario.
+
+        ``warm_ends``: the end without errors at the temperatures of n ticks, (n, 3, 3), (n, 3) [m].
+        """
         if beam is None:
             return self
         random = RandomStream(seed, "beam", beam.name).generator()
         error = np.sqrt(np.diagonal(beam.covariance)) * random.normal(size=6)
         scale = 1.0 + beam.sag_sigma * float(random.normal())
-        for name, value in zip(beam.shared_effects, shared_errors(seed, beam.shared_effects), strict=True):
-            error += value * beam.shared_effects[name]
+        for name, value in zip(beam.shared_placements, shared_errors(seed, beam.shared_placements), strict=True):
+            error += value * beam.shared_placements[name]
             scale += value * beam.shared_sags[name]
-        end = self.end
+        end, warm = self.end, None if warm_ends is None else PoseArray(*warm_ends)
         if imperfections.beam_errors:
             end = pin.SE3(pin.exp3(error[3:]) @ end.rotation, end.translation + error[:3])
+            warm = None if warm is None else warm.displace(error[:3], error[3:])
         factor = (scale if imperfections.beam_errors else 1.0) if imperfections.sag else 0.0
-        return replace(self, end=end, start_gain=factor * self.start_gain, end_gain=factor * self.end_gain)
+        gains = {"start_gain": factor * self.start_gain, "end_gain": factor * self.end_gain}
+        return replace(self, end=end, warm_ends=warm, **gains)
 
     def plates(self, lines: PoseArray, specific_force: FloatArray) -> tuple[PoseArray, PoseArray]:
         """Return the target plate at the start and the receiving plate at the end.
@@ -87,7 +100,8 @@ class TrueBeam:
         start = lines @ self.before
         force = start.rotate_back(specific_force)
         sag_at_start = PoseArray.from_rotation_vectors(*np.hsplit(force @ self.start_gain.T, 2))
-        end = PoseArray.repeat(self.end, len(start)).displace(*np.hsplit(force @ self.end_gain.T, 2))
+        ends = PoseArray.repeat(self.end, len(start)) if self.warm_ends is None else self.warm_ends
+        end = ends.displace(*np.hsplit(force @ self.end_gain.T, 2))
         return start @ sag_at_start @ self.before.inverse(), start @ end @ self.after
 
 
@@ -98,8 +112,11 @@ def true_cycle(
     commanded: FloatArray,
     imperfections: Imperfections,
     truth: TrueArm | None = None,
+    heats: Mapping[str, BeamHeat] | None = None,
 ) -> ArmTruth:
     """Return the truth over one cycle of commanded angles [rad], (n, j), with the stage in its middle.
+
+    ``heats``: temperatures of beams at the n ticks, by name.
 
     ``chain`` is the arm as its files describe it; ``truth`` is another model of it, whose geometry, gravity and sag
     hold then, and from which ``arm`` is made too. Of the imperfections, those of the measuring beams have an effect.
@@ -120,7 +137,11 @@ def true_cycle(
     ]
     bends = bend_links(arm.target_plates(angles), spans, compliances, scenario.payload.mass.number, gravity)
     exact = [TrueBeam.without_errors(link, true) for link, true in zip(chain.links, true_links, strict=True)]
-    beams = [beam.draw(link.beam, scenario.seed, imperfections) for beam, link in zip(exact, chain.links, strict=True)]
+    beams = []
+    for beam, link, true in zip(exact, chain.links, true_links, strict=True):
+        heat = None if link.beam is None else (heats or {}).get(link.beam.name)
+        warm = None if heat is None or link.beam is None else heat.ends(link.beam, true)
+        beams.append(beam.draw(link.beam, scenario.seed, imperfections, warm))
     forces = _specific_forces(gravity, exact, arm, commanded, scenario.ticks_per_second, inertia=imperfections.inertia)
     base = PoseArray.repeat(pin.SE3.Identity(), len(commanded))
     structure = base @ arm.links[0]

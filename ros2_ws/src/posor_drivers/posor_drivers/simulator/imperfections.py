@@ -33,6 +33,9 @@ class Imperfections(BaseModel):
     beam_errors: bool = Field(
         default=True, description="measuring beams differ from the beams file, by as much as it says is uncertain"
     )
+    temperature: bool = Field(
+        default=True, description="temperatures and gradients of the measuring beams, errors of their thermometers"
+    )
     sag: bool = Field(default=True, description="sag of the measuring beams")
     inertia: bool = Field(default=True, description="change of the sag while the beams accelerate")
 

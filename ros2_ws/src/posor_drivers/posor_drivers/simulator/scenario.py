@@ -96,6 +96,23 @@ class Payload(FrozenModel):
     mass: Annotated[Quantity, measured("kg"), NOT_NEGATIVE]
 
 
+class BeamTemperature(FrozenModel):
+    """Temperature at the middle of a measuring beam, from that at which the URDF holds.
+
+    A sine about ``offset`` with ``amplitude``, of whole ``periods`` in a cycle of the scenario, from ``phase`` on.
+    """
+
+    offset: Annotated[Quantity, measured("K")] = Quantity(value=0.0, unit="K")
+    amplitude: Annotated[Quantity, measured("K"), NOT_NEGATIVE] = Quantity(value=0.0, unit="K")
+    periods: Annotated[int, Field(strict=True, ge=1)] = 1
+    phase: Annotated[Quantity, measured("rad")] = Quantity(value=0.0, unit="rad")
+
+    def deviations(self, shares: FloatArray) -> FloatArray:
+        """Return the deviations [K] at shares of a cycle, (n,)."""
+        angles = 2.0 * math.pi * self.periods * shares + self.phase.number
+        return np.asarray(self.offset.number + self.amplitude.number * np.sin(angles))
+
+
 class StageSettings(FrozenModel):
     """A micromanipulator stage at the end of the arm, along X, Y and Z of the endpoint.
 
@@ -127,6 +144,8 @@ class Scenario(FrozenModel):
     payload: Payload = Payload(mass=Quantity(value=0.0, unit="kg"))
     motion: Annotated[tuple[Phase, ...], Field(min_length=1)]
     stage: StageSettings | None = None
+    temperatures: dict[str, BeamTemperature] = Field(default_factory=dict)  # by beam; others: drawn, constant
+    thermometer_period: Seconds = Quantity(value=1.0, unit="s")  # between two readings of each thermometer
     electronics: ElectronicsSettings
     truth: str = SHARED
     faults: tuple[SimulatedFault, ...] = ()

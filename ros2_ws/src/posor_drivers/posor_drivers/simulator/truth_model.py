@@ -64,6 +64,13 @@ class TrueLink(Protocol):
     def end_gain(self) -> FloatArray:
         """The same of the plate at the end."""
 
+    def warm_ends(self, deviations: FloatArray, across: FloatArray, excess: float) -> tuple[FloatArray, FloatArray]:
+        """Return the end without sag at n temperatures, in the start, (n, 3, 3), (n, 3) [m].
+
+        ``deviations``: mean temperatures from that of the URDF [K], (n,); ``across``: differences between opposite
+        sides in two directions across the beam [K], (2,); ``excess``: relative error of the coefficient of expansion.
+        """
+
 
 class TrueArm(Protocol):
     """Geometry and joints of an arm."""

@@ -85,6 +85,7 @@ class SimulatedSource(LiveSource[SimulatedParameters]):
         published = [Topic(RAW_TOPIC, RAW_SCAN), topics.joint_truth(joint)]
         if self._is_last:
             published += [topics.endpoint, topics.target, topics.encoders]
+            published += [topics.temperature(each.name) for each in self._simulation.thermometers.values()]
         if self._stage is not None:
             published.append(topics.stage)
         return published
@@ -137,5 +138,8 @@ class SimulatedSource(LiveSource[SimulatedParameters]):
         yield self._messages.joint_truth(joint, stamp_ns, truth, 0)
         if self._is_last:
             yield from self._messages.arm_truth(stamp_ns, truth, 0)
+            for beam, kelvin in self._simulation.temperatures(tick).items():
+                entry = self._simulation.thermometers[beam]
+                yield self._messages.temperature(entry.name, stamp_ns, kelvin, entry.uncertainty.number)
         if position is not None:
             yield self._messages.stage_position(stamp_ns, position)

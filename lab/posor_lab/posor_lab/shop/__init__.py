@@ -1,0 +1,1 @@
+"""The shop floor: a simulated arm whose beams warm up."""
