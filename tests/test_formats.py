@@ -92,7 +92,7 @@ def test_a_calibration_from_before_the_kinds_of_maps_says_what_to_add() -> None:
     ("name", "load", "newest"),
     [
         ("version_3/calibration.yaml", load_calibration, 3),
-        ("version_2/beams.yaml", load_beams, 2),
+        ("version_3/beams.yaml", load_beams, 3),
         ("version_1/arm.yaml", load_arm_file, 1),
         ("version_1/scenario.yaml", load_scenario, 1),
     ],

@@ -168,8 +168,6 @@ def _link(begin: pin.SE3, end: pin.SE3, beam: tuple[str, int, int] | None, place
     sag, heat = entries[name].get("sag"), entries[name].get("temperature") or {}
     gains = (np.zeros((6, 3)),) * 2 if sag is None else sag_gains(straight.translation, sag)
     width = (heat.get("gradient") or {}).get("width") or (sag and sag["tube"]["outer_diameter"])
-    warm = {
-        "expansion": float(si_values(heat["coefficient"], "1/K")) if heat else 0.0,
-        "width": float(si_values(width, "m")) if width else 1.0,
-    }
-    return TrueLink(begin.actInv(place(first)), straight, place(last).actInv(end), *gains, **warm)
+    expansion = float(si_values(heat["coefficient"], "1/K")) if heat else 0.0
+    width_m = float(si_values(width, "m")) if width else 1.0
+    return TrueLink(begin.actInv(place(first)), straight, place(last).actInv(end), *gains, expansion, width_m)

@@ -47,7 +47,7 @@ def _temperature(joint: str, neighbour: str, coefficient: float, *, has_tube: bo
         "coefficient": {**quantity(coefficient, "1/K"), "sigma": 0.005 * coefficient},
         "deviation": quantity(3.0 * SHOP_K, "K"),
         "spread": quantity(BEAM_K, "K"),
-        "gradient": {"along": quantity(0.1, "K"), "across": quantity(0.05, "K"), **width},
+        "gradient": {"along": quantity(0.1, "K"), "across": quantity(0.02, "K"), **width},
         "thermometer": thermometer,
     }
 

@@ -115,8 +115,9 @@ def test_a_warm_beam_grows_and_bends_as_the_simulator_computes(tmp_path: Path) -
     path = write_shop_arm(load_arm_file(find_arm("five_axis")), tmp_path)
     truth, chain = TrueArm(path), load_arm_file(path).chain()
     kelvins, across = np.array([-10.0, 0.0, 7.0]), np.array([3.0, -2.0])
-    for link, beam in ((true, known.beam) for true, known in zip(truth.links, chain.links, strict=True)):
-        assert beam is not None
+    beams = [(true, known.beam) for true, known in zip(truth.links, chain.links, strict=True) if known.beam is not None]
+    assert len(beams) == len(chain.beams)
+    for link, beam in beams:
         for sides in (np.zeros(2), across):
             heat = BeamHeat(kelvins, sides, 0.1, kelvins)
             rotations, translations = link.warm_ends(kelvins, sides, 0.1)
@@ -136,6 +137,6 @@ def test_a_warm_beam_grows_and_bends_as_the_simulator_computes(tmp_path: Path) -
             own_shifts = stretched[1] - np.multiply.outer(1.0 + strains, link.end.translation)
             for one, other in ((turns, own_turns), (shifts, own_shifts)):
                 amounts = np.linalg.norm(one, axis=1), np.linalg.norm(other, axis=1)
-                np.testing.assert_allclose(*amounts, rtol=0.11)
+                np.testing.assert_allclose(*amounts, rtol=1e-3)
             for turn, shift in zip(turns, shifts, strict=True):  # the beam bends in one plane
-                np.testing.assert_allclose(np.cross(turn, link.end.translation) * 0.5, shift, rtol=0.0, atol=1e-8)
+                np.testing.assert_allclose(np.cross(turn, link.end.translation) * 0.5, shift, rtol=0.0, atol=1e-6)

@@ -49,8 +49,8 @@ def test_the_program_finds_a_wrong_sign_and_a_wrong_coverage(drawn: Mapping[str,
     good = {WITH: {"rms_m": 1.0, "inside": 0.95}, WITHOUT: {"rms_m": 11.0, "inside": 0.94}}
     good[WRONG_SIGN] = {"rms_m": 20.0, "inside": 0.1}
     assert not failures(good, good)
-    cases = figures(drawn)
-    wrong = {**cases, WITH: cases[WRONG_SIGN]}
+    wrong = {**good, WITH: figures(drawn)[WRONG_SIGN]}
+    wrong[WITH]["rms_m"] *= good[WITHOUT]["rms_m"] / drawn[WITHOUT].rms_m
     assert len(failures(wrong, good)) == 2
     assert len(failures(good, wrong)) == 1
     assert len(failures({**good, WRONG_SIGN: good[WITH]}, good)) == 1
@@ -92,13 +92,18 @@ def test_a_recording_is_estimated_at_the_recorded_temperatures(path: Path, tmp_p
         assert summary is not None
         found = arm.estimate(bag).endpoint
         np.testing.assert_array_equal(found.poses, np.concatenate([part.poses for part in parts]))
-        error = np.linalg.norm(found.poses[:, :3] - true[: len(found)], axis=1)
+        known = np.isin(tick_stamp_ns(np.array(ticks), 50), found.stamps_ns)  # the first scans count theta
+        error = np.linalg.norm(found.poses[:, :3] - true[known], axis=1)
         sigma = np.sqrt(np.trace(found.covariances()[:, :3, :3], axis1=1, axis2=2))
         cold = found.stamps_ns // NS < 100_001 if thermometers else np.ones(len(found), dtype=bool)
-        assert (len(found), summary.degraded) == (200, np.count_nonzero(cold))
-        assert error[cold].min() > 100e-6
+        assert (len(found), summary.degraded) == (np.count_nonzero(known), np.count_nonzero(cold))
+        assert len(found) > 190
+        assert error[cold].min() > 200e-6
         assert np.all(error < 4.0 * sigma)
-        assert error[~cold].max(initial=0.0) < 20e-6
-        sentences = [f"thermometer '{name}' of beam '{name}' has sent no reading" for name in simulation.thermometers]
-        assert notes == [f"{'; '.join(sentences)}: {summary.degraded} of 200 poses"]
+        assert error[~cold].max(initial=0.0) < 50e-6
+        sentences = [
+            f"thermometer '{name}' of beam '{name}' has no reading whose stamp is at most 5 s old"
+            for name in simulation.thermometers
+        ]
+        assert notes == [f"{'; '.join(sentences)}: {summary.degraded} of {len(found)} poses"]
         assert len(topics.notes) == (0 if thermometers else len(sentences))

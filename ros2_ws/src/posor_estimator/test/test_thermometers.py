@@ -55,7 +55,7 @@ def test_the_endpoint_follows_the_thermometer_and_is_degraded_without(tmp_path: 
 
         name = "degraded: thermometer 'skin' of beam 'measuring_beam' "
         for second, celsius, kelvin, reason in (
-            (3, None, None, f"{name}has sent no reading"),
+            (3, None, None, f"{name}has no reading whose stamp is at most 3 s old"),
             (4, 24.5, 24.5 + CELSIUS, ""),
             (5, 24.51, 24.51 + CELSIUS, ""),
             (6, math.nan, None, f"{name}does not read a number"),
@@ -63,7 +63,7 @@ def test_the_endpoint_follows_the_thermometer_and_is_degraded_without(tmp_path: 
             (8, 29.5, None, f"{name}changes faster than 0.01 K/s"),
             (9, 40.0, None, f"{name}reads a temperature outside 278.15 to 308.15 K"),
             (10, 24.5, 24.5 + CELSIUS, ""),
-            (14, None, None, f"{name}has sent no reading with a new stamp for 3 s"),
+            (14, None, None, f"{name}has no reading whose stamp is at most 3 s old"),
         ):
             state = answer(second, celsius)
             degraded = EndpointState.STATE_DEGRADED if reason else EndpointState.STATE_OK

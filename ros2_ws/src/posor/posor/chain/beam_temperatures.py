@@ -95,10 +95,9 @@ class _Thermometer:
         """Return why the thermometer alone cannot be used during the period that begins with a stamp; else empty."""
         if self.refusal:
             return self.refusal
-        if self.last is None:
-            return "has sent no reading" if not self.waiting else "sends stamps that are ahead of the scans"
-        if stamp_ns + PERIOD_NS - self.last.stamp_ns > self.entry.age.number * NS:
-            return f"has sent no reading with a new stamp for {self.entry.age.number:g} s"
+        oldest_ns = stamp_ns + PERIOD_NS - round(self.entry.age.number * NS)
+        if self.last is None or self.last.stamp_ns < oldest_ns:
+            return f"has no reading whose stamp is at most {self.entry.age.number:g} s old"
         return ""
 
 

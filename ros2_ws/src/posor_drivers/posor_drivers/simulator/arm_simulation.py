@@ -138,8 +138,8 @@ class ArmSimulation:
         if tick % max(1, round(self.scenario.thermometer_period.number * self.scenario.ticks_per_second)):
             return {}
         place = tick % self._cycle_ticks
-        readings = {name: float(self._heats[name].readings[place]) for name in self.thermometers if name in self._heats}
-        return {name: kelvin + self.thermometers[name].reference.number for name, kelvin in readings.items()}
+        changes = {name: float(heat.readings[place]) for name, heat in self._heats.items()}
+        return {name: each.reference.number + changes.get(name, 0.0) for name, each in self.thermometers.items()}
 
     def latency_ns(self, joint: str, tick: int) -> int:
         """Return the delay from the stamp of a joint's scan to its publication [ns]."""

@@ -41,7 +41,9 @@ class BeamHeat:
             return true_link.warm_ends(self.means, self.across, self.excess)
         temperature, span = beam.entry.temperature, beam.T_start_end.translation
         strains = 0.0 if temperature is None else temperature.coefficient.number * (1.0 + self.excess) * self.means
-        bend = sum(kelvin * effect for kelvin, effect in zip(self.across, beam.bends_per_kelvin(), strict=False))
+        bend = (1.0 + self.excess) * sum(
+            kelvin * effect for kelvin, effect in zip(self.across, beam.bends_per_kelvin(), strict=False)
+        )
         shift, turn = np.split(np.zeros(6) + bend, 2)
         rotation = Rotation.from_rotvec(turn).as_matrix() @ beam.T_start_end.rotation
         count = len(self.means)

@@ -3,7 +3,7 @@
 Versions of the format:
 
 1. First version: ``seed``, ``rate``, ``duration``, ``joints``, ``payload``, ``motion``, ``stage``, ``electronics``;
-   later ``faults`` and ``truth``, which may be left out.
+   later ``faults``, ``truth``, ``temperatures`` and ``thermometer_period``, which may be left out.
 """
 
 from __future__ import annotations
