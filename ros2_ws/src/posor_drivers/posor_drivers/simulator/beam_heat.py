@@ -11,12 +11,16 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from posor.chain.beams_file import GradientFile
 from posor.errors import CalibrationError, similar_name
 from scipy.spatial.transform import Rotation
 
 from posor_drivers.simulator.imperfections import RandomStream, shared_errors
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from posor.chain.beams_file import TemperatureFile
     from posor.chain.kinematic_chain import Chain
     from posor.chain.measuring_beam import MeasuringBeam
     from posor.numerics.array_types import FloatArray
@@ -66,26 +70,39 @@ def beam_heats(
             raise CalibrationError(f"there is no temperature of a beam '{name}'", where=where, expected=expected)
     if not imperfections.temperature:
         return {}
+    common = dict(zip(chain.shared, shared_errors(scenario.seed, chain.shared), strict=True))
     heats = {}
     for name, beam in warm.items():
         own, stated = beam.entry.temperature, scenario.temperatures.get(name)
-        terms = [beam.shared_change(term, "temperature") for term in chain.shared]
-        if own is None or not (stated or own.spread or own.gradient or any(terms)):
-            continue
-        random = RandomStream(scenario.seed, "temperature", name).generator()
-        spread, along, across, across_too, reading, excess = random.normal(size=6)
-        common = dict(zip(chain.shared, shared_errors(scenario.seed, chain.shared), strict=True))
-
-        def shared(quantity: str, beam: MeasuringBeam = beam, common: dict[str, float] = common) -> float:
-            return sum(value * beam.shared_change(term, quantity) for term, value in common.items())
-
-        constant = (own.spread.number if own.spread else 0.0) * spread + shared("temperature")
-        at_thermometer = np.full(len(shares), constant) if stated is None else stated.deviations(shares)
-        gradient = own.gradient
-        means = at_thermometer + (gradient.along.number * along if gradient else 0.0)
-        differences = (gradient.across.number if gradient else 0.0) * np.array([across, across_too])
-        excess = excess * float(own.coefficient.sigmas) / (own.coefficient.number or 1.0) + shared("coefficient")
-        uncertainty = own.thermometer.uncertainty.number if own.thermometer else 0.0
-        readings = at_thermometer + uncertainty * reading + shared("thermometer")
-        heats[name] = BeamHeat(means, differences, excess, readings)
+        terms = [beam.shared_change(term, "temperature") for term in common]
+        if own is not None and (stated or own.spread or own.gradient or any(terms)):
+            deviations = None if stated is None else stated.deviations(shares)
+            heats[name] = _drawn_heat(beam, own, deviations, common, scenario.seed, len(shares))
     return heats
+
+
+def _drawn_heat(
+    beam: MeasuringBeam,
+    own: TemperatureFile,
+    deviations: FloatArray | None,
+    common: Mapping[str, float],
+    seed: int,
+    count: int,
+) -> BeamHeat:
+    """Return the temperature of a beam at ``count`` ticks; ``common``: errors of shared terms."""
+    random = RandomStream(seed, "temperature", beam.name).generator()
+    spread, along, across, across_too, reading, excess = random.normal(size=6)
+
+    def shared(quantity: str) -> float:
+        return sum(value * beam.shared_change(term, quantity) for term, value in common.items())
+
+    if deviations is None:
+        deviations = np.full(count, (own.spread.number if own.spread else 0.0) * spread + shared("temperature"))
+    gradient, thermometer, coefficient = own.gradient or GradientFile(), own.thermometer, own.coefficient
+    uncertainty = 0.0 if thermometer is None else thermometer.uncertainty.number
+    return BeamHeat(
+        means=deviations + gradient.along.number * along,
+        across=gradient.across.number * np.array([across, across_too]),
+        excess=excess * float(coefficient.sigmas) / (coefficient.number or 1.0) + shared("coefficient"),
+        readings=deviations + uncertainty * reading + shared("thermometer"),
+    )
