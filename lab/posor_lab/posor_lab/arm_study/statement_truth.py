@@ -178,7 +178,6 @@ class StatementTruth:
             error[:3] += 0.0 if len(beam.thermal) else warm * beam.expansion
             error += random.normal(size=len(beam.thermal)) @ beam.thermal
             end = pin.SE3(pin.exp3(error[3:]) @ link.end.rotation, link.end.translation + error[:3])
-            gains = {"start_gain": factor * link.start_gain, "end_gain": factor * link.end_gain}
-            links.append(replace(link, end=end, **gains))
+            links.append(replace(link, end=end, start_gain=factor * link.start_gain, end_gain=factor * link.end_gain))
         drawn.__dict__.update({**self._truth.__dict__, "links": tuple(links)})
         return drawn

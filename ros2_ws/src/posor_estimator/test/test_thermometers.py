@@ -69,10 +69,9 @@ def test_the_endpoint_follows_the_thermometer_and_is_degraded_without(tmp_path: 
             degraded = EndpointState.STATE_DEGRADED if reason else EndpointState.STATE_OK
             assert (state.state, state.reason) == (degraded, reason)
             transform, estimator = transform_of(second), chain.estimator()
-            covariances = (
-                np.reshape(part, (6, 6)) for part in (transform.covariance_random, transform.covariance_systematic)
-            )
-            estimator.set_measurements({"joint1": MeasuredJoint(pin.SE3.Identity(), *covariances)})
+            random = np.reshape(transform.covariance_random, (6, 6))
+            systematic = np.reshape(transform.covariance_systematic, (6, 6))
+            estimator.set_measurements({"joint1": MeasuredJoint(pin.SE3.Identity(), random, systematic)})
             estimator.use_beam(0, chain.beams[0].at_temperature(kelvin))
             assert estimator.estimate()
             position = state.pose.position

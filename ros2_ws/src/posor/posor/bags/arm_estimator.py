@@ -201,11 +201,11 @@ class EndpointPipeline:
         """
         rows = [self._with_stamp(name, _joint_rows(joints[name], orders[name], self._effects)) for name in self.joints]
         complete = self.synchroniser.join(rows)
-        parts, bounds = zip(*[(self._estimate(part), self.bounds) for part in self._periods(complete)], strict=True)
+        parts = [(self._estimate(part), self.bounds) for part in self._periods(complete)]
         if len(parts) == 1:
-            return parts[0]
-        self.bounds = EndpointBounds(*(np.concatenate(each) for each in zip(*bounds, strict=True)))
-        return EndpointEstimates.concatenate(parts)
+            return parts[0][0]
+        self.bounds = EndpointBounds(*map(np.concatenate, zip(*(bounds for _, bounds in parts), strict=True)))
+        return EndpointEstimates.concatenate([estimates for estimates, _ in parts])
 
     def _periods(self, complete: Sequence[NDArray[np.void]]) -> Iterator[Sequence[NDArray[np.void]]]:
         """Yield the transforms of complete stamps in parts with the same temperatures of the beams."""

@@ -183,7 +183,7 @@ class BeamTemperatures:
         pairs = {pair: limit for pair, limit in self._pairs.items() if pair <= present.keys()}
 
         def differing(readings: Mapping[str, float]) -> list[frozenset[str]]:
-            return [pair for pair, limit in pairs.items() if abs(np.subtract(*(readings[n] for n in pair))) > limit]
+            return [pair for pair, limit in pairs.items() if np.ptp([readings[name] for name in pair]) > limit]
 
         if not (wrong := differing(present)):
             return
