@@ -25,7 +25,8 @@ from posor_msgs.msg import EndpointState, RawScan
 from posor_ros.intra_process import IntraProcessPublisher, IntraProcessSubscription
 from posor_ros.lifecycle_node import PosorNode
 from posor_ros.qos import result_qos
-from rclpy.logging import LoggingSeverity, set_logger_level
+from rclpy.impl.logging_severity import LoggingSeverity
+from rclpy.logging import set_logger_level
 
 from posor_lab.benchmark.generated_arm import RATE
 from posor_lab.benchmark.graph_load import GraphLoad, node_programs
