@@ -8,7 +8,7 @@ readings are those of the independent truth. Poses and endpoint are estimated as
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -30,7 +30,7 @@ from posor_lab.arm_study.shared_arm import write_shared_arm
 from posor_lab.independent.true_arm import TrueArm
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterator, Mapping
     from pathlib import Path
 
     from posor.numerics.array_types import FloatArray
@@ -49,6 +49,13 @@ def write_four_joint_arm(folder: Path) -> Path:
     own = folder / "new"
     write_arm(own, arm_texts("four_joint", joints, str(own)))
     return write_shared_arm(load_arm_file(own / "arm.yaml"), folder / "shared")
+
+
+class DrawnArm(NamedTuple):
+    """An arm at p poses."""
+
+    measured: FloatArray  # transforms of the joints by the estimator, (p, j, 7)
+    endpoints: list[pin.SE3]  # by the truth, in the base
 
 
 @dataclass(frozen=True)
@@ -78,19 +85,26 @@ class Drawn:
 
 
 class StatementTruth:
-    """An arm at p poses by its files, and drawn arms there."""
+    """An arm at p poses by its files, and drawn arms there.
+
+    Attributes:
+        model: The arm by its files.
+        angles: Of the joints at the poses [rad], (p, j).
+        stated: Its uncertainty there.
+
+    """
 
     def __init__(self, path: Path, poses: int, seed: int, *, deviation: float | None = None) -> None:
         """Read the files and draw the poses; ``deviation``: of the beams' temperature [K], see ``ArmUncertainty``."""
-        self._model = ArmUncertainty(load_arm_file(path), deviation=deviation)
-        joints = self._model.joints
-        self._angles = np.random.default_rng([seed, 0]).uniform(-REACH, REACH, (poses, len(joints)))
-        self.stated = self._model.at(self._angles)
+        self.model = ArmUncertainty(load_arm_file(path), deviation=deviation)
+        joints = self.model.joints
+        self.angles = np.random.default_rng([seed, 0]).uniform(-REACH, REACH, (poses, len(joints)))
+        self.stated = self.model.at(self.angles)
         self._truth = TrueArm(path)
-        self._posors = {name: Posor(self._model.calibrations[name], false_alarm=FALSE_ALARM) for name in joints}
+        self._posors = {name: Posor(self.model.calibrations[name], false_alarm=FALSE_ALARM) for name in joints}
         transforms = [
-            [self._model.chain.nominal_joint(name, angle) for name, angle in zip(joints, row, strict=True)]
-            for row in self._angles
+            [self.model.chain.nominal_joint(name, angle) for name, angle in zip(joints, row, strict=True)]
+            for row in self.angles
         ]
         self._rotations, self._translations = (
             np.array([[getattr(each, what) for each in row] for row in transforms])
@@ -99,30 +113,33 @@ class StatementTruth:
 
     def errors(self, draws: range) -> FloatArray:
         """Return the errors of the drawn arms of these numbers, (n, p, 6)."""
-        randoms = [np.random.default_rng([draw, 1]) for draw in draws]
-        terms = [{name: random.normal() for name in self._term_names()} for random in randoms]
-        shape = len(draws), len(self._angles), len(self._model.joints)
-        measured, zero = np.empty((*shape, 7)), np.zeros((shape[0] * shape[1], shape[2], 6, 6))
-        for j, name in enumerate(self._model.joints):
-            measured[:, :, j] = self._estimate(name, j, randoms, terms)
-        endpoints = self._model.chain.estimate_all(measured.reshape(-1, *shape[2:], 7), zero, zero).poses
-        errors = np.empty((*shape[:2], 6))
-        for n, (random, common) in enumerate(zip(randoms, terms, strict=True)):
-            true = self._drawn_arm(random, common).endpoints(self._rotations, self._translations)
-            at = pose_array([pin.SE3(rotation, translation) for rotation, translation in zip(*true, strict=True)])
-            found = [pin.XYZQUATToSE3(pose) for pose in endpoints[n * shape[1] : (n + 1) * shape[1]]]
-            errors[n] = pose_errors(pose_array(found), at)
+        drawn = list(self.draw(draws))
+        zero = np.zeros((len(self.angles), len(self.model.joints), 6, 6))
+        errors = np.empty((len(drawn), len(self.angles), 6))
+        for n, arm in enumerate(drawn):
+            found = self.model.chain.estimate_all(arm.measured, zero, zero).poses
+            errors[n] = pose_errors(pose_array([pin.XYZQUATToSE3(pose) for pose in found]), pose_array(arm.endpoints))
         return errors
 
+    def draw(self, draws: range) -> Iterator[DrawnArm]:
+        """Yield the drawn arms of these numbers."""
+        randoms = [np.random.default_rng([draw, 1]) for draw in draws]
+        terms = [{name: random.normal() for name in self._term_names()} for random in randoms]
+        joints = self.model.joints
+        measured = np.stack([self._estimate(name, j, randoms, terms) for j, name in enumerate(joints)], axis=2)
+        for random, common, own in zip(randoms, terms, measured, strict=True):
+            true = self._drawn_arm(random, common).endpoints(self._rotations, self._translations)
+            yield DrawnArm(own, [pin.SE3(rotation, translation) for rotation, translation in zip(*true, strict=True)])
+
     def _term_names(self) -> list[str]:
-        shared = [self._model.chain.shared, *(each.shared for each in self._model.calibrations.values())]
+        shared = [self.model.chain.shared, *(each.shared for each in self.model.calibrations.values())]
         return list(dict.fromkeys(name for terms in shared for name in terms))
 
     def _estimate(
         self, joint: str, j: int, randoms: list[np.random.Generator], terms: list[dict[str, float]]
     ) -> FloatArray:
         """Return the estimated poses of a joint, (n, p, 7): at each place, the drawn POSORs one after the other."""
-        calibration, posor = self._model.calibrations[joint], self._posors[joint]
+        calibration, posor = self.model.calibrations[joint], self._posors[joint]
         stack, places = posor.stack, (self._rotations[:, j], self._translations[:, j])
         fields: dict[str, list[FloatArray]] = {}
         for random, common in zip(randoms, terms, strict=True):
@@ -135,7 +152,7 @@ class StatementTruth:
             supply, warmth = (self._surroundings(joint, what, random) for what in ("supply", "temperature"))
             for name, values in true.readings(*places, supply, warmth).items():
                 fields.setdefault(name, []).append(values)
-        count, size = len(randoms), len(self._angles)
+        count, size = len(randoms), len(self.angles)
         stamps_ns = np.repeat(np.arange(1, count + 1) * STEP_NS, size)
         scans = empty_scans(stamps_ns).with_fields({name: np.concatenate(values) for name, values in fields.items()})
         for sensor in stack.sensors:
@@ -153,19 +170,19 @@ class StatementTruth:
 
     def _surroundings(self, joint: str, what: str, random: np.random.Generator) -> FloatArray | None:
         """Return what the probes of a joint have, which its scans do not measure, (p,); None: at the reference."""
-        environment = self._model.calibrations[joint].environment
+        environment = self.model.calibrations[joint].environment
         spread = getattr(environment, what, None)
-        probes = [p for sensor in self._model.calibrations[joint].sensors for p in getattr(sensor, "probes", ())]
+        probes = [p for sensor in self.model.calibrations[joint].sensors for p in getattr(sensor, "probes", ())]
         references = {getattr(probe, what).reference.number for probe in probes if getattr(probe, what) is not None}
         if spread is None or len(references) != 1:
             return None
-        return np.full(len(self._angles), references.pop() + spread.spread.number * random.normal())
+        return np.full(len(self.angles), references.pop() + spread.spread.number * random.normal())
 
     def _drawn_arm(self, random: np.random.Generator, terms: Mapping[str, float]) -> TrueArm:
         """Return the truth with errors of its beams."""
         warm = random.uniform(-1.0, 1.0)
         drawn, links = object.__new__(TrueArm), []
-        for link, known in zip(self._truth.links, self._model.chain.links, strict=True):
+        for link, known in zip(self._truth.links, self.model.chain.links, strict=True):
             beam = known.beam
             if beam is None:
                 links.append(link)

@@ -17,7 +17,7 @@ from posor_calibration.calibration_programs import calibrate
 from posor_design.design_programs import budget, design
 from posor_drivers.driver_programs import import_table, instruments, record
 
-from posor_bringup.bringup_programs import arm, bringup, commission, iso9283, statement, view
+from posor_bringup.bringup_programs import arm, bringup, calibrate_arm, commission, iso9283, statement, view
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -99,6 +99,9 @@ SUBCOMMANDS = {
     "reprocess": Subcommand(reprocess, "compute transforms and endpoint poses from recorded scans"),
     "recover": Subcommand(recover, "write what is whole in a damaged bag to a new bag"),
     "calibrate": Subcommand(calibrate, "fit a calibration file to a bag, list the procedures, compare files"),
+    "calibrate-arm": Subcommand(
+        calibrate_arm, "calibrate POSORs, beams, base and tool of an arm from a laser tracker, ball bar or artefact"
+    ),
     "check": Subcommand(calibrate, "check whether a calibration file still explains a bag", ("check",)),
     "statement": Subcommand(statement, "state the uncertainty of an arm's endpoint for a customer: page, PDF, JSON"),
     "iso9283": Subcommand(iso9283, "accuracy and repeatability of poses, distances and paths from a bag (ISO 9283)"),
@@ -116,7 +119,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     name, *others = (sys.argv[1:] if arguments is None else arguments) or ["--help"]
     if name in {"-h", "--help"}:
         sys.stdout.write("usage: posor SUBCOMMAND [arguments]\n\n")
-        sys.stdout.writelines(f"  {each:<13}{subcommand.summary}\n" for each, subcommand in SUBCOMMANDS.items())
+        sys.stdout.writelines(f"  {each:<14}{subcommand.summary}\n" for each, subcommand in SUBCOMMANDS.items())
         sys.stdout.write("\n'posor SUBCOMMAND --help' lists the arguments of a subcommand.\n")
         return 0
     if name not in SUBCOMMANDS:

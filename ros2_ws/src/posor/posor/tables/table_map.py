@@ -22,6 +22,7 @@ from __future__ import annotations
 import datetime as dt
 import re
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import TYPE_CHECKING, Annotated, Literal, Self
 
 from pydantic import AfterValidator, BeforeValidator, Field, StrictInt, StrictStr, model_validator
@@ -233,6 +234,9 @@ class ReferenceMap(FrozenModel):
     position: tuple[ColumnEntry, ColumnEntry, ColumnEntry] | None = None
     quaternion: tuple[ColumnEntry, ColumnEntry, ColumnEntry, ColumnEntry] | None = None
     """x, y, z, w."""
+    angles: tuple[ColumnEntry, ColumnEntry, ColumnEntry] | None = None
+    order: Annotated[str, Field(pattern=r"^([xyz]{3}|[XYZ]{3})$")] | None = None
+    """Axes of the angles in the order of their turns: ``xyz`` fixed axes, ``ZYX`` axes that turn along."""
     missing: Literal["allowed"] | None = None
     """``allowed``: a row without a number has no reading of this reference."""
 
@@ -245,18 +249,26 @@ class ReferenceMap(FrozenModel):
         """Yield location in the reference, SI unit and entry of every column."""
         if self.reading is not None:
             yield ("reading",), self.unit, self.reading
-        for name, si in (("position", "m"), ("quaternion", "1")):
+        for name, si in (("position", "m"), ("quaternion", "1"), ("angles", "rad")):
             yield from (((name, n), si, entry) for n, entry in enumerate(getattr(self, name) or ()))
 
     @model_validator(mode="after")
     def _check(self) -> Self:
-        if (self.reading is None) == (self.position is None) or (self.quaternion and not self.position):
-            raise EntryError("an unknown kind of reference", expected="reading, position, or position with quaternion")
+        turned = [part for part in (self.quaternion, self.angles) if part is not None]
+        if (self.reading is None) == (self.position is None) or len(turned) > (self.position is not None):
+            expected = "reading, position, or position with quaternion or angles"
+            raise EntryError("an unknown kind of reference", expected=expected)
+        if (self.angles is None) != (self.order is None) or (
+            self.order and any(a == b for a, b in pairwise(self.order))
+        ):
+            expected = "both, as order: xyz, in which no axis follows itself"
+            raise EntryError("angles and order do not fit", key=("order",), expected=expected)
         if (self.reading is None) != (self.standard_uncertainty is None) or self.unit not in ("m", "rad"):
             expected = "reading with standard_uncertainty, in m or rad"
             raise EntryError("reading and standard_uncertainty do not fit", expected=expected)
-        if (self.quaternion is None) != (self.child_frame_id is None):
-            raise EntryError("quaternion and child_frame_id do not fit", expected="both, for a pose, or neither")
+        if bool(turned) != (self.child_frame_id is not None):
+            what = f"{'angles' if self.angles else 'quaternion'} and child_frame_id do not fit"
+            raise EntryError(what, expected="both, for a pose, or neither")
         for key, si, entry in self.entries():
             _check_conversion(entry, si, key)
         return self
@@ -371,11 +383,13 @@ class TableMap(FrozenModel):
     """Column of the scan numbers; default: the number of the row, from 1."""
     leave_out: tuple[LeftOut, ...] = ()
     """Kinds of rows that are left out and counted; the file is refused for all others."""
-    joints: Annotated[dict[Name, JointMap], Field(min_length=1)]
+    joints: dict[Name, JointMap] = Field(default_factory=dict)
     references: dict[Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$")], ReferenceMap] = Field(default_factory=dict)
 
     @model_validator(mode="after")
     def _check(self) -> Self:
+        if not (self.joints or self.references):
+            raise EntryError("no joint", key=("joints",), expected="readings of a joint, or references")
         for name, reference in self.references.items():
             if reference.joint is not None and reference.joint not in self.joints:
                 expected = f"one of {', '.join(self.joints)}"

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from posor.calibration.calibration_file import load_calibration
 from posor.errors import CalibrationError, DataFileError, ParameterError, checked_path
@@ -31,6 +33,7 @@ if TYPE_CHECKING:
 
 _MOST_RATE_ERROR = 1e-3
 """Largest relative difference between the rate of a map and that of the file."""
+ROUNDING = 1e-3  # of angles of a whole turn [rad]
 
 
 @dataclass(frozen=True)
@@ -47,6 +50,7 @@ class ReferenceReadings:
     """The values of a reference at the times of the scans: the number, a point, or a pose x, y, z, qx, qy, qz, qw."""
 
     values: FloatArray  # SI, (n, k); NaN where missing
+    angles: FloatArray | None  # of a pose whose map has angles, (n, 3) [rad]
     entry: ReferenceMap
     topic: str
     joint: str
@@ -58,6 +62,7 @@ class TableReadings:
 
     joints: dict[str, JointReadings]
     references: dict[str, ReferenceReadings]
+    stamps_ns: IntArray  # of the rows, (n,)
     unused: tuple[str, ...]  # columns without use in the map
     left_out: dict[str, int]  # rows by kind
     notes: tuple[str, ...]  # sentences on what is suspicious but possible
@@ -92,9 +97,17 @@ def only_joint(readings: TableReadings, joint: str, where: str) -> str:
     return joint
 
 
-def load_readings(path: Path, map_path: Path, *, growing: bool = False) -> TableReadings:
-    """Return the readings of a table by a map. ``growing``: see ``open_table``. Raises the errors of ``read_table``."""
+def load_readings(
+    path: Path, map_path: Path, *, growing: bool = False, needs_joints: bool = True
+) -> TableReadings:
+    """Return the readings of a table by a map.
+
+    ``growing``: see ``open_table``. ``needs_joints``: a map without joints is refused. Raises the errors of
+    ``read_table``.
+    """
     loaded = load_table_map(map_path)
+    if needs_joints and not loaded.map.joints:
+        raise CalibrationError("has no joints", where=str(map_path), expected="the readings of a joint")
     return _Reader(loaded, open_table(path, loaded.map.file, growing=growing)).read()
 
 
@@ -148,10 +161,10 @@ class _Reader:
                 partial(self._place, "joints", name),
             )
             joints[name] = self._joint(name, columns, stamps[keep], scan_numbers, calibration)
-        first = next(iter(joints))
+        first = next(iter(joints), "")
         references = {
             name: ReferenceReadings(
-                np.column_stack([entry.reading(numbers[id(entry)], si) for _, si, entry in each.entries()]),
+                *self._reference(name, each, numbers, cells.places[keep]),
                 each,
                 each.topic or f"/reference/{name}",
                 each.joint or first,
@@ -160,7 +173,26 @@ class _Reader:
         }
         used = {*entries.values(), *times, *number, *flags.values()}
         unused = tuple(column.name for n, column in enumerate(table.columns) if n not in used)
-        return TableReadings(joints, references, unused, dict(selection.left_out), tuple(self.notes))
+        return TableReadings(joints, references, stamps[keep], unused, dict(selection.left_out), tuple(self.notes))
+
+    def _reference(
+        self, name: str, entry: ReferenceMap, numbers: dict[int, FloatArray], places: IntArray
+    ) -> tuple[FloatArray, FloatArray | None]:
+        """Return the values of a reference, and its angles [rad] if its orientation is stated by angles."""
+        values = np.column_stack([each.reading(numbers[id(each)], si) for _, si, each in entry.entries()])
+        if entry.angles is None or entry.order is None:
+            return values, None
+        angles = values[:, 3:]
+        for row, column in np.argwhere(np.abs(angles) > 2.0 * math.pi + ROUNDING):
+            what = f"angle {angles[row, column]:g} rad"
+            index = self._index(entry.angles[column].column, ("references", name, "angles", int(column)))
+            where = self.table.place(int(places[row]), index)
+            raise DataFileError(what, where=where, expected="at most 2 pi rad (angles in degrees?)")
+        whole = np.isfinite(angles).all(axis=1)
+        quaternions = np.full((len(angles), 4), np.nan)
+        if whole.any():
+            quaternions[whole] = Rotation.from_euler(entry.order, angles[whole]).as_quat()
+        return np.hstack([values[:, :3], quaternions]), angles
 
     def _place(self, *key: str | int) -> str:
         return self.loaded.locations.describe(*key)

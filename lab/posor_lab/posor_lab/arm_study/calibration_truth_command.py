@@ -1,0 +1,86 @@
+"""calibration_truth: calibration of whole arms against the independent truth; or the files of one such calibration.
+
+``make calibration-truth`` draws 100 arms, calibrates each from 40 poses, and compares it at 200 others.
+"""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+from functools import cache, partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from posor.chain.arm_file import load_arm_file
+from posor.reporting.command_line_parser import CommandLineParser
+from posor.reporting.program_errors import reports_errors
+from posor.reporting.report_console import report_console
+from posor.reporting.report_table import ReportTable
+from posor_bringup.arms import find_arm
+
+from posor_lab.arm_study.calibration_recording import write_calibration_recording
+from posor_lab.arm_study.calibration_truth import CalibrationTruth, Consistency, Outcome, write_assembled_arm
+from posor_lab.output_files import check_writable, write_json
+from posor_lab.reports.process_pool import ordered_map
+
+if TYPE_CHECKING:
+    import argparse
+    from collections.abc import Sequence
+
+ARM, USED, TESTED, ARMS, SEED, BATCH = "five_axis", 40, 200, 100, 1985, 5
+
+
+@cache  # each worker reads the files once
+def _truth(path: Path, used: int, tested: int) -> CalibrationTruth:
+    return CalibrationTruth(path, used, tested, SEED)
+
+
+def _outcomes(path: Path, used: int, tested: int, draws: range) -> list[Outcome]:
+    return _truth(path, used, tested).outcomes(draws)
+
+
+def calibrated_arms(path: Path, used: int, tested: int, arms: int, *, workers: int = 0) -> list[Outcome]:
+    """Return the outcomes of drawn arms; ``workers``: number of processes, 0: one for each processor."""
+    batches = [range(begin, min(begin + BATCH, SEED + arms)) for begin in range(SEED, SEED + arms, BATCH)]
+    found = ordered_map(partial(_outcomes, path, used, tested), batches, workers, lambda _: None)
+    return [outcome for batch in found for outcome in batch]
+
+
+@reports_errors
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the program; exit code 0: the errors are of the stated size, or the files are written."""
+    parser = CommandLineParser(prog="calibration_truth", description="Calibrated arms against the independent truth.")
+    parser.add_argument("--arms", type=int, default=ARMS, help="arms drawn (default: %(default)s)")
+    parser.add_argument("--poses", type=int, default=USED, help="poses of each calibration (default: %(default)s)")
+    parser.add_argument("--tested", type=int, default=TESTED, help="poses that are compared (default: %(default)s)")
+    parser.add_argument("--output", type=Path, default=Path("build/calibration_truth.json"))
+    text = "write arm, bag, table and map of one simulated calibration, in place of the comparison"
+    parser.add_argument("--files", type=Path, metavar="FOLDER", help=text)
+    options: argparse.Namespace = parser.parse_args(arguments)
+    arm = load_arm_file(find_arm(ARM))
+    if options.files is not None:
+        write_calibration_recording(arm, options.files, options.poses, SEED)
+        print(f"arm.yaml, bag, tracker.csv, map.yaml: {options.files}")
+        return 0
+    check_writable(options.output)
+    with tempfile.TemporaryDirectory() as folder:
+        path = write_assembled_arm(arm, Path(folder))
+        found = Consistency.of(calibrated_arms(path, options.poses, options.tested, options.arms))
+    title = (
+        f"Simulated: {ARM}, {options.arms} arms, {options.poses} poses of a tracker, errors at {options.tested} others"
+    )
+    header = ("rms before [µm]", "rms after [µm]", "NEES / 6", "its 95 % band", "within 95 %", "consistent")
+    row = [
+        *(f"{1e6 * each:.1f}" for each in (found.before_rms, found.after_rms)),
+        f"{found.nees:.3f}",
+        "{:.3f} to {:.3f}".format(*found.band),
+        f"{100.0 * found.within_95:.1f} %",
+        "yes" if found.in_band else "no",
+    ]
+    ReportTable(title, header, [row], left=0).print(report_console(140))
+    write_json(options.output, {**found._asdict(), "poses": options.poses, "tested": options.tested})
+    return 0 if found.in_band else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

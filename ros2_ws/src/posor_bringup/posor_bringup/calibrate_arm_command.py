@@ -1,0 +1,267 @@
+"""Program ``calibrate-arm``: POSORs, beams, base and tool of an arm at once, from references of its endpoint."""
+
+from __future__ import annotations
+
+import datetime as dt
+import math
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pinocchio as pin
+from posor.bags.calibration_recording import bag_sha256
+from posor.bags.offline_pipeline import load_arm
+from posor.chain.identity import file_sha256
+from posor.errors import ParameterError
+from posor.reporting.command_line_parser import CommandLineParser
+from posor.reporting.program_errors import reports_errors
+from posor.reporting.report_console import report_console
+from posor.reporting.report_table import ReportTable
+from posor.tables.table_readings import load_readings
+from posor_calibration.arm.arm_files import (
+    JSON_FILE,
+    Provenance,
+    calibration_json,
+    check_output,
+    make_files,
+    write_files,
+)
+from posor_calibration.arm.arm_fit import ArmProblem, Tool, calibrate_arm
+from posor_calibration.arm.arm_model import AXES, ArmModel
+from posor_calibration.arm.arm_poses import poses_at, recorded_poses, select_poses
+from posor_calibration.arm.endpoint_references import (
+    EndpointReferences,
+    Reading,
+    Uncertainty,
+    check_references,
+    references_of,
+)
+from posor_design.arm_uncertainty import ArmUncertainty
+from posor_design.statement_poses import path_poses
+
+from posor_bringup.arms import find_arm
+
+if TYPE_CHECKING:
+    import argparse
+    from collections.abc import Mapping, Sequence
+
+    from posor.bags.offline_pipeline import Arm
+    from posor_calibration.arm.arm_files import CalibratedFiles
+    from posor_calibration.arm.arm_fit import ArmCalibration
+    from rich.console import Console
+
+WIDTH = 160
+WHERE = "calibrate-arm"
+POINT, PLACE = 3, 6  # numbers of a reflector
+
+
+def parse_options(arguments: Sequence[str] | None) -> argparse.Namespace:
+    """Return the options. Raises ParameterError: an option is unknown or invalid, or options do not fit together."""
+    description = "Calibrate POSORs, beams, base and tool of an arm at once, from references of its endpoint."
+    parser = CommandLineParser(prog="posor calibrate-arm", description=description)
+    parser.add_argument("arm", metavar="ARM", help="arm file, its folder, or the name of an installed arm")
+    parser.add_argument("--bag", type=Path, help="raw scans of the arm at rest, at the times of the table")
+    parser.add_argument("--table", type=Path, metavar="FILE", help="readings of a laser tracker, ball bar or artefact")
+    parser.add_argument("--map", type=Path, metavar="MAP.yaml", help="map of the columns of the table")
+    text = "standard uncertainty of a reference of the map [m], per metre of distance, of angles [rad]; may be repeated"
+    parser.add_argument("--uncertainty", action="append", default=[], metavar="NAME=M[,PER_METRE[,RAD]]", help=text)
+    text = "reflector or ball as drawn, in the endpoint [m], [rad]; default: at the endpoint; may be repeated"
+    parser.add_argument("--tool", action="append", default=[], metavar="NAME=X,Y,Z[,ROLL,PITCH,YAW]", help=text)
+    text = "standard uncertainty of the reflectors in the endpoint (default: %(default)s)"
+    parser.add_argument("--tool-uncertainty", default="0.05,0.2", metavar="M,RAD", help=text)
+    text = "scans this long before and after the time of a row are averaged [s] (default: %(default)g)"
+    parser.add_argument("--window", type=float, default=0.1, metavar="S", help=text)
+    text = "every Nth pose is not used, but compared with the result; 0: none (default: %(default)d)"
+    parser.add_argument("--hold-out", type=int, default=5, metavar="N", help=text)
+    text = "print the N poses of --candidates that determine most, in place of a calibration"
+    parser.add_argument("--select", type=int, metavar="N", help=text)
+    text = "of --select: a column of angles [rad] for each joint, named by it"
+    parser.add_argument("--candidates", type=Path, metavar="FILE.csv", help=text)
+    parser.add_argument("--output", type=Path, metavar="FOLDER", help="default: build/calibrate_arm/<name of the arm>")
+    parser.add_argument("--force", action="store_true", help="replace existing files; the old ones are kept")
+    options = parser.parse_args(arguments)
+    needed = ("candidates",) if options.select is not None else ("bag", "table", "map")
+    missing = [f"--{name}" for name in needed if getattr(options, name) is None]
+    if missing:
+        expected = "--bag, --table and --map, or --select with --candidates"
+        raise ParameterError(f"{' and '.join(missing)} missing", where=WHERE, expected=expected)
+    if (options.candidates is None) != (options.select is None):
+        raise ParameterError("--candidates without --select", where=WHERE, expected="both")
+    for name, least in (("window", 0.0), ("hold_out", 0), ("select", 1)):
+        value = getattr(options, name)
+        if value is not None and not least <= value < math.inf:
+            raise ParameterError(f"{value}", where=f"{WHERE}, --{name.replace('_', '-')}", expected=f"{least} or more")
+    if options.hold_out == 1:
+        raise ParameterError("no pose would be used", where=f"{WHERE}, --hold-out", expected="0, or 2 or more")
+    return options
+
+
+def _numbers(option: str, text: str, counts: Sequence[int], *, positive: bool) -> list[float]:
+    try:
+        numbers = [float(part) for part in text.split(",")]
+    except ValueError:
+        numbers = []
+    bad = not all(math.isfinite(number) and (number >= 0.0 or not positive) for number in numbers)
+    if len(numbers) not in counts or bad or (positive and not numbers[0] > 0.0):
+        expected = f"{' or '.join(map(str, counts))} numbers{' of 0 or more, the first above 0' if positive else ''}"
+        raise ParameterError(f"'{text}'", where=f"{WHERE}, {option}", expected=expected)
+    return numbers
+
+
+def _named(option: str, entries: Sequence[str], counts: Sequence[int], *, positive: bool) -> dict[str, list[float]]:
+    found: dict[str, list[float]] = {}
+    for entry in entries:
+        name, equals, text = entry.partition("=")
+        if not (name and equals) or name in found:
+            raise ParameterError(f"'{entry}'", where=f"{WHERE}, {option}", expected="NAME=..., each name once")
+        found[name] = _numbers(option, text, counts, positive=positive)
+    return found
+
+
+def _tools(options: argparse.Namespace) -> dict[str, Tool]:
+    length, angle = _numbers("--tool-uncertainty", options.tool_uncertainty, (2,), positive=True)
+    places = _named("--tool", options.tool, (POINT, PLACE), positive=False)
+    angles = {
+        name: pin.rpy.rpyToMatrix(np.array([*numbers[POINT:], *[0.0] * PLACE][:POINT]))
+        for name, numbers in places.items()
+    }
+    return {
+        name: Tool(pin.SE3(angles[name], np.array(numbers[:POINT])), (length, angle))
+        for name, numbers in places.items()
+    }
+
+
+def _check_names(given: Mapping[str, object], known: Mapping[str, object], option: str) -> None:
+    for name in given:
+        if name not in known:
+            raise ParameterError(f"'{name}'", where=f"{WHERE}, {option}", expected=f"one of {', '.join(known)}")
+
+
+@reports_errors
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the program; exit code 0: the files have been written, or the poses printed."""
+    options = parse_options(arguments)
+    arm = load_arm(find_arm(options.arm))
+    tools = _tools(options)
+    uncertainties = {
+        name: Uncertainty(*numbers)
+        for name, numbers in _named("--uncertainty", options.uncertainty, (1, 2, 3), positive=True).items()
+    }
+    console = report_console(WIDTH)
+    if options.select is not None:
+        _print_selection(arm, options, tools, uncertainties, console)
+        return 0
+    folder = options.output or Path("build/calibrate_arm") / arm.name
+    check_output(folder, arm, force=options.force)
+    references = references_of(
+        load_readings(options.table, options.map, needs_joints=False), uncertainties, str(options.table)
+    )
+    _check_names(uncertainties, references.reflectors, "--uncertainty")
+    _check_names(tools, references.reflectors, "--tool")
+    length, angle = _numbers("--tool-uncertainty", options.tool_uncertainty, (2,), positive=True)
+    tools = {name: tools.get(name, Tool(pin.SE3.Identity(), (length, angle))) for name in references.reflectors}
+    chain = arm.chain()
+    estimates = arm.estimate(options.bag)
+    poses = recorded_poses(estimates, chain, references.stamps_ns, references.rows, options.window, str(options.bag))
+    model = ArmModel(chain, {joint.name: arm.calibration(joint.name) for joint in chain.path_joints}, poses)
+    states = model.states(poses, model.effects_at(poses))
+    endpoints = model.move(states, np.zeros(len(model.parameters)), pin.SE3.Identity()).endpoints
+    places = {name: tool.T_endpoint_reflector for name, tool in tools.items()}
+    check_references(references, endpoints, places, str(options.table))
+    problem = ArmProblem(model, states, references, tools)
+    every = range(len(poses.names))
+    found = calibrate_arm(problem, every[options.hold_out - 1 :: options.hold_out] if options.hold_out else ())
+    files_read = [path for path in (arm.path, arm.urdf, arm.beams, options.table, options.map) if path is not None]
+    sources = {str(path): file_sha256(path) for path in (*files_read, *arm.calibrations.values())}
+    sources[str(options.bag)] = bag_sha256(options.bag)
+    origin = Provenance(dt.datetime.now(dt.UTC).isoformat(timespec="seconds"), sources)
+    files = make_files(arm, problem, found, poses, origin)
+    texts = {**files.texts, JSON_FILE: calibration_json(found, files, origin)}
+    kept = write_files(folder, texts, force=options.force)
+    _print(found, files, console)
+    for path in kept:
+        console.print(f"kept: {path}", soft_wrap=True, markup=False)
+    console.print(f"{', '.join(texts)}: {folder}", soft_wrap=True, markup=False)
+    return 0
+
+
+def _print(found: ArmCalibration, files: CalibratedFiles, console: Console) -> None:
+    rows = [
+        [
+            f"{when}, {group}",
+            str(each.readings),
+            f"{1e6 * each.position:.1f}",
+            f"{1e6 * each.orientation:.1f}",
+            f"{1e6 * each.largest:.1f}",
+        ]
+        for when, misfits in (("before", found.before), ("after", found.after))
+        for group, each in misfits.items()
+        if each.readings
+    ]
+    header = ("", "readings", "rms [µm]", "rms [µrad]", "largest [µm]")
+    title = "Readings against the arm; before: base and tool alone fitted"
+    ReportTable(title, header, [[cell.replace("nan", "") for cell in row] for row in rows], left=1).print(console)
+    lines = [f"left out, the others contradict: {', '.join(found.outliers)}"] if found.outliers else []
+    lines.append(f"not determined, as before: {', '.join(_grouped(found.undetermined)) or 'no parameter'}")
+    for name, how in (("the files", files.files), ("controller.urdf alone", files.controller)):
+        text = f"{1e6 * how.position:.2f} µm and {1e6 * how.orientation:.2f} µrad rms from the fit, at most"
+        lines.append(f"{name}: {text} {1e6 * how.largest:.2f} µm")
+    for line in (*lines, *found.warnings):
+        console.print(line, soft_wrap=True, markup=False)
+
+
+def _grouped(names: Sequence[str]) -> list[str]:
+    """Return the names of parameters with those of one part together; of all six of a part its name alone."""
+    parts: dict[str, list[str]] = {}
+    for name in names:
+        axis = next((axis for axis in sorted(AXES, key=len, reverse=True) if name.endswith(f" {axis}")), "")
+        parts.setdefault(name.removesuffix(f" {axis}") if axis else name, []).append(axis)
+    whole = ([""], list(AXES))
+    return [name if axes in whole else f"{name} ({', '.join(axes)})" for name, axes in parts.items()]
+
+
+def _print_selection(
+    arm: Arm,
+    options: argparse.Namespace,
+    tools: Mapping[str, Tool],
+    uncertainties: Mapping[str, Uncertainty],
+    console: Console,
+) -> None:
+    """Print the best candidates, as a table (CSV) of angles."""
+    if not uncertainties:
+        raise ParameterError("--uncertainty missing", where=WHERE, expected="that of each reflector")
+    _check_names(tools, uncertainties, "--tool")
+    uncertain = ArmUncertainty(arm)
+    angles = path_poses(uncertain, options.candidates).angles
+    chain = uncertain.chain
+    poses = poses_at(chain, uncertain.calibrations, angles)
+    model = ArmModel(chain, uncertain.calibrations, poses)
+    states = model.states(poses, model.effects_at(poses))
+    readings = []
+    for n, endpoint in enumerate(model.move(states, np.zeros(len(model.parameters)), pin.SE3.Identity()).endpoints):
+        for name, own in uncertainties.items():
+            place = endpoint * tools.get(name, Tool(pin.SE3.Identity())).T_endpoint_reflector
+            length = own.constant + own.per_metre * float(np.linalg.norm(place.translation))
+            values, sigmas = pin.SE3ToXYZQUAT(place), np.repeat([length, own.angle], POINT)
+            size = (len(values), PLACE) if own.angle else (POINT, POINT)
+            readings.append(
+                Reading(
+                    poses.names[n],
+                    n,
+                    name,
+                    "pose" if own.angle else "point",
+                    values[: size[0]],
+                    None,
+                    sigmas[: size[1]],
+                )
+            )
+    references = EndpointReferences(np.arange(len(angles)), np.arange(len(angles)) + 1, tuple(readings), {})
+    chosen = select_poses(ArmProblem(model, states, references, tools), options.select)
+    console.print(",".join(model.joints), soft_wrap=True, markup=False, highlight=False)
+    for pose in chosen:
+        console.print(",".join(f"{angle:.6g}" for angle in angles[pose]), soft_wrap=True, markup=False, highlight=False)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
