@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from posor.chain.arm_file import ArmFile
     from posor.numerics.array_types import FloatArray
     from posor_calibration.arm.arm_fit import ArmCalibration
+    from posor_calibration.arm.arm_model import ArmStates
 
 ASSEMBLED = 50e-6  # standard uncertainty of the beams before the calibration [m], [rad]
 TRACKER, PER_METRE = 15e-6, 6e-6  # standard uncertainty along each axis [m], and per metre of distance
@@ -76,7 +77,8 @@ class CalibrationTruth:
 
     def readings(self, drawn: DrawnArm, random: np.random.Generator) -> tuple[EndpointReferences, list[pin.SE3]]:
         """Return what the tracker reads of a drawn arm, and where the first reflector is at the tested poses."""
-        found, first = [], []
+        found: list[Reading] = []
+        first: list[pin.SE3] = []
         for name, place in REFLECTORS.items():
             real = pin.SE3(np.eye(3), np.array(place) + TOOL_SIGMA * random.normal(size=3))
             at = [T_TRACKER_BASE * endpoint * real for endpoint in drawn.endpoints]
@@ -95,11 +97,17 @@ class CalibrationTruth:
         own = self.poses.select(rows)
         return ArmPoses(own.names, own.angles, drawn.measured[rows], own.random, own.systematic)
 
+    def states(self, drawn: DrawnArm, which: int) -> ArmStates:
+        """Return the poses that are used (0) or tested (1) of a drawn arm, for the model."""
+        return self.model.states(self.measured(drawn, which), self._effects[which])
+
+    def draw(self, draws: range) -> list[DrawnArm]:
+        """Return the drawn arms of these numbers."""
+        return list(self._truth.draw(draws))
+
     def outcome(self, drawn: DrawnArm, references: EndpointReferences, true: list[pin.SE3]) -> Outcome:
         """Calibrate a drawn arm and compare its first reflector with the truth."""
-        used, tested = (
-            self.model.states(self.measured(drawn, which), effects) for which, effects in enumerate(self._effects)
-        )
+        used, tested = (self.states(drawn, which) for which in (0, 1))
         tools = {n: Tool(pin.SE3(np.eye(3), np.array(p)), (TOOL_SIGMA, 0.1)) for n, p in REFLECTORS.items()}
         problem = ArmProblem(self.model, used, references, tools)
         found = calibrate_arm(problem, ())
@@ -116,7 +124,7 @@ class CalibrationTruth:
     def outcomes(self, draws: range) -> list[Outcome]:
         """Return the outcomes of the drawn arms of these numbers."""
         found = []
-        for draw, drawn in zip(draws, self._truth.draw(draws), strict=True):
+        for draw, drawn in zip(draws, self.draw(draws), strict=True):
             found.append(self.outcome(drawn, *self.readings(drawn, np.random.default_rng([draw, 2]))))
         return found
 

@@ -18,8 +18,8 @@ from posor.reporting.report_console import report_console
 from posor.reporting.report_table import ReportTable
 from posor_bringup.arms import find_arm
 
-from posor_lab.arm_study.calibration_recording import write_calibration_recording
 from posor_lab.arm_study.calibration_truth import CalibrationTruth, Consistency, Outcome, write_assembled_arm
+from posor_lab.arm_study.tracker_recording import write_calibration_recording
 from posor_lab.output_files import check_writable, write_json
 from posor_lab.reports.process_pool import ordered_map
 

@@ -64,7 +64,8 @@ class Deviation(NamedTuple):
         """Return the deviation of endpoints."""
         errors = np.array([pin.log6(a.actInv(b)).vector for a, b in zip(fitted, others, strict=True)])
         shifts, turns = (np.linalg.norm(errors[:, part], axis=1) for part in (slice(0, 3), slice(3, 6)))
-        return Deviation(*(float(np.sqrt(np.mean(np.square(each)))) for each in (shifts, turns)), float(shifts.max()))
+        rms = [float(np.sqrt(np.mean(np.square(each)))) for each in (shifts, turns)]
+        return Deviation(rms[0], rms[1], float(shifts.max()))
 
 
 class Correction(NamedTuple):
@@ -225,9 +226,7 @@ def make_files(
     note = f"posor calibrate-arm, {origin.date}, from {', '.join(f'{p} {sha}' for p, sha in origin.sources.items())}"
     origins = {each.joint: joints[each.joint].T_parent_joint * each.T for each in corrections if each.joint is not None}
     urdf = edit_urdf(model.chain.urdf, origins, note)
-    lengths = {
-        name: (_length(joints[name].T_parent_joint), _length(place)) for name, place in origins.items()
-    }
+    lengths = {name: (_length(joints[name].T_parent_joint), _length(place)) for name, place in origins.items()}
     motion = model.move(states, calibration.values, problem.T_reference_base)
     count = len(model.parameters)
     of_arm = motion.by_parameter[:, :, 6:]  # without the base in the frame of the references

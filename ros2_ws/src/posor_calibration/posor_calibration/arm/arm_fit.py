@@ -105,7 +105,8 @@ class ArmProblem:
         self.model, self.states, self.readings = model, states, references.readings
         self.T_reference_base = pin.SE3.Identity()
         self._tools = {name: tools.get(name, Tool(pin.SE3.Identity())) for name in references.reflectors}
-        self.parameters, sigmas = [*model.parameters], []
+        self.parameters = [*model.parameters]
+        sigmas: list[FloatArray] = []
         self._first: dict[str, slice] = {}
         for name, kind in references.reflectors.items():
             size, known = (6 if kind == "pose" else POINT), np.repeat(self._tools[name].sigmas, 3)
@@ -114,6 +115,10 @@ class ArmProblem:
         if "distance" in references.reflectors.values():
             self._add(CENTRE, np.full(POINT, CENTRE_SIGMA), sigmas)
         self.prior = block_diag(model.prior, np.diag(np.square(np.concatenate(sigmas))))
+        self._placed = any(kind != "distance" for kind in references.reflectors.values())
+        if not self._placed:  # distances do not see where the base is: their frame is that of the base
+            self.prior[:6, :6] = EXACT**2 * np.eye(6)
+            self.parameters[:6] = [each._replace(sigma=EXACT) for each in self.parameters[:6]]
         zero = np.zeros(len(self.parameters))
         self._place(model.move(states, zero, self.T_reference_base))
         self._covariance = self._covariance_of_readings(model.move(states, zero, self.T_reference_base))
@@ -216,6 +221,8 @@ class ArmProblem:
         moved, zero = motion._replace(by_parameter=alone), np.zeros(len(self.parameters))
         for pose in range(len(alone)):
             here = [number for number, reading in enumerate(self.readings) if reading.pose == pose]
+            if not here:
+                continue
             effects = np.vstack([self._difference(self.readings[n], moved, zero)[1] for n in here])[:, : alone.shape[2]]
             rows = np.flatnonzero(self._rows_of(here))
             covariance[np.ix_(rows, rows)] += effects @ block_diag(*self.states.own[pose]) @ effects.T
@@ -225,6 +232,11 @@ class ArmProblem:
         """Return which rows of the differences belong to readings, (m,)."""
         sizes = [len(reading.sigmas) for reading in self.readings]
         return np.asarray(np.repeat(np.isin(np.arange(len(sizes)), list(readings)), sizes))
+
+    @property
+    def mounting_unknowns(self) -> int:
+        """Number of parameters of base, reflectors and fixed ball."""
+        return (6 if self._placed else 0) + len(self.parameters) - len(self.model.parameters)
 
     def whitened_by_pose(self) -> dict[int, FloatArray]:
         """Return the derivatives of the readings of each pose, over their standard uncertainties, (m, p)."""
@@ -246,7 +258,7 @@ class ArmProblem:
         """
         rows, count = self._rows_of(readings), len(self.model.parameters)
         root = np.linalg.cholesky(self._covariance[np.ix_(rows, rows)])
-        mounting = [*range(6), *range(count, len(self.parameters))]
+        mounting = [*range(6 if self._placed else 0), *range(count, len(self.parameters))]
         free = np.array(mounting if mounting_only else range(len(self.parameters)))
 
         def whole(values: FloatArray) -> FloatArray:
@@ -325,7 +337,7 @@ def calibrate_arm(problem: ArmProblem, held_out: Collection[int]) -> ArmCalibrat
 def _check_count(problem: ArmProblem, used: Sequence[int]) -> None:
     """Refuse fewer numbers than the mounting has unknowns."""
     numbers = sum(len(problem.readings[n].sigmas) for n in used)
-    unknown = 6 + len(problem.parameters) - len(problem.model.parameters)
+    unknown = problem.mounting_unknowns
     if numbers < unknown + SPARE:
         poses = len({problem.readings[n].pose for n in used})
         what = f"{numbers} numbers at {poses} poses for {unknown} unknowns of base, tool and fixed ball alone"

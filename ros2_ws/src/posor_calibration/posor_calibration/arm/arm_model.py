@@ -88,7 +88,8 @@ def _nearest_covariance(matrix: FloatArray) -> FloatArray:
     return np.asarray(vectors * np.maximum(values, 0.0) @ vectors.T)
 
 
-class Element(NamedTuple):
+@dataclass(frozen=True)
+class Element:
     """A free joint of the model: base, beam or POSOR."""
 
     name: str
@@ -149,7 +150,7 @@ class ArmModel:
         ]
         sags = {e.name: e.beam.sag_sigma for e in self.elements if e.beam is not None and e.beam.sag_sigma}
         self.sags = {name: len(names) + k for k, name in enumerate(sags)}
-        terms = dict.fromkeys(term for each in (chain, *calibrations.values()) for term in each.shared)
+        terms = dict.fromkeys([*chain.shared, *(term for each in calibrations.values() for term in each.shared)])
         self._terms = {term: len(names) + len(sags) + k for k, term in enumerate(terms)}
         names += [*((f"{name} sag", "1") for name in sags), *((f"shared: {term}", "1") for term in terms)]
         self.prior: FloatArray = block_diag(*covariances, np.diag(np.square([*sags.values(), *(1.0 for _ in terms)])))
@@ -183,7 +184,8 @@ class ArmModel:
 
     def _prior_of(self, element: Element, effects: Sequence[JointEffects]) -> FloatArray:
         if element.joint is not None:
-            return self._means[element.joint] @ self._means[element.joint].T + effects[element.joint].rest
+            mean = self._means[element.joint]
+            return np.asarray(mean @ mean.T + effects[element.joint].rest)
         if element.beam is not None:
             turn = np.kron(np.eye(2), element.beam.T_start_end.rotation)
             return np.asarray(turn.T @ element.beam.covariance @ turn)

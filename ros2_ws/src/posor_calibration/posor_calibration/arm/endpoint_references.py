@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
     import pinocchio as pin
-    from posor.numerics.array_types import BoolArray, FloatArray, IntArray
+    from posor.numerics.array_types import FloatArray, IntArray
     from posor.tables.table_readings import ReferenceReadings, TableReadings
 
 Kind = Literal["point", "pose", "distance"]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import pinocchio as pin
@@ -20,7 +21,8 @@ from posor_calibration.arm.endpoint_references import (
 )
 from scipy.spatial.transform import Rotation
 
-POSES, ORDER = 20, "xyz"
+POSES = 20
+ORDER: Literal["xyz"] = "xyz"
 TOOL = pin.SE3(pin.rpy.rpyToMatrix(0.2, -0.1, 0.3), np.array([0.02, -0.01, 0.05]))
 T_REFERENCE_BASE = pin.SE3(pin.rpy.rpyToMatrix(0.1, 0.2, 2.0), np.array([2.0, 1.0, -0.5]))
 Change = Callable[[FloatArray], FloatArray]
@@ -68,7 +70,10 @@ def test_right_references_are_accepted_at_any_place_of_the_base(order: str) -> N
         (references(turns=np.radians, order=ORDER), "perhaps.*angles in radians, read as degrees"),
         (references(turns=lambda x: x, order="zyx"), "perhaps.*another order of the angles, xyz"),
         (references(turns=lambda x: x, order="XYZ"), "perhaps.*another order of the angles, xyz"),
-        (references(turns=lambda x: x * [-1.0, -1.0, -1.0, 1.0]), "perhaps.*the orientation of the base in the reflector"),
+        (
+            references(turns=lambda x: x * [-1.0, -1.0, -1.0, 1.0]),
+            "perhaps.*the orientation of the base in the reflector",
+        ),
         (references(turns=lambda x: x[:, [3, 0, 1, 2]]), "perhaps.*w, x, y, z in the order of x, y, z, w"),
     ],
 )
@@ -117,7 +122,12 @@ def test_angles_of_a_table_become_quaternions_and_rows_without_a_reading_are_lef
     ("unit", "rows", "uncertainty", "sentence"),
     [
         ("rad", "1,0,0,90,0,0\n", Uncertainty(1e-5, 0.0, 1e-4), r"column 'A': angle 90 rad.*angles in degrees\?"),
-        ("deg", "1,0,0,90,0,0\n", Uncertainty(1e-5), r"has no uncertainty; expected --uncertainty ball=M,PER_METRE,RAD"),
+        (
+            "deg",
+            "1,0,0,90,0,0\n",
+            Uncertainty(1e-5),
+            r"has no uncertainty; expected --uncertainty ball=M,PER_METRE,RAD",
+        ),
         ("deg", ",,,,,\n", Uncertainty(1e-5, 0.0, 1e-4), "holds no reading"),
     ],
 )

@@ -38,9 +38,8 @@ if TYPE_CHECKING:
 RATE = 200  # scans in a second
 MOVE_S, REST_S = 2.4, 0.4
 START_S = 1_767_225_600  # 2026-01-01 00:00:00 UTC
-REACH = 0.8  # joint angles are drawn within this of zero [rad]
+REACH = 0.6  # joint angles are drawn within this of zero [rad]: no ring moves by half a bump from scan to scan
 SWITCHES = ("noise", "calibration_errors", "beam_errors", "sag")
-HEADER = "Time [s];Target;X [mm];Y [mm];Z [mm]"
 
 
 def write_calibration_recording(arm: ArmFile, folder: Path, poses: int, seed: int) -> Path:
@@ -72,14 +71,16 @@ def write_calibration_recording(arm: ArmFile, folder: Path, poses: int, seed: in
     text = edit_document(read_text(path, "arm file"), str(path), {"scenario": "scenario.yaml"})
     write_files(folder, {"arm.yaml": text})
     simulation = ArmSimulation(load_arm_file(path), Imperfections.only(*SWITCHES))
-    ticks = np.arange(START_S * RATE, START_S * RATE + round(duration * RATE))
+    cycle = round(duration * RATE)
+    first = -(-START_S * RATE // cycle) * cycle  # of the cycle that begins next
+    ticks = np.arange(first, first + cycle)
     _write_bag(simulation, ticks, folder / "bag")
     dwells = np.round((REST_S + MOVE_S + 0.5 * REST_S + (MOVE_S + REST_S) * np.arange(poses)) * RATE).astype(np.int64)
-    endpoints = simulation.truth(ticks[0] + dwells).endpoint
+    endpoints = simulation.truth(first + dwells).endpoint
     reflectors = {name: np.array(place) + TOOL_SIGMA * random.normal(size=3) for name, place in REFLECTORS.items()}
     lines = [";".join(["Time", *(f"{name} {axis} [mm]" for name in reflectors for axis in "XYZ")])]
     for n, dwell in enumerate(dwells.tolist()):
-        row = [f"{dwell / RATE:.3f}"]
+        row = [f"{(first + dwell) / RATE - START_S:.3f}"]
         for place in reflectors.values():
             point = T_TRACKER_BASE.act(endpoints[n].act(place))
             sigma = TRACKER + PER_METRE * float(np.linalg.norm(point))

@@ -1,0 +1,258 @@
+"""Calibrated arms against the independent truth: a few in CI, ``make calibration-truth`` calibrates many."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from posor.chain.arm_file import load_arm_file
+from posor.errors import PosorError
+from posor.numerics.array_types import FloatArray
+from posor_bringup.arms import find_arm
+from posor_bringup.calibrate_arm_command import main as calibrate
+from posor_calibration.arm.arm_files import Provenance, make_files, plain_endpoints
+from posor_calibration.arm.arm_fit import ArmProblem, Tool, calibrate_arm
+from posor_calibration.arm.arm_model import ArmModel, ArmStates
+from posor_calibration.arm.arm_poses import poses_at
+from posor_calibration.arm.endpoint_references import EndpointReferences, Reading
+from posor_lab.arm_study.calibration_truth import (
+    REFLECTORS,
+    TOOL_SIGMA,
+    CalibrationTruth,
+    Consistency,
+    write_assembled_arm,
+)
+from posor_lab.arm_study.calibration_truth_command import main
+from posor_lab.arm_study.statement_truth import DrawnArm
+from posor_lab.arm_study.tracker_recording import write_calibration_recording
+from scipy.optimize import least_squares
+
+USED, TESTED, ARMS = 40, 6, 4
+TOOLS = {name: Tool(pin.SE3(np.eye(3), np.array(place)), (TOOL_SIGMA, 0.1)) for name, place in REFLECTORS.items()}
+
+
+class Case(NamedTuple):
+    """An arm by its files, one drawn arm, and what a tracker reads of it."""
+
+    path: Path
+    truth: CalibrationTruth
+    drawn: DrawnArm
+    states: ArmStates
+    references: EndpointReferences
+
+    def problem(self, readings: Sequence[Reading]) -> ArmProblem:
+        return ArmProblem(self.truth.model, self.states, replace(self.references, readings=tuple(readings)), TOOLS)
+
+
+@pytest.fixture(scope="module")
+def case(tmp_path_factory: pytest.TempPathFactory) -> Case:
+    path = write_assembled_arm(load_arm_file(find_arm("five_axis")), tmp_path_factory.mktemp("assembled"))
+    truth = CalibrationTruth(path, USED, TESTED, 5)
+    drawn = truth.draw(range(7, 8))[0]
+    references, _ = truth.readings(drawn, np.random.default_rng(11))
+    return Case(path, truth, drawn, truth.states(drawn, 0), references)
+
+
+def shifted(rows: Sequence[int], reflector: str, shift: float) -> Callable[[Reading], Reading]:
+    def change(reading: Reading) -> Reading:
+        hit = reading.reflector == reflector and reading.pose in rows
+        return reading._replace(values=reading.values + shift) if hit else reading
+
+    return change
+
+
+def only_first(reading: Reading) -> Reading | None:
+    return reading if reading.pose < 1 else None
+
+
+def scaled(reading: Reading) -> Reading:
+    return reading._replace(values=reading.values * np.array([1.0, 1.0, 1.002]))
+
+
+def test_errors_at_other_poses_are_of_the_stated_size(case: Case) -> None:
+    outcomes = case.truth.outcomes(range(1, 1 + ARMS))
+    found = Consistency.of(outcomes)
+    assert found.in_band, found
+    assert found.after_rms < 0.5 * found.before_rms
+    smaller = [each._replace(errors=3.0 * each.errors, squares=9.0 * each.squares) for each in outcomes]
+    assert not Consistency.of(smaller).in_band
+
+
+def test_the_written_files_and_the_plain_urdf_alone_reproduce_the_endpoint(case: Case) -> None:
+    problem, poses = case.problem(case.references.readings), case.truth.measured(case.drawn, 0)
+    found = calibrate_arm(problem, ())
+    files = make_files(load_arm_file(case.path), problem, found, poses, Provenance("2026-01-01T00:00:00Z", {}))
+    assert files.files.largest < 5e-6  # shared errors vary from pose to pose
+    assert 1.0 <= files.enlarged < 2.0
+    values = dict(zip((each.name for each in found.parameters), found.values, strict=True))
+    plain = plain_endpoints(files.texts["controller.urdf"], "endpoint", problem.model.joints, poses.angles)
+    errors = []
+    for reading in problem.readings:
+        tool = REFLECTORS[reading.reflector] + np.array([values[f"tool {reading.reflector} {axis}"] for axis in "xyz"])
+        errors.append((files.T_reference_base * plain[reading.pose]).act(tool) - reading.values)
+    rms = np.sqrt(np.mean(np.square(np.linalg.norm(errors, axis=1))))
+    assert rms < 1.2 * found.after["used"].position < found.before["used"].position
+
+
+def test_one_outlier_in_twenty_is_left_out_by_name(case: Case) -> None:
+    wrong = range(3, USED, 7)
+    change = shifted(wrong, "smr2", 1e-3)
+    found = calibrate_arm(case.problem([change(each) for each in case.references.readings]), ())
+    assert set(found.outliers) == {f"row {n + 1} of smr2" for n in wrong}
+    assert found.spread < 1.3
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        (shifted(range(30, USED), "smr1", 5e-4), r"all 10 readings after row 30 of smr1 .* has 'smr1' moved\?"),
+        (shifted(range(8), "smr3", 5e-4), r"all 8 readings before row 9 of smr3 .* has 'smr3' moved\?"),
+        (only_first, r"9 numbers at 1 poses for 15 unknowns"),
+        (scaled, r"(is .* off; expected at most 10 times|readings disagree|times as large)"),
+    ],
+    ids=["moved late", "moved early", "too few", "another scale"],
+)
+def test_readings_that_contradict_each_other_or_the_arm_are_refused(
+    case: Case, change: Callable[[Reading], Reading | None], sentence: str
+) -> None:
+    readings = [each for each in map(change, case.references.readings) if each is not None]
+    with pytest.raises(PosorError, match=sentence):
+        calibrate_arm(case.problem(readings), ())
+
+
+def seat_angles(case: Case, count: int) -> FloatArray:
+    """Return angles at which the endpoint is at one place."""
+    chain, random = case.truth.model.chain, np.random.default_rng(8)
+    names = case.truth.model.joints
+
+    def place(angles: FloatArray) -> FloatArray:
+        return np.asarray(chain.nominal_endpoint(dict(zip(names, angles, strict=True))).translation)
+
+    middle = np.array([0.2, -0.4, 0.8, 0.3, 0.4])
+    seat, starts = place(middle), middle + random.uniform(-0.5, 0.5, (2 * count, len(names)))
+
+    def distance(angles: FloatArray) -> FloatArray:
+        return place(angles) - seat
+
+    found = [np.asarray(least_squares(distance, start).x) for start in starts]
+    reached = [q for q in found if np.linalg.norm(place(q) - seat) < 1e-6 and np.abs(q).max() < 1.5]
+    return np.array(reached[:count]) + 3e-6 * random.normal(size=(len(reached[:count]), len(names)))  # as measured
+
+
+@pytest.mark.parametrize("kind", ["one seat", "ball bar"])
+def test_lengths_from_a_fixed_ball_determine_beams(case: Case, kind: str) -> None:
+    bar = kind == "ball bar"
+    model, poses = case.truth.model, case.truth.measured(case.drawn, 0)
+    calibrations = {name: load_arm_file(case.path).calibration(name) for name in model.joints}
+    if not bar:
+        poses = poses_at(model.chain, calibrations, seat_angles(case, 20))
+        model = ArmModel(model.chain, calibrations, poses)
+    states = model.states(poses, model.effects_at(poses))
+    ends = [end.translation for end in model.move(states, 0.0 * model.prior[0], pin.SE3.Identity()).endpoints]
+    lengths = [float(np.linalg.norm(end - np.mean(ends, axis=0))) if bar else 0.0 for end in ends]
+    sigmas = np.full(1 if bar else 3, 1e-5)
+    readings = [
+        Reading(f"row {n + 1} of ball", n, "ball", "distance", np.array([length]), None, sigmas)
+        for n, length in enumerate(lengths)
+    ]
+    if bar:
+        readings[4] = readings[4]._replace(values=readings[4].values + 1e-3)
+    references = EndpointReferences(np.arange(len(ends)), np.arange(len(ends)) + 1, tuple(readings), {})
+    found = calibrate_arm(ArmProblem(model, states, references, {"ball": Tool(pin.SE3.Identity(), (1e-3, 0.1))}), ())
+    assert found.outliers == (("row 5 of ball",) if bar else ())
+    assert np.abs(found.values[:6]).max() < 1e-8  # the frame is that of the base
+    remaining = [sigma / each.sigma for each, sigma in zip(found.parameters, found.sigmas, strict=True)]
+    assert min(ratio for each, ratio in zip(found.parameters, remaining, strict=True) if "upper_arm" in each.name) < 0.6
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("recorded")
+    write_calibration_recording(load_arm_file(find_arm("five_axis")), folder, 7, 3)
+    return folder
+
+
+def options(folder: Path, table: str = "tracker.csv") -> list[str]:
+    uncertain = [word for name in REFLECTORS for word in ("--uncertainty", f"{name}=15e-6,6e-6")]
+    tools = [word for name, p in REFLECTORS.items() for word in ("--tool", f"{name}={p[0]},{p[1]},{p[2]}")]
+    files = ["--bag", str(folder / "bag"), "--table", str(folder / table), "--map", str(folder / "map.yaml")]
+    return [str(folder / "arm.yaml"), *files, *uncertain, *tools, "--tool-uncertainty", "1e-3,0.1"]
+
+
+def test_the_program_writes_an_arm_that_can_be_used_and_replaces_nothing(
+    recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    output = ["--output", str(tmp_path / "new")]
+    assert calibrate([*options(recorded), *output]) == 0
+    content = json.loads((tmp_path / "new" / "arm_calibration.json").read_text(encoding="utf-8"))
+    assert content["after"]["held out"]["position"] < 1.5 * content["before"]["held out"]["position"]
+    assert str(recorded / "tracker.csv") in content["sources"]
+    arm = load_arm_file(tmp_path / "new" / "arm.yaml")
+    assert arm.chain().links[1].T_nominal != load_arm_file(recorded / "arm.yaml").chain().links[1].T_nominal
+    before = {path.name: path.read_bytes() for path in (tmp_path / "new").iterdir()}
+    for place in (output, ["--output", str(recorded)]):
+        assert calibrate([*options(recorded), *place]) == 1
+        assert "exists already; expected another name, or --force" in capsys.readouterr().err
+    assert before == {path.name: path.read_bytes() for path in (tmp_path / "new").iterdir()}
+
+
+@pytest.mark.parametrize(
+    ("row", "later", "sentence"),
+    [
+        (-1, 1000.0, r"no usable scan within 0\.1 s of row 7"),
+        (1, -1.4, r"moves by .* at row 1; expected an arm at rest"),
+    ],
+    ids=["another clock", "in motion"],
+)
+def test_rows_without_an_arm_at_rest_are_refused(
+    recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], row: int, later: float, sentence: str
+) -> None:
+    lines = (recorded / "tracker.csv").read_text(encoding="utf-8").splitlines()
+    time, *others = lines[row].split(";")
+    lines[row] = ";".join([f"{float(time) + later:.3f}", *others])
+    table = recorded / f"{later}.csv"
+    table.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    assert calibrate([*options(recorded, table.name), "--output", str(tmp_path / "new")]) == 1
+    assert re.search(sentence, capsys.readouterr().err)
+
+
+def test_the_program_selects_poses_that_determine_more(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    names = "base_swivel,shoulder,elbow,wrist_roll,wrist_yaw"
+    rows = ["0.1,0.1,0.1,0.1,0.1"] * 3 + ["0.5,-0.6,0.7,-0.4,0.6", "-0.5,0.3,0.9,0.6,-0.7"]
+    path = tmp_path / "candidates.csv"
+    path.write_text("\n".join([names, *rows]) + "\n", encoding="utf-8")
+    assert calibrate(["five_axis", "--select", "3", "--candidates", str(path), "--uncertainty", "ball=1e-6"]) == 0
+    printed = capsys.readouterr().out.split()
+    assert printed[0] == names
+    assert set(rows[2:]) == set(printed[1:])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        ([], "--bag and --table and --map missing"),
+        (["--select", "3"], "--candidates missing"),
+        (["--bag", "b", "--table", "t", "--map", "m", "--hold-out", "1"], "no pose would be used"),
+        (["--select", "3", "--candidates", "c", "--uncertainty", "ball"], "expected NAME="),
+        (["--select", "3", "--candidates", "c", "--tool", "ball=1,2"], "expected 3 or 6 numbers"),
+    ],
+)
+def test_options_that_do_not_fit_are_refused(
+    arguments: list[str], sentence: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert calibrate(["five_axis", *arguments]) == 2
+    assert sentence in capsys.readouterr().err
+
+
+@pytest.mark.long
+def test_the_program_writes_its_figures(tmp_path: Path) -> None:
+    path = tmp_path / "figures.json"
+    assert main(["--arms", "20", "--tested", "40", "--output", str(path)]) == 0
+    assert json.loads(path.read_text(encoding="utf-8"))["arms"] == 20
