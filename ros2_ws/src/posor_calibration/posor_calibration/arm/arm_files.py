@@ -146,7 +146,7 @@ def edit_urdf(text: str, origins: Mapping[str, pin.SE3], note: str, *, kinds: Ma
             assert kind is not None  # noqa: S101  the URDF has been read
             begin = element.start() + kind.start()
             changes.append((begin, element.start() + kind.end(), f'type="{kinds[name]}"'))
-            if not re.compile(r"<axis\b").search(masked, element.end(), end):
+            if kinds[name] != "fixed" and not re.compile(r"<axis\b").search(masked, element.end(), end):
                 changes.append((end, end, '  <axis xyz="0 0 1"/>\n  '))
     robot = re.search(r"<robot\b[^>]*>", masked)
     assert robot is not None  # noqa: S101  the same
@@ -253,7 +253,7 @@ def make_files(
     if not worst <= REPRODUCED:
         what = f"the new files differ from the fit by {worst:.3g} m"
         raise ChainError(what, where=NAME, expected=f"at most {REPRODUCED:g}")
-    controller = controller_urdf(chain, arm.endpoint_frame, poses, note)
+    controller = controller_urdf(chain, arm.endpoint_frame, poses, "plain: mean of the POSORs and of the sag")
     plain = plain_endpoints(controller, arm.endpoint_frame, model.joints, poses.angles)
     texts = {arm.urdf.name: urdf, CONTROLLER_FILE: controller}
     changes: dict[str, Any] = {

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 import pinocchio as pin
 from posor.calibration.shared_terms import check_same_terms
+from posor.errors import ChainError
 from posor.estimation.posor import Posor
 from posor.uncertainty.budget_poses import scan_at
 from posor.uncertainty.reading_sensitivity import sensitivity_at
@@ -131,10 +132,15 @@ class ArmModel:
     def __init__(self, chain: Chain, calibrations: Mapping[str, Calibration], poses: ArmPoses) -> None:
         """Build the model; prior uncertainties are those of the beams file and, at these poses, of the calibrations.
 
-        Raises CalibrationError: a shared term has two uncertainties; ParameterError: as ``joint_effects``.
+        Raises ChainError: a POSOR does not move the endpoint; CalibrationError: a shared term has two uncertainties;
+        ParameterError: as ``joint_effects``.
         """
         files = {f"calibration '{name}'": each.shared for name, each in calibrations.items()}
         check_same_terms({"the beams file": chain.shared, **files})
+        if len(chain.joints) != len(chain.path_joints):
+            others = ", ".join(joint.name for joint in chain.joints if joint not in chain.path_joints)
+            what = f"POSOR {others} does not move the endpoint"
+            raise ChainError(what, where="the URDF", expected="POSORs between base and endpoint only")
         self.chain = chain
         self.joints = tuple(joint.name for joint in chain.path_joints)
         self._posors = [Posor(calibrations[name]) for name in self.joints]
