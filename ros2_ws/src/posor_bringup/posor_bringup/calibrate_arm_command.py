@@ -47,6 +47,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from posor.bags.offline_pipeline import Arm
+    from posor.tables.table_readings import TableReadings
     from posor_calibration.arm.arm_files import CalibratedFiles
     from posor_calibration.arm.arm_fit import ArmCalibration
     from rich.console import Console
@@ -154,9 +155,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 0
     folder = options.output or Path("build/calibrate_arm") / arm.name
     check_output(folder, arm, force=options.force)
-    references = references_of(
-        load_readings(options.table, options.map, needs_joints=False), uncertainties, str(options.table)
-    )
+    table = load_readings(options.table, options.map, needs_joints=False)
+    references = references_of(table, uncertainties, str(options.table))
     _check_names(uncertainties, references.reflectors, "--uncertainty")
     _check_names(tools, references.reflectors, "--tool")
     length, angle = _numbers("--tool-uncertainty", options.tool_uncertainty, (2,), positive=True)
@@ -179,11 +179,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
     files = make_files(arm, problem, found, poses, origin)
     texts = {**files.texts, JSON_FILE: calibration_json(found, files, origin)}
     kept = write_files(folder, texts, force=options.force)
+    for line in _left_out(table):
+        console.print(line, soft_wrap=True, markup=False)
     _print(found, files, console)
     for path in kept:
         console.print(f"kept: {path}", soft_wrap=True, markup=False)
     console.print(f"{', '.join(texts)}: {folder}", soft_wrap=True, markup=False)
     return 0
+
+
+def _left_out(table: TableReadings) -> list[str]:
+    """Return sentences on what of a table is not used."""
+    lines = [f"columns left out: {', '.join(table.unused)}"] if table.unused else []
+    lines += [f"rows left out: {count} ({kind})" for kind, count in table.left_out.items()]
+    if table.joints:
+        lines.append(f"scans of {', '.join(table.joints)} in the table are not used: those of the bag are")
+    return lines
 
 
 def _print(found: ArmCalibration, files: CalibratedFiles, console: Console) -> None:

@@ -80,8 +80,11 @@ def references_of(table: TableReadings, uncertainties: Mapping[str, Uncertainty]
     """Return the readings of a table.
 
     ``uncertainties``: by the name of the reference in the map; of distances those of the map hold. Raises TrackError:
-    a reference has no uncertainty, is no length, or there is no reading.
+    a reference has no uncertainty or is no length, frames differ, or there is no reading.
     """
+    frames = sorted({track.entry.frame_id for track in table.references.values()})
+    if len(frames) > 1:
+        raise TrackError(f"has references in the frames {', '.join(frames)}", where=where, expected="one frame_id")
     readings: list[Reading] = []
     for name, track in table.references.items():
         readings += _readings(name, track, uncertainties.get(name), where)

@@ -118,6 +118,16 @@ def test_angles_of_a_table_become_quaternions_and_rows_without_a_reading_are_lef
     np.testing.assert_allclose(found.readings[1].sigmas, [1.2e-5] * 3 + [1e-4] * 3)
 
 
+def test_references_of_two_trackers_are_refused(tmp_path: Path) -> None:
+    paths = table(tmp_path, "deg", "1,0,0,90,0,0\n")
+    other = (
+        "  ring: {frame_id: other, position: [{column: X, unit: mm}, {column: Y, unit: mm}, {column: Z, unit: mm}]}\n"
+    )
+    paths[1].write_text(paths[1].read_text(encoding="utf-8") + other, encoding="utf-8")
+    with pytest.raises(TrackError, match="references in the frames other, tracker; expected one frame_id"):
+        references_of(load_readings(*paths, needs_joints=False), {}, "tracker.csv")
+
+
 @pytest.mark.parametrize(
     ("unit", "rows", "uncertainty", "sentence"),
     [
