@@ -97,9 +97,7 @@ def only_joint(readings: TableReadings, joint: str, where: str) -> str:
     return joint
 
 
-def load_readings(
-    path: Path, map_path: Path, *, growing: bool = False, needs_joints: bool = True
-) -> TableReadings:
+def load_readings(path: Path, map_path: Path, *, growing: bool = False, needs_joints: bool = True) -> TableReadings:
     """Return the readings of a table by a map.
 
     ``growing``: see ``open_table``. ``needs_joints``: a map without joints is refused. Raises the errors of
