@@ -104,7 +104,7 @@ class ChainNode(PosorNode[ChainParameters]):
         self._lock = RLock()
         self._status = self.diagnostics.add_status("endpoint", logged=True)
         self._inputs = InputMonitor(self, self._on_inputs_checked)
-        self._poses = self._scans_refused = self._scans_incomplete = 0
+        self._poses = self._scans_refused = self._scans_incomplete = self._transforms_refused = 0
         self._refusals: dict[str, tuple[float, str]] = {}  # by joint: monotonic time [s] and reason of the latest
         self._reported = None
         self._last_stamp = bytes(8)
@@ -132,7 +132,7 @@ class ChainNode(PosorNode[ChainParameters]):
         ]
         self._tails, self._transforms, self._reads_effects = [], [], True
         self._home, self._pose_stamp, self._reported = None, b"", None
-        self._poses = self._scans_refused = self._scans_incomplete = 0
+        self._poses = self._scans_refused = self._scans_incomplete = self._transforms_refused = 0
         self._refusals.clear()
         self._last_stamp, self._has_alarm = bytes(8), False
         false_alarm = 1.0 - (1.0 - self.parameters.false_alarm) ** len(names)
@@ -199,7 +199,7 @@ class ChainNode(PosorNode[ChainParameters]):
             silent = self._inputs.silent
             if silent and is_new:
                 self._pose_stamp = b""
-                self._report_no_pose(silent, ("silent",))
+                self._report_no_pose(silent)
             if silent and not self._state_published:
                 joint = self._joint_of_topic[self._inputs.silent_names[0]]
                 verdict = EndpointVerdict(EndpointState.STATE_STALE, 0, joint, silent)
@@ -259,8 +259,8 @@ class ChainNode(PosorNode[ChainParameters]):
         return b""
 
     def _refuse_transform(self, joint: FreeJoint, reason: str, stamp: bytes) -> None:
-        """Report that a transform does not enter a scan; if its stamp is invalid, as of the last complete scan."""
-        self._scans_refused += 1
+        """Report a refused transform. If its stamp is invalid, the state has the stamp of the last complete scan."""
+        self._transforms_refused += 1
         text = f"{joint.name}: {reason}"
         self._refusals[joint.name] = time.monotonic(), text
         stamp = stamp if stamp_ns_of(stamp) else self._last_stamp
@@ -383,16 +383,15 @@ class ChainNode(PosorNode[ChainParameters]):
             text = f"no pose: {verdict.reason}" + (f"; {excess}" if excess else "")
             self._status.report(Level.ERROR if self._has_alarm else Level.WARN, text, self._counts())
 
-    def _report_no_pose(self, reason: str, key: object = None) -> None:
-        """Report why there is no pose; ``key`` identifies the reason, so that the same text is not formatted again."""
+    def _report_no_pose(self, reason: str) -> None:
         self._status.report(Level.ERROR, f"no pose: {reason}", self._counts())
-        self._reported = key
+        self._reported = None
 
     def _counts(self) -> dict[str, Value]:
         present, names = self._temperatures.kelvins, self._temperatures.names
         kelvins = {f"temperature {name} [K]": round(present.get(name, math.nan), 3) for name in names}
-        counts = {"scans_refused": self._scans_refused, "scans_incomplete": self._scans_incomplete}
-        return {"poses": self._poses, **counts, **kelvins}
+        scans = {"scans_refused": self._scans_refused, "scans_incomplete": self._scans_incomplete}
+        return {"poses": self._poses, **scans, "transforms_refused": self._transforms_refused, **kelvins}
 
     def _on_set_home(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         with self._lock:

@@ -56,7 +56,7 @@ if TYPE_CHECKING:
 
 LOST = int(State.LOST)
 LEVELS = {State.OK: Level.OK, State.DEGRADED: Level.WARN, State.LOST: Level.WARN}
-"""Level of the diagnostics by state; ERROR for all other states, and where ``AlarmRate`` finds a fault."""
+"""Level of the diagnostics by state. UNCOUNTED: WARN while it waits. ERROR otherwise, and where ``AlarmRate`` finds a fault."""
 
 
 class PosorEstimatorNode(PosorNode[PosorParameters]):
