@@ -41,6 +41,7 @@ class Reading(NamedTuple):
 
     stamp_ns: int
     kelvin: float
+    other: str = ""  # another thermometer that its message names as the frame
 
 
 @dataclass
@@ -79,6 +80,8 @@ class _Thermometer:
     def _refusal(self, reading: Reading) -> str:
         entry, last = self.entry, self.began if self.is_frozen else self.last
         least, most = entry.range.array
+        if reading.other:
+            return f"receives the readings of '{reading.other}'"
         if not math.isfinite(reading.kelvin):
             return "does not read a number"
         if not least <= reading.kelvin <= most:
@@ -118,11 +121,11 @@ class BeamTemperatures:
         found = [(n, beam.name, beam.entry.thermometer) for n, beam in enumerate(beams)]
         self._all = {entry.name: _Thermometer(n, beam, entry) for n, beam, entry in found if entry is not None}
         self.names = tuple(self._all)
-        self._pairs = {
-            frozenset((name, each.entry.neighbour.name)): each.entry.neighbour.difference.number
-            for name, each in self._all.items()
-            if each.entry.neighbour is not None
-        }
+        self._pairs: dict[frozenset[str], float] = {}
+        for name, each in self._all.items():
+            if (neighbour := each.entry.neighbour) is not None:
+                pair, limit = frozenset((name, neighbour.name)), neighbour.difference.number
+                self._pairs[pair] = min(limit, self._pairs.get(pair, limit))
         self._period: int | None = None
         self.faults: dict[str, str] = {}
         self.kelvins: dict[str, float] = {}
@@ -131,10 +134,10 @@ class BeamTemperatures:
     def add(self, name: str, stamp_ns: int, celsius: float, frame: str = "") -> None:
         """Add a reading [degree Celsius] of a thermometer; ``frame``: of its message.
 
-        A reading whose frame is the name of another thermometer counts as invalid.
+        A reading whose frame is the name of another thermometer is not used.
         """
-        kelvin = math.nan if frame != name and frame in self._all else celsius + CELSIUS
-        self._all[name].waiting.append(Reading(stamp_ns, kelvin))
+        other = frame if frame != name and frame in self._all else ""
+        self._all[name].waiting.append(Reading(stamp_ns, celsius + CELSIUS, other))
 
     def restart(self) -> None:
         """Forget all readings, those also that a refusal rests on."""

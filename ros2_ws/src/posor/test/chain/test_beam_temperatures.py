@@ -208,7 +208,7 @@ def test_a_reading_in_the_frame_of_another_thermometer_is_not_used() -> None:
     rig.run(quiet, 10, 14)
     rig.temperatures.add("a", 14 * NS, 22.0, "b")
     rig.run(only("a", lambda _: None), 14, 16)
-    assert list(rig.temperatures.faults) == ["a"]
+    assert rig.temperatures.faults == {"a": "receives the readings of 'b'"}
 
 
 def test_a_replay_that_starts_again_forgets_its_readings() -> None:
