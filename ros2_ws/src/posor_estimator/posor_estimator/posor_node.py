@@ -56,7 +56,7 @@ if TYPE_CHECKING:
 
 LOST = int(State.LOST)
 LEVELS = {State.OK: Level.OK, State.DEGRADED: Level.WARN, State.LOST: Level.WARN}
-"""Level of the diagnostics by state. UNCOUNTED: WARN while it waits. ERROR otherwise, and where ``AlarmRate`` finds a fault."""
+"""Level of the diagnostics by state; other states, and what ``AlarmRate`` finds: ERROR, UNCOUNTED that waits: WARN."""
 
 
 class PosorEstimatorNode(PosorNode[PosorParameters]):
