@@ -16,7 +16,6 @@ from posor.reporting.command_line_parser import CommandLineParser
 from posor.reporting.program_errors import reports_errors
 from posor.reporting.report_console import report_console
 from posor.reporting.report_table import ReportTable
-from posor_bringup.arms import find_arm
 
 from posor_lab.arm_study.calibration_truth import CalibrationTruth, Consistency, Outcome, write_assembled_arm
 from posor_lab.arm_study.tracker_recording import write_calibration_recording
@@ -57,7 +56,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     text = "write arm, bag, table and map of one simulated calibration, in place of the comparison"
     parser.add_argument("--files", type=Path, metavar="FOLDER", help=text)
     options: argparse.Namespace = parser.parse_args(arguments)
-    arm = load_arm_file(find_arm(ARM))
+    arm = load_arm_file(ARM)
     if options.files is not None:
         write_calibration_recording(arm, options.files, options.poses, SEED)
         print(f"arm.yaml, bag, tracker.csv, map.yaml: {options.files}")
@@ -77,7 +76,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         f"{100.0 * found.within_95:.1f} %",
         "yes" if found.in_band else "no",
     ]
-    ReportTable(title, header, [row], left=0).print(report_console(140))
+    ReportTable(title, header, [row]).print(report_console(140))
     write_json(options.output, {**found._asdict(), "poses": options.poses, "tested": options.tested})
     return 0 if found.in_band else 1
 

@@ -17,7 +17,6 @@ from posor.reporting.command_line_parser import CommandLineParser
 from posor.reporting.program_errors import reports_errors
 from posor.reporting.report_console import report_console
 from posor.reporting.report_table import ReportTable
-from posor_bringup.arms import find_arm
 
 from posor_lab.output_files import check_writable, write_json
 from posor_lab.shop.shop_arm import write_shop_arm
@@ -75,7 +74,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         raise ParameterError("too few arms", where="shop", expected=f"at least {MIN_ARMS} of either kind")
     check_writable(options.output)
     with tempfile.TemporaryDirectory() as folder:
-        path = write_shop_arm(load_arm_file(find_arm("five_axis")), Path(folder))
+        path = write_shop_arm(load_arm_file("five_axis"), Path(folder))
         drawn = figures(sample_shop(path, options.arms, POSES, SEED))
         shift = figures(sample_shop(path, options.shift_arms, SHIFT_POSES, SEED, swing=True))
     rows = [
@@ -84,7 +83,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     ]
     header = ("case", "rms, drawn temperatures [µm]", f"rms, shift of +-{SWING_K:g} K [µm]", "inside 95 % region")
     title = f"Simulated: five_axis, {options.arms} arms at {POSES} poses; a shift of {options.shift_arms} arms"
-    ReportTable(title, header, rows, left=1).print(report_console(140))
+    ReportTable(title, header, rows).print(report_console(140))
     found = failures(drawn, shift)
     for clause in found:
         sys.stderr.write(f"shop: {clause}\n")

@@ -12,10 +12,10 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 import pytest
+from posor.arm_names import find_arm
 from posor.chain.arm_file import load_arm_file
 from posor.errors import PosorError
 from posor.numerics.array_types import FloatArray
-from posor_bringup.arms import find_arm
 from posor_bringup.calibrate_arm_command import main as calibrate
 from posor_calibration.arm.arm_files import Provenance, make_files, plain_endpoints
 from posor_calibration.arm.arm_fit import ArmProblem, Tool, calibrate_arm

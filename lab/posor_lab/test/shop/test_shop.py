@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from posor import load_arm
+from posor.arm_names import find_arm
 from posor.bags.arm_estimator import ArmEstimator
 from posor.bags.bag_writer import BagWriter
 from posor.bags.offline_pipeline import estimate_bag, topics_of
@@ -16,7 +17,6 @@ from posor.chain.arm_file import load_arm_file
 from posor.messages.message_definitions import MessageTypes
 from posor.numerics.stamps import NS, tick_stamp_ns
 from posor.ros_names import RAW_SCAN, RAW_TOPIC
-from posor_bringup.arms import find_arm
 from posor_drivers.message_builder import SimulatedMessages
 from posor_drivers.simulator.arm_simulation import ArmSimulation
 from posor_lab.shop.shop_arm import write_shop_arm

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
+from posor.arm_names import describe_argument
 from posor.bags.calibration_recording import bag_sha256
 from posor.bags.offline_pipeline import load_arm
 from posor.chain.identity import file_sha256
@@ -40,8 +41,6 @@ from posor_calibration.arm.endpoint_references import (
 from posor_design.arm_uncertainty import ArmUncertainty
 from posor_design.statement_poses import path_poses
 
-from posor_bringup.arms import find_arm
-
 if TYPE_CHECKING:
     import argparse
     from collections.abc import Mapping, Sequence
@@ -61,7 +60,7 @@ def parse_options(arguments: Sequence[str] | None) -> argparse.Namespace:
     """Return the options. Raises ParameterError: an option is unknown or invalid, or options do not fit together."""
     description = "Calibrate POSORs, beams, base and tool of an arm at once, from references of its endpoint."
     parser = CommandLineParser(prog="posor calibrate-arm", description=description)
-    parser.add_argument("arm", metavar="ARM", help="arm file, its folder, or the name of an installed arm")
+    parser.add_argument("arm", metavar="ARM", help=describe_argument())
     parser.add_argument("--bag", type=Path, help="raw scans of the arm at rest, at the times of the table")
     parser.add_argument("--table", type=Path, metavar="FILE", help="readings of a laser tracker, ball bar or artefact")
     parser.add_argument("--map", type=Path, metavar="MAP.yaml", help="map of the columns of the table")
@@ -143,7 +142,7 @@ def _check_names(given: Mapping[str, object], known: Mapping[str, object], optio
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the program; exit code 0: the files have been written, or the poses printed."""
     options = parse_options(arguments)
-    arm = load_arm(find_arm(options.arm))
+    arm = load_arm(options.arm)
     tools = _tools(options)
     uncertainties = {
         name: Uncertainty(*numbers)
@@ -212,7 +211,7 @@ def _print(found: ArmCalibration, files: CalibratedFiles, console: Console) -> N
     ]
     header = ("", "readings", "rms [µm]", "rms [µrad]", "largest [µm]")
     title = "Readings against the arm; before: base and tool alone fitted"
-    ReportTable(title, header, [[cell.replace("nan", "") for cell in row] for row in rows], left=1).print(console)
+    ReportTable(title, header, [[cell.replace("nan", "") for cell in row] for row in rows]).print(console)
     lines = [f"left out, the others contradict: {', '.join(found.outliers)}"] if found.outliers else []
     lines.append(f"not determined, as before: {', '.join(_grouped(found.undetermined)) or 'no parameter'}")
     for name, how in (("the files", files.files), ("controller.urdf alone", files.controller)):
