@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Settings of all tests: a separate ROS domain, no traffic beyond this host, and short timeouts of the middleware."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Make the bag of the simulated five-axis arm: one cycle of its scenario, and the endpoint estimated from its scans.
 
 ``make data`` runs it in the environment of the workspace; an optional argument is the output folder. Scans and truth

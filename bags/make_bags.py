@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Make the bags of the 1985 tests YMO, YZMO and ZMO from the recorded tables.
 
 ``make data`` runs it in the environment of the workspace; an optional argument is the output folder. An existing bag is

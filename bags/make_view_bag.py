@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Make the bag that the live page replays: transforms and states of an arm with faults, eight scans a second.
 
 ``make data`` runs it in the environment of the workspace; an optional argument is the output folder. The simulated arm

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 # ruff: noqa: INP001  Sphinx reads this file, nothing imports it
 """Settings of Sphinx for the documentation site: ``make docs`` builds it into ``build/docs``."""
 

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Releases a joint that a fault has latched: ``python acknowledge.py /six_axis/elbow "lens of diode 2 cleaned"``."""
 
 import getpass

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Estimates the endpoint of a recorded arm without ROS; run it from the repository root."""
 
 from posor import load_arm

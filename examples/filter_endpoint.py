@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Filter the endpoint of simulated arms with its two covariances, and count how often the truth is inside the region.
 
 The random part is white noise of each scan. The systematic part is a constant: a consider state, which the filter never

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The 1985 rig for tests: files with its paths, a composition of its nodes, and the program that runs it."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """A small checkout for tests of the set-up: the real tools, one small ROS package, the libraries of this checkout."""
 
 from __future__ import annotations

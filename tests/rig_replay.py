@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Replays of the 1985 rig for tests, and their messages compared bit by bit."""
 
 from __future__ import annotations

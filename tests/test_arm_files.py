@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Consistency of the installed arms' files: calibrations, URDF, beams, scenario, and sizes of the thesis."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The program ``arm``: figures, files, exit codes, interruptions, killed nodes, wrong options."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The audit of the pinned libraries where it is not possible: one sentence, and an exit code that is no success."""
 
 from __future__ import annotations

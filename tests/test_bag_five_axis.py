@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The bag of the simulated five-axis arm: what its script makes, and what the nodes make of it, bit for bit."""
 
 from __future__ import annotations

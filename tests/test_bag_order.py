@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The order in which every reader reads a bag: split, overlapping and late recordings of the five-axis arm."""
 
 from __future__ import annotations

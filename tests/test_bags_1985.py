@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The committed bags equal those of their script and hold the recorded tables."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """bringup with real nodes: their end, a killed node, a node that refuses, recorded scans, wrong options."""
 
 from __future__ import annotations

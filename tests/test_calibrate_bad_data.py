@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Bad data from bag to exit code: a fault is named in one sentence and writes no file, or does no harm."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """calibrate as its user runs it: a bag and a calibration file in, a calibration file out; list, diff and check."""
 
 from __future__ import annotations

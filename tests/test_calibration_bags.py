@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Recordings for calibration come out of real bags as they went in; what is wrong with a bag is one sentence."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The calibration files of the 1985 rig are what their script makes of the thesis's tables."""
 
 from __future__ import annotations

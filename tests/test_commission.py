@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """posor commission on live topics: a robot program does the steps that are announced."""
 
 from __future__ import annotations

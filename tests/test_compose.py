@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Nodes of one process: results equal to separate processes, shutdown, statistics."""
 
 from __future__ import annotations

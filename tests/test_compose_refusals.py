@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Refusals of compose: one sentence with the node, and with file, line and key of the cause."""
 
 from __future__ import annotations

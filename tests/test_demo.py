@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The demo as a program: output, report, exit code, end of its processes."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """A POSOR as 'posor design posor' writes it runs at once: bringup with real nodes, poses within the requirement."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The configuration of diagnostic_aggregator: each entry that the nodes publish belongs to one group."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Every code block of every page is run or loaded, or is marked as an excerpt by its first line.
 
 The first line of an excerpt is ``# excerpt``, or ``# excerpt of a calibration file``, which is loaded as part of one.

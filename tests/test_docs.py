@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Documentation: the links lead to files, and generated pages equal the declarations."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The documentation site builds without warnings, and its index leads to every subject within two clicks."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The example that releases a latched joint, with a real posor_node and without one."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The example controller: its commands, its refusals, and its effect on the simulated five-axis arm."""
 
 from __future__ import annotations

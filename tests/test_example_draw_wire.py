@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The example of docs/how_to/adding_a_sensor.md: a sensor type in its own package, built with colcon and used."""
 
 from __future__ import annotations

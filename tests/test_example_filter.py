@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The example that filters the endpoint with its two covariances, on simulated arms."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Files of every version of every format: they load with the same numbers, or say what to change."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Imports: down the rooms and layers only, without cycles, and ROS only where nodes live."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Instruments from the wire to the endpoint: servers of simulated devices, drivers and nodes, short trials."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Installed programs that are interrupted while they start, or started with low limits of the process."""
 
 from __future__ import annotations

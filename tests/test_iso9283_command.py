@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """posor iso9283: figures of a simulated motion against an independent script on the same points, and refusals."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Random lifecycle transitions of composed nodes while scans flow: the process survives and gives poses afterwards."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Messages of this workspace pass DDS unchanged."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """An arm as 'posor arm new' writes it: bringup with real nodes, OK poses, and a second bringup that is refused."""
 
 from __future__ import annotations

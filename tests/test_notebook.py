@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """examples/analyse_bag.ipynb runs from its first to its last cell, and is stored without outputs."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Each node of an arm starts from a dump of its parameters, in the format of ``ros2 param dump``."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Printed on paper, the page of a replay, of an error budget and of a statement are two sheets each."""
 
 from __future__ import annotations

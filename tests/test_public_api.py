@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The public Python API in a plain virtual environment without ROS: the numbers that the nodes publish."""
 
 from __future__ import annotations

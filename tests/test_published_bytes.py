@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Every message that the nodes publish: rosbags reads it and writes the same bytes, so that none comes from memory.
 
 Messages of rcl itself (rosout, parameter events, transition events) are serialised by the middleware and left out.

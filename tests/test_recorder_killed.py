@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The recorder killed by SIGKILL: all but the last second of its bag is recovered, and what it knew of the arm."""
 
 from __future__ import annotations

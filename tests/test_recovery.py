@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Faults during a replay: killed and restarted nodes, late subscribers."""
 
 from __future__ import annotations

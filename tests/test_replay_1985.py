@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The 1985 bags through node processes over DDS: every step against the thesis and the numerical core."""
 
 from __future__ import annotations

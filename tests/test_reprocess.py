@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Reprocessed bags against the core, scan by scan; formats, summary and complaints of the program.
 
 ``test_bag_five_axis`` compares them with the live graph.

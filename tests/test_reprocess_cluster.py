@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Bags reprocessed on real Dask clusters: one of two workers is killed at its work; TLS with certificates."""
 
 from __future__ import annotations

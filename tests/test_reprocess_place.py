@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Where reprocess writes: never over recordings, nor over anything else that is not marked as its results."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Interrupted and killed: what processes of reprocess leave, which is nothing but bags that are whole."""
 
 from __future__ import annotations

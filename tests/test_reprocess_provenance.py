@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Bags that name the files they were recorded with, and damaged bags, reprocessed."""
 
 from __future__ import annotations

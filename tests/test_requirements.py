@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The lock files are exact, complete and consistent, and keep the libraries of an installed ROS."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The keys of package.xml that rosdep resolves to Ubuntu 24.04, and the documented way to all other libraries."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """``./run`` starts the right program in the environment of the workspace, and passes signals and the exit code."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The test runner reports every failure, and interrupts its processes cleanly."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """SROS 2 policies compared with what the nodes really open, with and without the services that change state."""
 
 from __future__ import annotations

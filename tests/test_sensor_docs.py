@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The examples of docs/reference/sensors.md and docs/how_to/adding_a_sensor.md are valid, and the named files exist."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The set-up makes a workspace, repairs it after interruptions, and does nothing if it is complete."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Errors of the set-up: one sentence with the remedy, and no unfinished part that counts as complete."""
 
 from __future__ import annotations

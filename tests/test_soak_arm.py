@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """An arm in one process: nothing is lost, and nothing grows."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Nodes that are interrupted at random times from their start on, under load: each ends soon, and cleanly."""
 
 from __future__ import annotations

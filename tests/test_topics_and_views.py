@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Topics of a running arm: usual subscribers receive all of them, and views for other tools name only existing ones."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Every command and Python block of docs/tutorials, run as a reader would: in bash, one block after the other."""
 
 from __future__ import annotations

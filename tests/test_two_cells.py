@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Two arms of one arm file in one domain: each has its own topics and frames."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The live page in Chromium: what is wrong, since when and where, in eight states; no old pose looks fresh."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Compare the pinned libraries with the known vulnerabilities in the database of PyPI: ``make audit``.
 
 Exit code 0: none is known; 1: some are, one line each; 2: the audit was not possible.

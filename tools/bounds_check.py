@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Use every library of requirements/base.in once, without ROS; the last line printed is the arm's poses as JSON.
 
 ``make bounds`` runs this script in virtual environments with different versions. With ``--poses`` nothing is checked.

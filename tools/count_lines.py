@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Print the lines of source, tests and documentation of each package, and their sums: ``make lines``."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Write docs/reference/design_calculators.md from the registered calculators: ``make docs``."""
 
 from __future__ import annotations

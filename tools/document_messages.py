@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Write the definitions of messages and services into docs/reference/messages.md: ``make docs``."""
 
 from __future__ import annotations

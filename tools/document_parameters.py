@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Write docs/reference/parameters.md from the declarations of the node parameters: ``make docs``."""
 
 from __future__ import annotations

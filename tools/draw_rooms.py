@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Draw the packages as boxes on floors, and the imports between them as arrows: ``make rooms``.
 
 An arrow leaves the importing package below, with the number of imports, and enters the imported one from above. It

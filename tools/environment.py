@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Folders of the workspace and environment variables of its programs.
 
 The set-up, ``./run`` and the test runner use this module before any library is installed: standard library only.

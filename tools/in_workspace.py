@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Run Python in the environment of the workspace: ``tools/in_workspace.py SCRIPT [arguments]``."""
 
 from __future__ import annotations

@@ -1,4 +1,6 @@
 #!/bin/sh
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 # Install the libraries of POSOR beside an official ROS 2 Jazzy on Ubuntu 24.04, and build the workspace for them:
 # what rosdep knows from apt, the rest by pip into ros2_ws/venv, which sees the libraries of the system.
 set -eu

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Resolve requirements/*.in, the libraries that the project names, and write exact versions to requirements/*.txt.
 
 All lists are resolved together first, so that they share one version of each library. A list with exact versions of its

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Check the machine before the set-up starts anything. Each error is one sentence with the remedy."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Measure which lines of the numerical packages tests execute: ``make coverage``.
 
 Kernels stay uncompiled, because the lines of compiled code cannot be observed. That makes them hundreds of times

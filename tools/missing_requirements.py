@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """List the locked libraries that are missing in an environment which sees an installed ROS.
 
 The set-up calls this script with the Python of the virtual environment, which has pip. Arguments: TARGET, then .in

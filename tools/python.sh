@@ -1,4 +1,6 @@
 #!/bin/sh
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 # Run a script with the first supported Python: $PYTHON if it is set, else python3, python3.12, python3.11.
 seen=
 for candidate in ${PYTHON:-python3 python3.12 python3.11}; do

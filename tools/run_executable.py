@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Run an installed executable in the environment of the workspace, as ``ros2 run`` does.
 
 The executable replaces this process, so that signals reach it.

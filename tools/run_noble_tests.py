@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Run tests with Python 3.12 and the libraries of Ubuntu 24.04: ``make test-noble [TESTS='path ...']``.
 
 ``build/noble/checkout`` is a checkout of the tracked files as they are here, with a virtual environment and a build of

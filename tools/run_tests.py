@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Run the linters and the tests in parallel processes, and print one line for each.
 
 A test file that may use ROS has a pytest process of its own, so that no ROS context leaks from one file into another;

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Progress of the set-up: one printed line and one log file for each step."""
 
 from __future__ import annotations

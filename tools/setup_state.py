@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Find the parts of the workspace that are missing or out of date, from files only: this runs before every program."""
 
 from __future__ import annotations

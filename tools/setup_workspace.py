@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Set the workspace up: virtual environment, libraries, ROS 2 Jazzy, colcon build with the library of kernels.
 
 Only missing or outdated parts are made, so that every ``make`` target and ``./run`` can call the set-up first. A step

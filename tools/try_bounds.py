@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Try POSOR with the lowest and with the newest versions of its libraries that the requirements admit: ``make bounds``.
 
 pip installs both sets into virtual environments below ``build/bounds``, together with the plain packages ``posor`` and

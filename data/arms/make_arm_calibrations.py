@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Make the calibration files of the simulated arms from the estimator's designs.
 
 Usage, with the Python of the workspace: ``python data/arms/make_arm_calibrations.py [OUTPUT_FOLDER]``. Writes

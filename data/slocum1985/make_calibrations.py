@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Make the calibration files of the 1985 rig from the numbers of the thesis.
 
 Usage, with the Python of the workspace: ``python data/slocum1985/make_calibrations.py [OUTPUT_FOLDER]``. Reads the CSV

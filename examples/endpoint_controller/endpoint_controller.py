@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """endpoint_controller: moves a stage so that an arm's endpoint, as measured by the POSORs, stays at its target.
 
 The arm follows its encoders and misses its target by errors that no encoder measures: bending, runout, backlash. A

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Keeps an endpoint at its target by a stage: python plain_controller.py --ros-args -r __ns:=/five_axis"""
 
 import math

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Packaging of posor_draw_wire for colcon (ament_python); the entry point is all that makes it a sensor type."""
 
 from __future__ import annotations

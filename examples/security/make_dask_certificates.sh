@@ -1,4 +1,6 @@
 #!/bin/sh
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 # Makes an authority, certificates of one year, and Dask's configuration for `reprocess --scheduler tls://...`:
 #   make_dask_certificates.sh FOLDER
 # Copy FOLDER, without authority.key, to every machine of the cluster under the same path, readable by its user only.

@@ -1,4 +1,6 @@
 #!/bin/sh
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 # Makes the keystore of an arm for SROS 2, with the enclaves that `bringup` and the launch files use:
 #   make_keystore.sh KEYSTORE ARM JOINT...      (with the ROS_DOMAIN_ID of the nodes)
 # ARM is the name of the arm with its namespace, if there is one: cell1/five_axis.

@@ -1,3 +1,5 @@
+// Copyright 2026 POSOR maintainers
+// SPDX-License-Identifier: Apache-2.0
 // Moves a stage so that the endpoint stays at its target; stops where the pose is not OK.
 //
 // ros2 run plain_controller_cpp plain_controller --ros-args -r __ns:=/five_axis

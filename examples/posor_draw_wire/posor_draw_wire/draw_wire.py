@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Draw wires (string potentiometers): the lengths of wires between the receiving plate R and the target plate T.
 
 Wire i is drawn out of its housing at the anchor ``a_i``, a point in R, and hooked to the attachment ``b_i``, a point in

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Entry points of setup.cfg; a LazyProgram loads its program when it is called."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Output files of the programs of this package, and the explaining texts of their pages."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Printed tables of the thesis, CSV files whose comment lines begin with ``#``, and the units of its numbers."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Scans of the independent truth for a calibration that is in memory, with the same calls as the estimator's model."""
 
 from __future__ import annotations

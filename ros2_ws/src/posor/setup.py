@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Packaging for colcon and pip by ``setup.cfg``, and the library of the kernels (``posor/kernel_build.py``).
 
 The library is built where numba and a C compiler are installed; of a source release, which holds the assembler text in

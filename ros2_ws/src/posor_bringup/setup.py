@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Packaging for colcon and pip; ``setup.cfg`` describes the package, and this file lists its data files."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Packaging for colcon and pip by ``setup.cfg``, where colcon cannot read ``python_requires``."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Accuracy of the estimator on simulated scans: ``./run posor_lab accuracy`` prints tables and writes JSON.
 
 With ``--design FOLDER`` it simulates a POSOR of ``posor design posor`` instead, and compares it with its requirement.

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Closure without noise, and consistency of the stated uncertainty: normalised errors, Monte Carlo (JCGM 101).
 
 Closure takes scans of known poses through the estimator and through the closed form of the thesis, equations 5.3 to 5.5

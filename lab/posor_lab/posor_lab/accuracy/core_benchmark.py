@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Speed of the core: ``./run posor_lab bench_core`` (``make bench-core``).
 
 Processor time for each design: microseconds for one scan with its covariances (``Posor.estimate``), and scans per

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Detection of faults in simulated runs: flagged in the first scan, false alarms, smallest detectable shift."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Check of the measurement model against a file of ray-traced cases: ``./run posor_lab golden FILE.jsonl``.
 
 Prints one JSON line: for each stack the largest error of a predicted reading [m] and of a recovered pose [m, rad].

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """arm_budget: error budget of an arm's endpoint, extended and with a bent wrist, beside the figures of the thesis.
 
 ``./run posor_lab arm_budget [--arm ARM.yaml] [--output budget.json] [--draws N]``

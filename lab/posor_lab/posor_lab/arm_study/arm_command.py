@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """arm: study of a simulated arm: runs its nodes with and without a controller, draws many arms, writes a report.
 
 The exit code is 0 only if every judged figure holds.

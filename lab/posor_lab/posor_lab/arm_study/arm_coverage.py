@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Coverage of the published uncertainty, and effect of the sag, over many simulated arms. No ROS.
 
 Each arm is drawn within the uncertainties of the files: all parameters of POSORs and measuring beams, sag, bearings,

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Interactive plots of a run of a simulated arm: errors along the path, each axis with its band, many arms."""
 
 from __future__ import annotations

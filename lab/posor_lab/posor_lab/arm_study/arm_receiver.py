@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Receives everything that a simulated arm publishes, tick by tick, and publishes its clock."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Record of an arm over a number of ticks: truth, endpoint by POSORs and by encoders, and why poses are missing."""
 
 from __future__ import annotations

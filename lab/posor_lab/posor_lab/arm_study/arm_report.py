@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Report of a simulated arm: findings on endpoint, controller, coverage, sag and budget; page; figures as JSON."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Runs a simulated arm in one process per node: one cycle of its scenario, and one more with a controller.
 
 The run publishes the clock of all nodes. It advances tick by tick, at most in real time, once everything of the last

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Calibration of whole arms against the independent truth: drawn arms, a simulated tracker, poses that are not used.
 
 The files state beams as assembled, and errors of one laboratory that all joints and beams share. A tracker sees

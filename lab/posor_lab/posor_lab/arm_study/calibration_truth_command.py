@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """calibration_truth: calibration of whole arms against the independent truth; or the files of one such calibration.
 
 ``make calibration-truth`` draws 100 arms, calibrates each from 40 poses, and compares it at 200 others.

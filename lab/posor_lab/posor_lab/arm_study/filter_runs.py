@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Runs of simulated arms at rest and in slow motion, for filters of the endpoint. No ROS.
 
 Each arm is drawn within the uncertainties of its files: the parameters and the environment of its POSORs, its measuring

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """A copy of a simulated arm whose files state the errors of one laboratory, common to all joints and beams."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Statements against the independent truth: arms drawn within their files, measured by the estimator.
 
 Of each drawn arm the parameters of all POSORs, the noise of their readings, supply voltage and temperature of their

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """statement_truth: U of ``posor statement`` against arms drawn with the independent truth.
 
 ``make statement-truth`` draws five_axis, six_axis and an arm of four joints as ``posor arm new`` makes it, with shared

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Files of a calibration of a whole arm, as a user has them: arm file, bag of raw scans, table of a tracker, its map.
 
 The arm moves from dwell to dwell. Its POSORs, beams and reflectors differ from the files; the tracker is simulated.

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """bench: speed of the stack (``make bench``).
 
 Measures latency, lost ticks, processor time and memory of the graph, from the stamp of a scan to the endpoint's pose in

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The sections of the benchmark; each returns its part of the JSON file."""
 
 from __future__ import annotations

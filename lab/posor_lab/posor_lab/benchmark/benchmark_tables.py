@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The figures of the benchmark as tables, for the terminal and for docs/background/performance.md.
 
 ``benchmark_tables.yaml`` has the texts and the aims.

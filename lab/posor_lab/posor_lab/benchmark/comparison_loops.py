@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Loops over the messages of a bag, as a user would write them, that `reprocess` is compared with.
 
 * Read only: reads and decodes each message with rosbags and does nothing else; the least that such a loop costs.

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """A thread that waits for ticks as a driver does and does nothing else: ``empty_loop.py RATE SPIN_US FILE``.
 
 A tick that is late here is late for every program on this host. Ends on SIGINT and writes its figures (JSON).

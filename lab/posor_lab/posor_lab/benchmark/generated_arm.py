@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Arms of any number of POSORs for the benchmark, made of the parts of the six-axis arm, and a bag of their scans.
 
 Joint 7 is the base turn again, mounted on the endpoint of the first six, and so on. The scans of a joint do not

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The graph that is measured: which nodes run, in which processes, at which rate.
 
 Every process is a `compose` with its own composition file, even for a single node: layouts differ only in which nodes

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Runs a graph for some time and measures it from outside."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Growth of the processor time with the number of joints and with the rate: straight lines and their residuals."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Receives the endpoint's poses in its own process and stores their times: ``latency_receiver.py TOPIC FILE``.
 
 The messages stay serialised. Ends on SIGINT and writes an array of integers, (n, 4): stamp, publication, reception

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Speed of offline processing: `reprocess` and the loops that it is compared with, on a long bag made of a short one.
 
 `reprocess` runs as a program of its own; its processor time gives figures per core, and its memory is its own.

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Shows the live page in Chromium until SIGINT: ``page_reader.py ADDRESS``.
 
 The browser runs at the lowest priority. Without a graphics card the processor draws the arm, and this work, which a

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Nodes with the topics, message sizes and connections of posor_node and chain_node that compute nothing.
 
 A graph of these nodes shows the cost of middleware and Python alone. Their messages are prepared; only the

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Writes the tables of benchmark runs into a page: ``performance_page.py PAGE BENCH_JSON...``.
 
 The page is docs/background/performance.md. The table of a name stands between ``<!-- name -->`` and ``<!-- end -->``.

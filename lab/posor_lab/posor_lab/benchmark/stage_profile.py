@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """A `compose` with a stopwatch around every stage of a tick: ``stage_profile.py COMPOSITION FILE``.
 
 Writes the time of each stage per tick, and the times from the stamp to the milestones of a tick, into FILE (JSON) at

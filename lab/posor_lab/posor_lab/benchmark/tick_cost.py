@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Processor time of the nodes in a tick: the scans of all joints are published in a loop, in one process.
 
 The thread's processor time leaves out the time in which the host ran others, so the figures of a busy host can be

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Statistics of a measured time window (latencies, lost ticks), and the host on which the benchmark runs."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """calibrate_demo: simulated calibration campaigns from bags to a calibrated POSOR, compared with the truth.
 
 ``./run posor_lab calibrate_demo`` draws a POSOR, records every step of its calibration as a rosbag2 bag,

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The calibration rig of a campaign: raw scans with noise and converter, and the readings of a reference."""
 
 from __future__ import annotations

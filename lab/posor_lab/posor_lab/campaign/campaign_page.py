@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Report page of calibration campaigns: tables and interactive plots."""
 
 from __future__ import annotations

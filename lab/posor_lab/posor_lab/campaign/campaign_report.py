@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Evaluation of one campaign of a POSOR: its findings, and all figures as JSON, in SI units."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Runs a campaign: in memory, or with rosbag2 bags and the code of the ``calibrate`` command line."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """A series of campaigns in several processes, and the coverage of the stated intervals over the series."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The steps of a campaign: for each procedure the motion, the reference instrument and the options.
 
 Each step is an afternoon's work on an existing rig: a stage with an interferometer, an autocollimator, an adjustable

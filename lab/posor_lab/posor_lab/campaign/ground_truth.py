@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The POSOR of a campaign: its calibration as built, and its true parameters."""
 
 from __future__ import annotations

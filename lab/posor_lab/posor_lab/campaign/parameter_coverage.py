@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Estimated parameters of a calibration file beside their true values, and the campaign step that measured each."""
 
 from __future__ import annotations

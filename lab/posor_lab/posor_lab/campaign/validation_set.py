@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """A calibrated POSOR at poses that no procedure has used: its errors, and the errors that its budget predicts.
 
 Each pose has one scan with noise and converter and one scan without; errors of the latter come from the calibration.

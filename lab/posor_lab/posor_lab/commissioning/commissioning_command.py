@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """commissioning: whether 'posor commission' finds exchanged plugs, signs and wrong files, and passes sound arms.
 
 Writes ``commissioning.json``. The exit code is 0 only if every fault is found by a check of the stated kind, and every

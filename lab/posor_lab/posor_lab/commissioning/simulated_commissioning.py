@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The recording of a commissioning of a simulated arm, with exchanged plugs, inverted signals and wrong files.
 
 The simulator moves the arm through all steps; probes are lifted, diodes covered and plugs exchanged in its raw scans.

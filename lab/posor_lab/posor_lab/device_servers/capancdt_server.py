@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Counterpart of a capaNCDT 6200 controller: command port and data port, a clock of its own and faults on demand.
 
 Written from the operating instructions, chapter 6, and from what public readers of the controller expect: the preamble

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Counterparts of a LabJack with faults on demand: Modbus registers, and the stream of a T7."""
 
 from __future__ import annotations

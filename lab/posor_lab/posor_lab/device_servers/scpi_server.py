@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Counterpart of a scanner with SCPI commands: the server of scpipy, with faults on demand."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Server of binary frames over TCP or UDP, with a clock of its own and faults on demand."""
 
 from __future__ import annotations

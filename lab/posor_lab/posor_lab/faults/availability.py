@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """How many sound scans of a drawn arm are OK: the rate of false alarms of each single arm, not of the mean of all arms.
 
 The errors of one calibration are the same in all scans of an arm and shift its rate of false alarms. The raw scans obey

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Faults of a physical cause in raw scans, and what becomes of the poses: the judge of the protection levels.
 
 A pose is wrong where it is OK or DEGRADED, beyond 5 standard deviations of the truth, and beyond its own protection

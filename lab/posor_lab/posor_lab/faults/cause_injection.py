@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Faults of a physical cause in the raw scans of a drawn device.
 
 The faults are made in voltages, currents and positions, not by the directions with which the estimator bounds them.

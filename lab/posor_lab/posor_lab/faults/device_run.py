@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Faults of devices: a capaNCDT behind real sockets stalls, loses, corrupts or restarts its frames, or goes away.
 
 The test rig reads its gap probes from the counterpart of the controller, whose clock drifts by 50 ppm and which also

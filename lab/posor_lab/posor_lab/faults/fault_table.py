@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Rows of the fault table, which ``fault_table.yaml`` lists, their results, and the arms whose scenario has faults."""
 
 from __future__ import annotations

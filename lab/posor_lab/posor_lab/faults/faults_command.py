@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """faults: injects every fault of the fault table into nodes and estimator, and a storm of all of them.
 
 Prints fault, expected and seen behaviour, time to naming, and wrong poses published as valid; writes ``faults.json``.

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Runs the nodes of an arm and injects faults one after the other: base of all live runs, and faulty readings."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Protection levels of an arm at rest whose temperatures are known, over the postures of its scenario."""
 
 from __future__ import annotations

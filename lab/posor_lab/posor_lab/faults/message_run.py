@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Faulty messages: the program plays one node of the test rig and publishes faulted raw scans or transforms.
 
 The other nodes are the real ones. ``inject`` of a row: ``topic``; ``set``, ``add`` and ``times``, each with values by

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Coverage of the endpoint's protection level in fast motion, with all that is bounded at its stated bound at once.
 
 An arm moves at up to 0.7 rad/s and rests in between. Each drawn arm differs from its files within their uncertainties

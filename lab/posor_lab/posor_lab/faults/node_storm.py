@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The storm of faults through real posor_nodes: the program plays their drivers, without loss, in stretches.
 
 After each stretch it waits for all transforms; between two of them an operator acknowledges. There is no encoder here:

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Faults without nodes: faults that no reading shows, and slips of light sources, in simulated scans. No ROS.
 
 A case of a hidden fault is one scan of a joint at a random pose, with sensors drawn within the uncertainties of their

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Faults of time through estimator, synchroniser and chain without nodes: more kinds and sizes than nodes can run.
 
 An arm moves at up to 0.7 rad/s and rests in between, with 200 scans per second. ``inject`` of a row holds:

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Which poses are wrong: further from the truth than their stated covariance allows."""
 
 from __future__ import annotations

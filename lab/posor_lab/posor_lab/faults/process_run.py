@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Faults of processes and links: nodes of the test rig are ended in every way, its link is cut, one after the other.
 
 The nodes run in processes of their own. A relay between driver_node and posor_node is the link: when its process is

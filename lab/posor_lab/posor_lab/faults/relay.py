@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """A relay of raw scans between two topics: the link of a driver, which the program cuts by stopping this process.
 
 Started by ``process_run`` as ``relay.py FROM TO``.

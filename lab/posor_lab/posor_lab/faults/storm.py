@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """A storm of faults through the estimator: many scans of which nearly a third is faulty, all kinds mixed.
 
 Three stacks with a fourth gap probe: light ring, bumpy ring, fixed diodes. The scans obey the independent truth, with

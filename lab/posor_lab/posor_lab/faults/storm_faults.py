@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The faults of the storm: the change that each makes to some scans of a block.
 
 Offsets are at least twice the minimal detectable bias of their probe. Faults of a cause have any size within its bound,

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Faults of time: clocks that contradict each other, scans in another order, channels read one after another.
 
 A pose is compared with the truth at the time of its readings, which follows from its number, where the clock was set,

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Judges how a generated bag is read and recovered, by the record of what was written into it."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """bags: generates bags as other writers and killed recorders leave them, reads and recovers each, and counts.
 
 The exit code is 0 only if every valid bag is read whole, or read with the rest listed, every message that is whole is

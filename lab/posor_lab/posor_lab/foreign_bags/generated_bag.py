@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """A bag of arbitrary content, arrangement and writer, with the record of what was written into it."""
 
 from __future__ import annotations

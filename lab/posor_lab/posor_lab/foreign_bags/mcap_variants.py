@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """MCAP files with every freedom that the specification leaves to a writer (https://mcap.dev/spec)."""
 
 from __future__ import annotations

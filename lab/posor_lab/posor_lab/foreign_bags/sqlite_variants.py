@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """SQLite files of every version of rosbag2, closed or as a killed recorder leaves them."""
 
 from __future__ import annotations

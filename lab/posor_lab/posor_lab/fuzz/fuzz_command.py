@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """fuzz: damages messages and files at random and counts the results of the programs.
 
 The exit code is 0 only if no damaged message gives a wrong pose, the nodes answer every sound message and their memory

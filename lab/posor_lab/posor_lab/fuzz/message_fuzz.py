@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Damaged raw scans and joint transforms through the byte path of the nodes, compared with the undamaged ones.
 
 A pose published as valid is wrong if it differs from the pose of the undamaged message by over 5 standard deviations,

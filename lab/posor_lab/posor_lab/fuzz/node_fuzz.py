@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Damaged messages over DDS to a running posor_node and chain_node, each before a sound one, which must be answered.
 
 The program plays the driver, or all posor_nodes, in step: it publishes a damaged message and a sound one, and waits for

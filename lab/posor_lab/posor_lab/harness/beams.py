@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Entries of beams files for tests, and a beams file of some entries."""
 
 from __future__ import annotations

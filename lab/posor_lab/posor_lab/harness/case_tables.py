@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Test cases as data in YAML files beside the tests, and the errors that refused input gives."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """A simulated POSOR with parameters drawn from the uncertainties of its calibration, and a pose reference."""
 
 from __future__ import annotations

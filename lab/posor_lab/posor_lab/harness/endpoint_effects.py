@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """How shifts of joints and expansions of beams move an endpoint, by pinocchio: the reference of the kernels."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """A stand-in for a full disk: a limit of the size of the files of this process."""
 
 from __future__ import annotations

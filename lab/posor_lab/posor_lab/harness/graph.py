@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """A node of the test: receives, publishes and calls services in the ROS domain of the environment."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Nodes in the test's own process: composed nodes with intra-process delivery, and a node that refuses to start."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Figures of ISO 9283 once more, from the table of points that ``posor iso9283`` writes, with other formulas and sums.
 
 Written from the public description of the standard alone; it shares no code with ``posor_design.iso9283``. Run it as a

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Conversion between ROS messages and the types of the numerical packages."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Runs one program in a process of its own and waits for its output."""
 
 from __future__ import annotations

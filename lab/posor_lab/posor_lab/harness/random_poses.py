@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Random poses over the range of a design that all sensors can read."""
 
 from __future__ import annotations

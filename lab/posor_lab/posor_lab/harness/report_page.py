@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Reads a report page: its problems, its texts, and the data that its plots offer for download."""
 
 from __future__ import annotations

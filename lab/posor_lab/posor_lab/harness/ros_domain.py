@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Isolates a run from other ROS programs on this host by a domain of its own."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Reading rows from plain lists of parameters, for the tests of the measurement model."""
 
 from __future__ import annotations

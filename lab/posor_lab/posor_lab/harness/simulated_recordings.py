@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Simulated recordings for tests of calibration: scans of a target moved from dwell to dwell, with a reference."""
 
 from __future__ import annotations

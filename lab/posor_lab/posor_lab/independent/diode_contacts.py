@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Contact currents of a lateral effect diode: the ratios at which its calibrated map gives a spot.
 
 The ratios are (A - C) / (A + C) along x and (B - D) / (B + D) along y. The maps are described in the reference of the

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Sag of a beam on two gimbals by finite elements: Euler-Bernoulli elements of the bending in one plane.
 
 Degrees of freedom of a node: deflection w [m], slope w' [rad]. Gravity acts as the consistent loads of a uniform mass,

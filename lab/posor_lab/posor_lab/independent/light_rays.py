@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Light spots: rays of the sources traced to the diodes' planes, and the sources that are lit."""
 
 from __future__ import annotations

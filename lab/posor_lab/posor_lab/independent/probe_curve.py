@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """From the distance that a probe measures to its voltage, by a table of its curve."""
 
 from __future__ import annotations

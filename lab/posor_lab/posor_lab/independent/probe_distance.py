@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Distance from a probe to the surface in front of it, averaged over the probe's area.
 
 A capacitive probe measures the mean of 1 / distance over its area, along lines parallel to its axis. The calibration

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Geometry of an arm by its files: the URDF by pinocchio, sag by finite elements, warm beams slice by slice."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Raw readings of one joint by its calibration file, for many poses of its target plate."""
 
 from __future__ import annotations

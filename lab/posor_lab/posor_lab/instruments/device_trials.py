@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The trials: for each kind of device a server over real sockets, and the instruments file that fits.
 
 ``device_trials.yaml`` lists them. The clock of a device cannot show its least delay, so an instruments file states it:

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Readings of a simulated arm at any time, as devices measure them, and the true endpoint."""
 
 from __future__ import annotations

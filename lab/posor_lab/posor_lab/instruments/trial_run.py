@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Runs a trial: servers, one process with drivers and nodes, and the endpoint compared with the truth."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """instruments_trials: tries every kind of device against a server over real sockets; exit code 0 if all aims hold.
 
 The aims are in ``docs/reference/instruments.md``.

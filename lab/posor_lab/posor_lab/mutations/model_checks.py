@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Checks of the estimator's model against the independent truth, and against ray-traced cases.
 
 A calibration of a design is made generic: every uncertain value is off by several of its standard uncertainties, so

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """One mutation in a process of its own: ``python -m posor_lab.mutations.mutated_model`` prints the checks as JSON.
 
 Standard input holds the mutation. The source of its module is changed while it is imported; no file is written. The

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """mutations: breaks the estimator's model in every way of a table, and finds the check that notices.
 
 First the unchanged model passes all checks against the independent truth: that states the agreement of both models.

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """demo: replays a motion test of 1985 through the nodes, shows it live, compares it with the thesis, writes a report.
 
 Exit code 0 only if the comparison holds.

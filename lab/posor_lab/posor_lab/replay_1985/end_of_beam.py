@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The tests TWIS and GEN: the formulas of 1985, from gaps and light spots to the end of the beam, and their simulation.
 
 The formulas are those of the listings of appendix 8A. The input records of both tests are not in the scan. The

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """A motion test of 1985: outputs of POSOR, chain and machining centre at each step, of a replay or without nodes."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Printed results of the motion tests: result columns of appendix 8B, predicted errors of section 8.4."""
 
 from __future__ import annotations

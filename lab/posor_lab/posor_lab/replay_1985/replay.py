@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Replay of a bag through driver, POSOR, chain and recorder, each in its own process, and the steps that they give."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Report page of a replay: angles as in figures 8.8 to 8.14, comparison with the thesis, endpoint, steps."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The steps of a replay as a table: live in a terminal, as plain lines elsewhere, and as CSV."""
 
 from __future__ import annotations

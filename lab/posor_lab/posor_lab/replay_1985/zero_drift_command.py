@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Digital zero-drift search on the recorded tests of 1985, compared with the shifts of the thesis (8.3.1, table 8.1).
 
 ``./run posor_lab zero_drift_1985`` prints, for YMO and YZMO, the zero shifts with uncertainty and correlations,

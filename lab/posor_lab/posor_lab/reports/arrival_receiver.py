@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Receives the messages of an arm's nodes, with the times of arrival."""
 
 from __future__ import annotations

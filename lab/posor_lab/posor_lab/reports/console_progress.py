@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Progress of a run in the terminal: a table that is redrawn, progress bars; plain lines where there is no terminal."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Findings of a run: each figure with its limit and verdict, printed in the terminal and shown on a page."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Receives the messages of a graph, or plays all neighbours of a node, while a supervisor runs the processes."""
 
 from __future__ import annotations

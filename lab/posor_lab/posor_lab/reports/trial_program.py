@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The skeleton of programs that judge nodes: options, isolated network, findings, JSON file, exit code."""
 
 from __future__ import annotations

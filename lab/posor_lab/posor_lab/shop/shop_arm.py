@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """A copy of a simulated arm in a warm shop: its beams have thermometers and gradients."""
 
 from __future__ import annotations

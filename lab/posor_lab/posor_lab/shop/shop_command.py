@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """shop: endpoint of an arm in a shop whose temperature changes by +-10 K, with and without thermometers.
 
 ``make shop`` draws arms of five_axis with the independent truth. Exit code 0: with thermometers the error is at most a

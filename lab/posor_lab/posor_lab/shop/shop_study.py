@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Error and coverage of the endpoint of arms whose beams are warm, with and without thermometers. No ROS.
 
 Each arm is drawn within the uncertainties of its files: temperatures, gradients and errors of thermometers too. Its

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Memory, descriptors, threads and processor time of a process at one moment, from /proc."""
 
 from __future__ import annotations

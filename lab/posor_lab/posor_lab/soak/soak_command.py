@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """soak: runs a simulated arm in one process for a long time; the exit code is 0 only if nothing is lost or grows.
 
 Every scan has a state on ``endpoint/state``, and a pose unless the state says why not. A tick without a state was

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Tables 5.2, 5.4, 7.9 and 7.12 of the thesis, cell by cell: printed number, number of the model, reason.
 
 ``budgets`` of ``03_budgets.yaml`` has the tables: ``title``, ``file`` with the printed cells, ``name`` of a row,

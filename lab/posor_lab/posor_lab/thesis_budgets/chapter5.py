@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The POSOR of chapter 5 as a model: effect of a unit of each perturbation of its error budgets.
 
 ``budgets`` of ``03_budgets.yaml`` calls the functions of this module for tables 5.2, 5.4, 7.9 and 7.12.

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Errors that section 8.4 predicts for the motion tests: the budgets of chapter 7 over the travels of table 8.1.
 
 Lengths are in inch and angles in rad, as in the other budgets of the thesis.

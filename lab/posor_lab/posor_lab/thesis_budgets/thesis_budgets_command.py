@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """budgets: the error budgets of the thesis, tables 5.2, 5.4, 7.9 and 7.12, cell by cell from the measurement model.
 
 Exit code 0 only if every difference to a printed cell is explained.

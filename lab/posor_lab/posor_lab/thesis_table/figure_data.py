@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Figures of the thesis, redrawn from the files of rows.
 
 A figure of a file is a call that returns plots, or a mapping with ``title``, ``x`` and ``y`` (labels) and as needed:

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Plain functions that the files of rows call beside the design calculators: arithmetic, and the thesis' own rules."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Functions and figures of the motion tests of chapter 8: predictions, replays, and the tables of TWIS and GEN."""
 
 from __future__ import annotations

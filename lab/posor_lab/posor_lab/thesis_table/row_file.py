@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Files of rows: the thesis table as data, and its evaluation.
 
 A file is a YAML mapping:

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """One row of the table of the thesis: printed number, computed number, verdict, and kind of the comparison."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """thesis: printed numbers of the thesis beside the computed ones, row by row, with the figures redrawn.
 
 Exit code 0: every row has been computed, whether or not it agrees.

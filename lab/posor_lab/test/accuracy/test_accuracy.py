@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Accuracy of the estimator on simulated scans: exact inversion, consistent uncertainty, detection of faults."""
 
 from __future__ import annotations

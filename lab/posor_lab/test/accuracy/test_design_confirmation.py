@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Confirmation of a designed POSOR: a sound one is confirmed; a tightened requirement or optimistic file is not."""
 
 from __future__ import annotations

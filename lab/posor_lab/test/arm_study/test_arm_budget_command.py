@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Budget of the five-axis arm against the printed figures of the thesis."""
 
 from __future__ import annotations

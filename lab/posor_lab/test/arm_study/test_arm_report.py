@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Errors, findings, page and JSON figures of constructed records."""
 
 from __future__ import annotations

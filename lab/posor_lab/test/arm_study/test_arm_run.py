@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Start of a simulated arm: its stages are shown, and a missing topic ends it with one sentence."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Calibrated arms against the independent truth: a few in CI, ``make calibration-truth`` calibrates many."""
 
 from __future__ import annotations

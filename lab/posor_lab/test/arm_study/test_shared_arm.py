@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Coverage of arms whose joints and beams share the errors of one laboratory, added coherently or not."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Statements against arms drawn with the independent truth: a few in CI, ``make statement-truth`` draws many."""
 
 from __future__ import annotations

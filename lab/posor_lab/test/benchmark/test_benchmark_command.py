@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """make bench: all figures are measured and consistent; wrong options are refused. No figure is judged here."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Comparison of the loop's bag with a reprocessed bag: differences are found and named."""
 
 from __future__ import annotations

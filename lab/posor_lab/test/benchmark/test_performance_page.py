@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Aims and tables of docs/background/performance.md."""
 
 from __future__ import annotations

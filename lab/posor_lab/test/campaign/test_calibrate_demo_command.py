@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """calibrate_demo from end to end: bags, calibration files, report, figures, verdict."""
 
 from __future__ import annotations

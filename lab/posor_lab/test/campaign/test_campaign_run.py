@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """One simulated campaign: drawn POSOR, recordings, procedures, comparison with the truth."""
 
 from __future__ import annotations

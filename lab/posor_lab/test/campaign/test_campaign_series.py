@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Series of campaigns: coverage of right, too small and too large uncertainties."""
 
 from __future__ import annotations

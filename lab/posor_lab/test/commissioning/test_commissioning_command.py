@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Rows of the table of wiring faults, arms without a fault, and 'posor commission' with recordings as real bags."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """faults: the quick part from end to end, the table, the judgement of poses, and refused options."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The storm through a posor_node: every scan is answered, whatever the node was doing before the first."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Bags of other writers and of killed recorders: each is read whole, listed, or refused in one sentence."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Files of every format with one entry replaced by anything: a valid object or one sentence, never another error.
 
 ``fuzz_files`` damages bytes, which mostly gives invalid YAML; these files parse and are wrong in one entry.

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Damaged messages and files, a seeded part of the program ``fuzz``."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The independent model of an arm: finite elements against textbook cases, pinocchio's kinematics, the simulator."""
 
 from __future__ import annotations

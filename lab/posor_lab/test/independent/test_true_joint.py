@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The independent model of one joint: ray-traced cases, the averaged area, curves and sessions, refused files."""
 
 from __future__ import annotations

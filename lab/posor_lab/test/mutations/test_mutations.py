@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Mutations of the model: the table fits the source, the unchanged model agrees, a few mutations are noticed."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Motion tests made from the printed result table: real data, known to the microradian."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Comparison of a motion test with the thesis: what holds, what fails."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The formulas of TWIS and GEN: against printed results of YMO, against their own simulation, and their figures."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Steps of a motion test and what follows from them, also without nodes: the same figures as those of a replay."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The table of steps: terminal, plain lines, CSV."""
 
 from __future__ import annotations

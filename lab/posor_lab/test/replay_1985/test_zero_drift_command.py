@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The zero-drift search on the recorded tests of 1985: less error than the thesis' own shifts leave."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Progress in the terminal and elsewhere."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Arms in a shop: a few in CI, ``make shop`` draws many."""
 
 from __future__ import annotations

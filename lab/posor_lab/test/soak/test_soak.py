@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """A short run of the arm, and the judgement of scans that were missed, refused or lost."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The model of chapter 5 against numerical derivatives of the closed forms of the thesis."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Predictions of section 8.4: the printed figures, and that they follow from budgets and travels."""
 
 from __future__ import annotations

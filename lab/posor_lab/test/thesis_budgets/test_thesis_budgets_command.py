@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Error budgets of the thesis: every printed cell is there, and agrees or is explained by a number."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The evaluator of the files of rows: values, tables, refusals with file and row."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Functions that only the files of rows call, against geometry and against other inputs."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """make thesis: the table, its JSON file and its page; the numbers that must have a row."""
 
 from __future__ import annotations

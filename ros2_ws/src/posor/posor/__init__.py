@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """POSOR estimation: poses and covariances from the readings of position and orientation sensors.
 
 The names in ``__all__`` are the public Python API. They need no ROS, and are imported when they are first used. All

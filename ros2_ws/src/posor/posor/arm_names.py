@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Arms by name: the arm files that ROS packages install, and the argument ARM of all programs."""
 
 from __future__ import annotations

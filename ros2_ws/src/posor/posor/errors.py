@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The error hierarchy of the POSOR stack.
 
 Each error prints one sentence: what is wrong, where, and what is expected. Place (file, line, key) and offending value

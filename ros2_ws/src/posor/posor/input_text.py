@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Text files that a user names: read whole, without waiting for anybody."""
 
 from __future__ import annotations

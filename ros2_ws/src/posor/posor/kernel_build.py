@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Build the library of the kernels: ``python -m posor.kernel_build FILE``.
 
 The build needs numba and a C compiler, the library needs neither.

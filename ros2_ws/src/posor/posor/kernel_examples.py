@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """One use of every kernel of ``kernel_build.ENTRIES`` with the types that programs use, for the build and for tests."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Entry points of programs whose libraries take seconds to load; an interruption meanwhile ends with one line, too.
 
 This module and the modules that name the programs in ``setup.cfg`` import only light parts of the standard library.

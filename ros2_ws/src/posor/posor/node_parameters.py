@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The parameters of every node, of posor_node and of chain_node; documentation and checks follow from these fields.
 
 This module imports no ROS. Drivers declare their parameters in ``posor_drivers.driver_parameters``, since those depend

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Node parameters as frozen pydantic models, independent of rclpy.
 
 A field declares one ROS parameter: type, default, range and description. The validation, the error messages, the

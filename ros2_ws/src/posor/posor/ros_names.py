@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Names of topics and message types of the stack. This module imports no ROS."""
 
 from __future__ import annotations

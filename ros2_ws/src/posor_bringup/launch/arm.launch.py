@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Starts all nodes of an arm: chain_node, and posor_node and driver_node of each joint.
 
 ``ros2 launch posor_bringup arm.launch.py arm:=five_axis`` or ``arm:=path/of/arm.yaml``. Further parameters of all

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Runs the nodes of a composition file in one process: ``ros2 launch posor_bringup compose.launch.py file:=FILE``."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Replays a motion test of 1985 through driver, POSOR and chain.
 
 ``ros2 launch posor_bringup replay_1985.launch.py bag:=zmo calibration:=section84``

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """arm: makes the files of a new arm, and checks those of an arm."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The nodes of an arm as programs, and how they share processes; used by ``bringup``, the launch file and the tests."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Checks all files and parameters of an arm before any node starts.
 
 Everything that is wrong is reported at once. ``posor arm check``, ``bringup``, the launch file and all programs that

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """bringup: starts all nodes of an arm, reports a node that fails, and ends all nodes on Ctrl-C or SIGTERM."""
 
 from __future__ import annotations

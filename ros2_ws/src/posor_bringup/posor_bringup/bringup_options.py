@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Command-line options and output folders of the programs that start a graph."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Program ``calibrate-arm``: POSORs, beams, base and tool of an arm at once, from references of its endpoint."""
 
 from __future__ import annotations

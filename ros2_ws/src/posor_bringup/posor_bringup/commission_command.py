@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """commission: checks plugs, motions and files of an arm, and writes its commissioning record if it passes.
 
 A running arm is recorded while the program guides through the steps; with ``--bag`` an earlier recording is checked.

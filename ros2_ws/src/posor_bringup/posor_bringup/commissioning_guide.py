@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Guides a person, or a robot program, through the steps of a commissioning, and records the arm meanwhile.
 
 Each step is announced, begins and ends; ``posor_msgs/CommissioningStep`` says so on a topic that is recorded beside the

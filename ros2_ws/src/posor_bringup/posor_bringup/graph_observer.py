@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Finds nodes of an arm that run in the ROS domain already, before and after its own are started.
 
 Node names of ROS 2 need not be unique: a second arm of the same name would publish on the same topics.

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Paths of the installed files of the 1985 rig."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Program ``iso9283``: accuracy and repeatability of poses, distances and paths of a recorded arm (ISO 9283:1998)."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """``posor arm new``: the files of a simulated arm, to be completed by the measured values of a real one."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """posor: one command for the programs that a user starts; ``posor SUBCOMMAND --help`` lists the options of each."""
 
 from __future__ import annotations

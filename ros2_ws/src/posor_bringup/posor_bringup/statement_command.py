@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Program ``statement``: the uncertainty of an arm's endpoint for a customer, as one page, PDF and JSON."""
 
 from __future__ import annotations

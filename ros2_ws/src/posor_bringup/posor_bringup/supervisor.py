@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Runs the programs of a graph as processes: starts them with log files, detects failures, ends all of them.
 
 ``concurrent.futures`` runs Python functions; these are ROS executables that run until SIGINT and must end in order.

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Views of an arm for RViz, Foxglove and PlotJuggler, from the templates in ``views``."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Charts of the live page as one picture (SVG): all have the same time axis in UTC.
 
 Browsers show the picture as it is, so that neither the time zone of a browser nor its language changes the axis.

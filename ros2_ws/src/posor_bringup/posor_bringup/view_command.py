@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """view: shows a running arm, or a bag of one, on a web page of this host until SIGINT or SIGTERM.
 
 The program joins the graph as the node ``view`` without publishers. DDS keeps the newest messages of each topic; a loop

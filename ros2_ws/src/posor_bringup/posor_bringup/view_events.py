@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Causes for which an arm is not sound, and a bounded log of them: when, which joints, what, how long.
 
 The reason of every ``endpoint/state`` becomes causes, each with the joints that it concerns. A cause that returns

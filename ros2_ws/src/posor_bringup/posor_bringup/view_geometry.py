@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Geometry of the live page: links and bodies of an arm, its poses as measured and by the encoders, their difference.
 
 The nominal arm has joints without error motions at the encoders' angles, and straight beams. A joint without an encoder

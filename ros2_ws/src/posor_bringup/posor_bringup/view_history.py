@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The history of an arm at falling resolution: windows of time, each with the same number of points.
 
 A point holds the least and the largest value of each quantity in its part of the window, so that no peak is lost, and

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The newest messages on an arm: taken from DDS, or read from a bag.
 
 Messages stay bytes until the page is drawn: several hundred arrive in a second, and few are drawn.

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The state of an arm by the newest messages: endpoint, measured joints, and whether each of them can be trusted.
 
 Silence is a fault: a joint or an endpoint without new messages is reported as silent, with its last numbers left out.

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The live page: a web page on this host with the statement on the endpoint, the arm in 3-D, charts and events."""
 
 from __future__ import annotations

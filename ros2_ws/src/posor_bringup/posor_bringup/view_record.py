@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The record of an arm that a reloaded page finds again: its events and its history."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Recordings for the live page from raw scans: transforms and states of the endpoint, as the nodes publish them.
 
 The numbers are those of the pipeline of ``reprocess``, the verdicts those of ``chain_node``. The age of a state is not

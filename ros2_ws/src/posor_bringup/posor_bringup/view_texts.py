@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Texts of the live page: the statement on the endpoint, the causes, the joints, the numbers and the log of events.
 
 The statement says where the endpoint is, to within how much, and why this may be believed; or why it is not known.

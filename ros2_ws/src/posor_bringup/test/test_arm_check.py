@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """posor arm new and posor arm check: a new arm is right, and all mistakes of an arm are reported at once."""
 
 from __future__ import annotations

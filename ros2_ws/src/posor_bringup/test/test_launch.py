@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Launch files, as far as they can be checked without ``launch``, which is not on PyPI."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """posor: one command that starts the programs; a wrong subcommand is one sentence."""
 
 from __future__ import annotations

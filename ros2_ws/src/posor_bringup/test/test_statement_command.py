@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """posor statement: the three files agree, every origin leads to its line, and what it refuses."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Bags for the live page: raw scans alone give the states and transforms; the shipped bag is that of its script."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Fit calibration parameters, with their uncertainties, to recorded scans and a reference. No ROS here.
 
 The names in ``__all__`` are the public Python API, imported when they are first used. All other modules are private.

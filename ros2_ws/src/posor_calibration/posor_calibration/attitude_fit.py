@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Fit of parameters to a reference's attitude of the moving target: alpha, beta, theta.
 
 The estimator itself is the model: for each set of parameters all scans are estimated again, and their angles compared

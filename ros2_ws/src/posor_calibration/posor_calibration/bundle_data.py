@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Data of a bundle fit from a recording: scans with approximate poses, and the pose reference if there is one."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Residuals of a bundle fit: every reading of every scan, with the poses eliminated.
 
 The pose of each scan is unknown, or known by a reference with its uncertainty. Gauss-Newton finds the pose for given

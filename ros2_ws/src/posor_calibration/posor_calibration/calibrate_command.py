@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """calibrate: fit a calibration file from a recorded bag; list the procedures, compare files, check for drift."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Fit a calibration: from scans with reference measurements, or from a bag, by a procedure of the registry.
 
 ``calibrate`` and ``fit`` share this module: both read and check the recording, run the procedure and update the

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Numbers of a calibration file in a stack's parameter vector: which are fitted, and which stay fixed but uncertain."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Write the outcome of a procedure into a calibration: new values, and a fit record of their origin."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Single diodes, and the spots that they see at the dwells of a stage that carries the light or the diodes."""
 
 from __future__ import annotations

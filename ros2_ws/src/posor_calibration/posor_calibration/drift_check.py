@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Check whether a calibration still explains a recording, and which of its parameters have drifted."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Dwells: times during which the reference stands still, and the mean scan of each with its standard uncertainty.
 
 While the target rests, a channel scatters by its noise only. Readings far outside that scatter are left out of the

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Tables, warnings and refusals that the fits of all procedures share."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Polynomials from a gap probe's voltage to its gap: fitted at every order, compared, one selected.
 
 Source: thesis 7.5.1; tables 7.3 to 7.6 list the residuals against the order, table 7.10 the coefficients. The fit uses

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Single gap probes, evaluated by the sensor's own model, and their reference gaps at dwells."""
 
 from __future__ import annotations

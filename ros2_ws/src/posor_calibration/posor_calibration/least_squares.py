@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Least squares with full covariance, robust losses, priors, and refusal of parameters that the data do not determine.
 
 The minimum is found by ``scipy.optimize.least_squares``. Added here are the covariance of the estimates (JCGM 100, 5.2;

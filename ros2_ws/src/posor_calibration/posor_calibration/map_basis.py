@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Diode positions as functions of the current ratios: least squares, the choice of the order, error between curves."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Command-line options of a procedure, generated from the model that declares them."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The outcome of a procedure for people: a verdict of a few lines, a page with everything, the same numbers as JSON."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Propose further poses that would determine parameters that a bundle fit leaves open."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Interface of a calibration procedure: options in, fits and changes to the calibration file out."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """All calibration procedures by name, in this order: those of every module in ``procedures``."""
 
 from __future__ import annotations

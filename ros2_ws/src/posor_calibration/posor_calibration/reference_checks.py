@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Checks of a reference beside the fit: values that it repeats while the target moves, and its drift.
 
 A reference that has stopped, such as a tracker whose beam is broken, often repeats its last value. At rest, a reference

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The parameters of a POSOR as the bundle fit takes them: which number of the file each is, and which is free."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Outcomes of procedures in a calibration file: new values, the record of the fit, and invalid outcomes."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Error between the curves of a diode's map: exact for a parabola, right for a smooth map, wrong curves refused."""
 
 from __future__ import annotations

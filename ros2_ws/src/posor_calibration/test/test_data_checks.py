@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Checks of readings and reference before a fit: what passes, and the sentence that refuses what does not."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Drift check: drifts of a valid calibration, a parameter that has drifted, and a contradiction."""
 
 from __future__ import annotations

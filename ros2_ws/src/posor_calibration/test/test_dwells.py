@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Dwells of a reference, the mean scans in them, and readings that disagree with their dwell."""
 
 from __future__ import annotations

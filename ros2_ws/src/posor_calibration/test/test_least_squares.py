@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Least squares: estimates, their covariance, and the refusal of unusable data."""
 
 from __future__ import annotations

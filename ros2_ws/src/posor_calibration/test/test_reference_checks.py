@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """A reference that drifts, or repeats its last value, is found with its size where the recording shows it."""
 
 from __future__ import annotations

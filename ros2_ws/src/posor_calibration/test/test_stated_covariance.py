@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The covariance that a calibration file states, carried to the pose by the estimator: blocks, sessions, draws."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Design calculators: each computes a part of a POSOR or of its structure from dimensions, in SI units.
 
 The calculators are public functions of this package, such as ``posor_design.beam_frequencies``. They need no

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Aerostatic journal bearing with a ring of orifices: feed pressure, load, stiffness and flow."""
 
 from __future__ import annotations

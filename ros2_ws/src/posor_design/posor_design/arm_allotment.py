@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Allot the required uncertainty of an arm's endpoint to its POSORs and measuring beams.
 
 Each POSOR has two unknown standard uncertainties, of its angles and of its translations, and each beam two, of the

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """``posor design arm``: from a required uncertainty of an endpoint to those of its POSORs and measuring beams."""
 
 from __future__ import annotations

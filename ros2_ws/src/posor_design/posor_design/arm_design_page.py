@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """An allotment as tables for the terminal and as a page with a plot."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The files of an allotment: a requirement for each POSOR, the beams, and with designed POSORs the whole arm."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Uncertainty of an arm's endpoint at any joint angles, from the files of the arm."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Ball bearings: load of the balls, stress and life by the rated load, and friction from breakaway tests."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Sections of beams: round tubes, and boxes with walls of one thickness."""
 
 from __future__ import annotations

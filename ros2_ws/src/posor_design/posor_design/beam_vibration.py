@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Vibration of uniform Timoshenko beams by spectral elements.
 
 Deflection and turn of the section are polynomials of high degree between the points where something is attached. The

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Program ``budget``: error budget of a calibration file as tables, CSV, JSON and a page with charts."""
 
 from __future__ import annotations

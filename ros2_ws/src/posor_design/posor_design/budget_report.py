@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Results of an error budget in words, tables, CSV and JSON, and as a self-contained page with interactive plots."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """What a user can know about a calculator: its arguments, results and documentation, read from the function itself."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """What makes a function a design calculator: types of its arguments, its registration, and the checks of a call.
 
 ``Annotated[float, "m", POSITIVE, "Length of the beam."]`` states SI unit, limits and meaning of an argument; unit and

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Geometry of calibration measurements: axes of diodes, angles of light sources, distances between probes.
 
 Each calculator gives the effect of its errors as the thesis does, by the difference of equation 5.2.

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Contact stress of curved bodies, and of the balls of a bearing, by Hertz theory."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Tables and texts of the package, kept as YAML files beside the modules."""
 
 from functools import cache

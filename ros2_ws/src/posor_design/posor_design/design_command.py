@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """design: runs a design calculator with quantities in the units of the user.
 
 ``posor design`` lists the calculators; ``posor design NAME --help`` describes one.

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Page of a calculator: results, arguments, effect of each argument on each result, and method."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Response of distance sensors without contact: fibre optic lever, capacitance probe, area and linearity of a probe."""
 
 from __future__ import annotations

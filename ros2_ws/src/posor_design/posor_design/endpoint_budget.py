@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Error budget of an arm's endpoint: contributions of each POSOR and of the measuring beams.
 
 First order (JCGM 100) from the covariance of the chain, and by drawing errors through the exact chain (JCGM 101).

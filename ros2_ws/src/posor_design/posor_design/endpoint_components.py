@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Components of the uncertainty of an arm's endpoint: what each joint, beam and shared term contributes at a pose.
 
 To first order (JCGM 100, 5.1 and 5.2) the components are independent, so their covariances add up to that of the

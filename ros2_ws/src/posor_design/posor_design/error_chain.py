@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Errors at the end of an arm: joint errors, bits of an encoder, and the stretch of links that meet in one line."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Gimbals of a measuring beam: motion, allowed reaction torque, wires, and yokes on ball bearings."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Gyroscopes and accelerometers as sensors of an arm: drift between two resets, and phase of a fibre gyroscope."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Effect of the air on a laser interferometer, and the reading of straightness optics."""
 
 from __future__ import annotations

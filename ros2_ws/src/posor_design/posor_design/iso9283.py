@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Figures of ISO 9283:1998 from attained and commanded points: accuracy and repeatability of poses, distances, paths.
 
 Points are x, y, z [m] and a, b, c [rad], the turn from the commanded orientation as a rotation vector in the base.

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Poses and paths of the cycles of a recorded motion: the points from which the figures of ISO 9283 are computed.
 
 A pose is where the reference stands still; dwells at the same reference are its cycles. A path leads from one dwell to

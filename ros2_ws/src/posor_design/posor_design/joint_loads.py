@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Loads of an arm's joints: moments, bearings, gears, and chains that pistons drive."""
 
 from __future__ import annotations

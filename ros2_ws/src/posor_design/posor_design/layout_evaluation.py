@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """What a layout achieves over a range of motion: uncertainties and detectable faults, from its calibration.
 
 The covariances are those that the estimator states for simulated scans, the minimal detectable biases those of

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Arrange the sensors of a POSOR between its inside and outside diameter, for a range of motion.
 
 Seen along the axis, the parts are discs (gap probes, diodes) and bars (the probes of a bumpy ring) that must not

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Search for the layouts that meet a requirement, and the choice among them.
 
 The discrete choices are enumerated: sensor for theta, numbers of probes, which ring is outside, noise of the

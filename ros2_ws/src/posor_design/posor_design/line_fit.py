@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Straight line through points: by least squares, and in the middle of the narrowest band."""
 
 from __future__ import annotations

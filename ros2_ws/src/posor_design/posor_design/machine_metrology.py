@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Errors of stages, machines and setups: straightness, alignment, Abbe offset, thermal growth, zero of a probe."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Measuring beams on their gimbals: natural frequencies and modes, sag, and error of the sag correction."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Error budget of a POSOR by the Monte Carlo method (JCGM 101), and the validation of the first order (clause 8).
 
 The measurement model in the sense of JCGM 101 is the estimator: pose = f(raw readings, parameters). Each draw adds the

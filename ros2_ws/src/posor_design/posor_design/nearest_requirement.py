@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Why a requirement cannot be met, and the nearest one that can: the refusal of ``posor design posor``.
 
 If layouts fit between the diameters but are too uncertain, the uncertainties beyond their reach are raised to what the

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Which causes of wrong readings the redundancy of a layout shows at every theta, and which it cannot.
 
 A cause shifts several readings at once, along the columns D (m, k) of its directions. The residuals of the fit show it

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """``posor design posor``: from a requirement to a POSOR whose files ``posor bringup`` runs."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The result of ``posor design posor`` as tables for the terminal and as a page with plots."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """A layout of a POSOR: where its sensors are and what they are, and the calibration that it would have.
 
 The uncertainties of the parts are those of ``calibration.designs.sized_design``: calibrated as assembled. Those that

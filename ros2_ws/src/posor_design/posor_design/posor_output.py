@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The files of a designed POSOR: an arm of one joint that ``posor bringup`` starts, its requirement and its budget."""
 
 from __future__ import annotations

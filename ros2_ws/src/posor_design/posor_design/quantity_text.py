@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Quantities as text: ``60 in`` to metres, and 2.54e-5 m to ``25.4 um``.
 
 Units, such as ``um``, ``lb/in^3`` or ``N m/rad``: an expression is a product of symbols. A space, ``*`` or ``-``

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Minimal detectable biases and protection levels as tables and JSON."""
 
 from __future__ import annotations

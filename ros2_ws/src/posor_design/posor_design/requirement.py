@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The requirement that a POSOR is designed for: uncertainty, range of motion, size, rate and detectable fault.
 
 Versions of the format:

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Noise of lateral effect diodes, resolution of converters, and the angle that two distances resolve."""
 
 from __future__ import annotations

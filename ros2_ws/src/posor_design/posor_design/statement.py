@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The statement of an endpoint's uncertainty: all that a customer needs, and where each number comes from."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The map of a statement: the poses in two views, coloured by the uncertainty of the position, as SVG."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The poses that a statement covers: given angles, a grid of the workspace, a path, or a recorded bag."""
 
 from __future__ import annotations

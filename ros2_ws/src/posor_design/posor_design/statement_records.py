@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The files behind a statement, with hashes, and the places of single numbers in them."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """A statement as tables, JSON, one page (HTML), and the same page as PDF."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Structural beams: sizing for stress and for stiffness, and natural frequencies of a cantilever."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Discs, shafts, and the torsional vibration of measuring beams."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Arguments and results of calculators by their kind: a quantity, several of them, a count, or one of several names."""
 
 from __future__ import annotations

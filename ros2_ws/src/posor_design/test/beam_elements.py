@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """A beam of many two-node Timoshenko elements with lumped mass: independent of the spectral elements under test."""
 
 from __future__ import annotations

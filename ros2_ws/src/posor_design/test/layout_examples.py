@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Requirements and layouts that several tests of the design of a POSOR share."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Aerostatic bearing against published cases and an independent solution of Reynolds' equation; limits."""
 
 from __future__ import annotations

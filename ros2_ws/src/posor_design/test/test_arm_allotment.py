@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Allotment: the endpoint meets its requirement through the exact chain, with the least effort; refusals."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Uncertainty of an arm's endpoint: against the chain, by hand, and against the formulas of the guides."""
 
 from __future__ import annotations

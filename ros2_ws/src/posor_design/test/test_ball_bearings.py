@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Ball bearings: loads of balls, scaling, and friction tests."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Geometry of calibration measurements: values of the thesis, independent geometry."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Hertz contact against published closed forms and tables; limits."""
 
 from __future__ import annotations

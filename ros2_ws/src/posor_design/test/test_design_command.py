@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """posor design: every calculator runs from the example of its help; files, units and refusals."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Fibre lever, capacitance probe, area and linearity: independent integrals, limits, finite differences."""
 
 from __future__ import annotations

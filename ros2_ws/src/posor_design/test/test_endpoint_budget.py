@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The endpoint's error budget: against sums by hand, against drawn errors, and what it refuses."""
 
 from __future__ import annotations

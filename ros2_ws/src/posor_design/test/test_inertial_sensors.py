@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Inertial sensors: limits and drift are inverse to each other, phase of a fibre gyroscope."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Air and straightness optics: derivatives of the index, values of NIST, ray geometry."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Paths of ISO 9283: sign and interpolation of the deviation where endpoint and reference cross a plane."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Loads of joints: statics by hand."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """What layouts achieve: noise and its reserve, converter bits, agreement with the error budget."""
 
 from __future__ import annotations

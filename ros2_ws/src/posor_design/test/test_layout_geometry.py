@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Arranged layouts: parts do not overlap, stay within the diameters, and measure the whole range."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The search: the requirement is met, the trade-off holds no excelled layout, refusals name the nearest requirement."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Errors of stages and setups: values of the thesis, exact geometry, finite differences."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Measuring beams: an independent finite-element solution, published closed forms, limits."""
 
 from __future__ import annotations

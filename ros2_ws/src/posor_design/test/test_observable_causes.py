@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Causes that readings show: what each part of a design adds, at every theta."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """posor design posor: the written files load and agree, and each wrong option is refused."""
 
 from __future__ import annotations

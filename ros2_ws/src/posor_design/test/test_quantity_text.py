@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Quantities as text: read with a unit, refused one by one, printed with a prefix."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Requirement files: units, standard from expanded uncertainty, and every refusal with what, where and expected."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Noise of diodes, converters and angles: values of the thesis, limits in which one noise remains."""
 
 from __future__ import annotations

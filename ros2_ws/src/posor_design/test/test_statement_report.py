@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Numbers of a statement have the digits that their uncertainty allows (JCGM 100, 7.2.6); a bound is rounded up."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Structural beams: published closed forms, an independent finite-element solution, sizing."""
 
 from __future__ import annotations

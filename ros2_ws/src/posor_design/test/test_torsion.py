@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Discs, shafts and torsional vibration: published closed forms, a chain of discs."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Units of design calculators: amounts in SI units against published factors, dimensions."""
 
 from __future__ import annotations

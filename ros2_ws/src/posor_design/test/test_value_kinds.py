@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Arguments by kind: one quantity, several, a count, a name; the refusals; results as text."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Recordings for calibration as rosbag2 bags, written with the recorder's ``BagWriter``."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Conditioning of raw scans: several scans of a source become one, with mean, spread, background and flags."""
 
 from __future__ import annotations

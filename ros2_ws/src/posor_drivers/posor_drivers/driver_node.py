@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """driver_node: publishes the raw scans of one joint from a source.
 
 Publishes ``raw`` (posor_msgs/RawScan) in the joint's namespace, for instance ``-r __ns:=/joint1``, and the other topics

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Parameters of ``driver_node``; the user's choice of the source adds the parameters of that source."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Entry points of the console scripts of this package; each loads its program when it is called."""
 
 from __future__ import annotations

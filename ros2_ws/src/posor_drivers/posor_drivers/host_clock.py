@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The largest error of the clock of this host, as its time service states it: ``chronyc`` (NTP) or ``pmc`` (PTP).
 
 chrony bounds the error of the clock by root dispersion plus half of the root delay (RFC 5905, section 4). ``pmc`` shows

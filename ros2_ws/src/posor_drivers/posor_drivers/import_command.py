@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """import: a table of another program becomes a bag, by a map of its columns; or a map is proposed."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Publishes a live source at ticks of the ROS clock, in the thread of the process's tick scheduler."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Messages built from numbers, for sources, the simulator and bags; their CDR bytes do not depend on the middleware."""
 
 from __future__ import annotations

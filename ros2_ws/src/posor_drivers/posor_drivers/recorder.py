@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """record: writes topics into a rosbag2 bag (MCAP) until SIGINT or SIGTERM.
 
 Messages are stored as received, without deserialising them, and flushed twice a second. Prints ``ready: ...`` once

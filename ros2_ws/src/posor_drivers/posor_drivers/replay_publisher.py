@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Publishes a recorded source at the pace of its log times, in a thread of its own."""
 
 from __future__ import annotations

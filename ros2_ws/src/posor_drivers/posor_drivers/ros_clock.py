@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """ROS time for a thread that waits for ticks: wall time kept by the steady clock, or simulated time."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Means, spreads and outliers of repeated readings of one pose; numbers only, no ROS.
 
 A *unit* is read at once and kept or dropped as a whole: the voltage of one probe, or the four contact currents of one

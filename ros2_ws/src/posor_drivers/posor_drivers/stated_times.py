@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """What parameters of the driver state on the times of scans, in place of what the source states."""
 
 from __future__ import annotations

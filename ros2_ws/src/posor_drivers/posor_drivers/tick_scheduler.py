@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Ticks of live drivers: their schedule, and one thread of the process for all drivers of the same rate."""
 
 from __future__ import annotations

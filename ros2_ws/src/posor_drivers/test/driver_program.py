@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """``driver_node`` for tests, as a program; a double underscore in a parameter's name stands for the dot."""
 
 from __future__ import annotations

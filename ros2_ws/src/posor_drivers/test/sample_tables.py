@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Small tables for tests, made by hand, with the map of the tests of 1985."""
 
 from __future__ import annotations

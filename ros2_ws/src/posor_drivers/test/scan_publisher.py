@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Publishes scans of five joints at a rate, as fast drivers do; a program that tests start.
 
 ``scan_publisher.py TICKS RATE`` waits for a subscription to each topic, publishes TICKS scans of each joint at

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Groups of scans, and the scan that each group becomes."""
 
 from __future__ import annotations

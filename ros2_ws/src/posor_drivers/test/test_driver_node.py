@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The driver node as a program, its scans received over DDS."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Parameters of the driver: the chosen source adds its own, and every invalid one is refused with one sentence."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The clock of this host by its time service, played by programs of a folder in PATH."""
 
 from __future__ import annotations

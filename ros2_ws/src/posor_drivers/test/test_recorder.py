@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The recorder as a program: its bag, its end, its refusals."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Waiting for ROS time: wall time by the steady clock, simulated time by its messages."""
 
 from __future__ import annotations

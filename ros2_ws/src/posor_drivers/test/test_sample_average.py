@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Means, spreads and outliers, against theory: the bounds are quantiles that chance exceeds once in a million."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Tick scheduler: drivers of one rate share a thread until they end, are stopped, or fail."""
 
 from __future__ import annotations

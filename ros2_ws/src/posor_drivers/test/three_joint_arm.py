@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """A simulated arm for tests: three joints, on disk as a user's arm is."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """When scans without a pose are a fault, and when they are the false alarms that a sound sensor shows too.
 
 A test with a false-alarm probability p rejects a share p of sound scans. ``AlarmRate`` calls it a fault if several

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """compose: runs the nodes of a composition file in one process, with intra-process delivery between them."""
 
 from __future__ import annotations

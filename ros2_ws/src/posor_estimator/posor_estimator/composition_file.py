@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The composition file: the nodes of one process, with their names and parameters; and the registry of node classes.
 
 Packages register node classes as entry points of the group ``posor_estimator.nodes``.

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """When an operator may release a latched joint: with a reason, not again at once, on a scan that is plausible alone."""
 
 from __future__ import annotations

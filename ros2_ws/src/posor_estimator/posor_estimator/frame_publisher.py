@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Publishes the frames of an arm: /tf, /tf_static and the robot description.
 
 The joints and the beams of the beams file move; their product with the fixed joints of the URDF, in the order of the

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Compares the calibrations in force, the URDF and the beams file of an arm with its commissioning record.
 
 The identity is computed anew only when a transform states another calibration than the one before.

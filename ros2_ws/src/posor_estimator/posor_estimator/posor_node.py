@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """posor_node: estimates six-degree-of-freedom transforms from the raw scans of one joint.
 
 Subscribes to ``raw`` (posor_msgs/RawScan) and publishes ``transform`` (posor_msgs/JointTransform) for every scan. A

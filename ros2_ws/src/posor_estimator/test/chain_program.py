@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """A chain_node program for tests: transforms to send, and received messages."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Messages with present stamps for tests of freshness, and their publisher."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """When scans without a pose are a fault."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """chain_node with an arm of two joints: synchronisation of the joints, and the beam between them."""
 
 from __future__ import annotations

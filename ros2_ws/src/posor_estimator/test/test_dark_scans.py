@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """A driver that switches its light sources off once a second, by real nodes and by their bag."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """EndpointState of chain_node, as a plain subscriber sees it, and checks of the transforms that it receives."""
 
 from __future__ import annotations

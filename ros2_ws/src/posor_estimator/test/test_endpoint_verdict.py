@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Verdicts on the endpoint of a scan."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The frames of an arm: their product is the endpoint of the same stamp; late viewers get what is fixed."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Silence, stamps, order and publishers of inputs: the rules, and posor_node as a program."""
 
 from __future__ import annotations

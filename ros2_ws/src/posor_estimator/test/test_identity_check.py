@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """EndpointState.identity of chain_node, and an arm that differs from its commissioning record."""
 
 from __future__ import annotations

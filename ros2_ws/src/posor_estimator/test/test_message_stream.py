@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """From the bytes of raw scans to those of transforms, against the core's estimates as rclpy's messages."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Numbers straight between bytes and arrays, against the same messages as rclpy's objects."""
 
 from __future__ import annotations

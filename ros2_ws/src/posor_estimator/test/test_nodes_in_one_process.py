@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """posor_node and chain_node in one process: equal results, service calls meanwhile, invalid messages."""
 
 from __future__ import annotations

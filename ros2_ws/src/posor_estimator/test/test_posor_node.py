@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """posor_node as a program: its transforms, refusals and diagnostics."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The services of posor_node: reload, zero and home, with a real node over DDS."""
 
 from __future__ import annotations

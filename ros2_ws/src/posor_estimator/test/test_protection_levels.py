@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Fault effects in the transforms of posor_node, and the protection level that chain_node makes of them."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Thermometers of beams: chain_node follows them as the library does, and names those that it cannot use."""
 
 from __future__ import annotations

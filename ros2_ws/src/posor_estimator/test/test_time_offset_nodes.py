@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """A joint whose scans are older than their stamps, by real nodes: driver, posor_nodes, chain_node, and an encoder.
 
 The simulated driver stamps 40 ms too late. The test is the encoder, which reads the true theta, and passes the scans on

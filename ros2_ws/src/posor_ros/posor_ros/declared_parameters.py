@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Declares a parameter model on an rclpy node, with descriptors, and validates changes at run time."""
 
 from __future__ import annotations

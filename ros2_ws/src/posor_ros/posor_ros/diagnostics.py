@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Diagnostics of a node on ``/diagnostics``: once a second, and soon after a level or a message has changed.
 
 The reporting thread continues at once; the executor's thread formats and publishes the message between the ticks of

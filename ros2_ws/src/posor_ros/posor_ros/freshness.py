@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Freshness of a node's inputs: silence, number of publishers, age of stamps, order of scan numbers.
 
 Silence is measured by the steady clock, the age of a stamp by the ROS clock. A node reports all of it in its status

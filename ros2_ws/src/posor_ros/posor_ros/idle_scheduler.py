@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Idle scheduler: deferrable work runs between the ticks of this process, not while a scan is being handled.
 
 Python runs one thread at a time. A thread that is busy when a tick is due delays the tick, and a thread that waits for

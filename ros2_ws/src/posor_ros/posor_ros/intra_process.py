@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Serialised topics: intra-process delivery between nodes of one process, DDS to other processes.
 
 Where both ends of a topic live in one rclpy context, `IntraProcessPublisher.publish` passes the published bytes to the

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Base class of all nodes of the stack: a lifecycle node that starts by itself unless ``autostart`` is false."""
 
 from __future__ import annotations

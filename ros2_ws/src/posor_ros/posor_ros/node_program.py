@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The main program of one or several nodes: initialise ROS, spin until a signal or the end of all nodes, shut down."""
 
 from __future__ import annotations

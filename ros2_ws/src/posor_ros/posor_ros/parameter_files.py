@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """ROS parameter files: which node a section is for. rclpy ignores a section whose name fits no node without a word."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Regularity and latency of a node's publications over the last second, as a status line of its diagnostics."""
 
 from __future__ import annotations

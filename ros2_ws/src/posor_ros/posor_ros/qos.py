@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Quality of service of all topics; their names are in ``posor.ros_names``."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The parameters ``qos_overrides.*`` of a node, by which a user changes the quality of service of one topic.
 
 They have the standard names, ``qos_overrides.<topic>.<publisher or subscription>.<history, depth or reliability>``.

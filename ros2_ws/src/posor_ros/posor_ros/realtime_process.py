@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Real-time settings of this process, and its health: refused settings and pauses of the garbage collector."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Command-line arguments that give a node its namespace, name, remappings and parameters."""
 
 from __future__ import annotations

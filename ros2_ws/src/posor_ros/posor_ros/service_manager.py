@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Messages to the service manager, the protocol of ``sd_notify(3)``: ready, alive, stopping.
 
 Without the variable NOTIFY_SOCKET, which systemd sets for services with ``Type=notify``, nothing is sent.

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """A node that tests start as a program: 12 publishers and 6 subscriptions at 500 Hz, whose messages cross DDS.
 
 It prints a line each second with the number of messages that each subscription has received since the line before.

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """A node that tests start as a program: it prints each hook that runs, and fails in the hook named by a parameter."""
 
 from __future__ import annotations

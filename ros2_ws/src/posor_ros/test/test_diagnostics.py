@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Diagnostics of a node: formatted and published by the executor's thread, between the ticks of its process."""
 
 from __future__ import annotations

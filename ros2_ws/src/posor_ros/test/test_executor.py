@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The executor under load: many publishers and subscriptions of one process, which must neither hang nor starve."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Topics within one process and between processes; nodes of two contexts communicate over DDS, as two processes."""
 
 from __future__ import annotations

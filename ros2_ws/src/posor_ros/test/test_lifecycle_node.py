@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """A node as a program: start, refusals, signals, lifecycle services, parameters, diagnostics."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Sections of ROS parameter files: the same as rclpy finds for a node, and a refusal where there is none."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Timing statistics of a node's publications: of the last second, for present stamps, with limits that warn."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Real-time settings of a process, and the errors where the system refuses them; valid with and without permission."""
 
 from __future__ import annotations

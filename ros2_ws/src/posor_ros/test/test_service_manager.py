@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Messages of a node program to the service manager, received by a socket of the test."""
 
 from __future__ import annotations

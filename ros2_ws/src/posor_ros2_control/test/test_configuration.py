@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The configuration for ros2_control: names of the arm, and keys and types that ros2_control of Jazzy knows."""
 
 from __future__ import annotations

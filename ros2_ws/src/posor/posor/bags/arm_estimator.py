@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Estimates the joints of an arm and its endpoint from recorded scans, without any node: the nodes' numbers."""
 
 from __future__ import annotations

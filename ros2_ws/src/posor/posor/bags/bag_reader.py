@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Opens rosbag2 bags, MCAP or SQLite, and checks their topics; every error is one sentence that names the bag.
 
 The checksums of MCAP files are checked: that of the index when a bag is opened, that of a chunk when it is read. SQLite

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Writes rosbag2 bags: MCAP with checksums, metadata of version 9, type definitions and hashes, quality of service.
 
 A file consists of the records of ``mcap.records``. The writer of that library takes messages one by one, too slowly for

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Reads the messages of some topics of a bag, thousands at a time or one by one, in the order of ``read_order.py``."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Joins the transforms of all joints by stamp, block after block, as a chain_node that waits for every joint."""
 
 from __future__ import annotations

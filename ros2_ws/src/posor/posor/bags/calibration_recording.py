@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Scans of one POSOR from a bag; recordings for calibration, which add measurements of instruments."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Reads the messages of some topics of MCAP files in the order of their log times, a whole chunk at a time."""
 
 from __future__ import annotations

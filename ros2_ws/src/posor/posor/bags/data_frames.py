@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Estimates and scans as named columns, pandas DataFrames and Arrow tables; both libraries are optional."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Runs tasks on several bags at a time, in local processes or on a Dask cluster, through ``concurrent.futures``."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """MCAP files read without trust in their index: whole records, damaged places, checksums (https://mcap.dev/spec).
 
 A checksum of 0 means that the writer stated none.

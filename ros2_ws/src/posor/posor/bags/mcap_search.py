@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """What is whole in an MCAP file that may be damaged: its records in order, and the damaged places between them."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """A closed MCAP file of any writer: with or without chunks, with or without each part of an index, of any profile."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Messages of a bag in blocks, and those of one topic as tables."""
 
 from __future__ import annotations

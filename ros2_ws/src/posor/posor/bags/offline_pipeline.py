@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The offline pipeline: from a bag of raw scans to the poses of joints and endpoint, a block at a time.
 
 A bag is not split in time: an estimator starts each scan from the pose before and counts bumps, and the motion of the

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Reads all files of a bag in the order of time; see ``read_order.py`` for the order of scans.
 
 metadata.yaml only says which files belong to the bag, and what these do not state themselves. No file is changed. A

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Where the numbers of a bag come from: hashes of calibrations, URDF and beams file, and the version of the software.
 
 The recorder and ``reprocess`` write them into the ``custom_data`` of a bag's metadata.yaml. A bag that is reprocessed

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The order in which every reader of this stack reads a bag.
 
 * Files: by the log time of their first messages, in whatever order ``metadata.yaml`` lists them. Files that overlap in

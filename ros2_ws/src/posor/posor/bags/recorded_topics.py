@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """What the files of a bag say of their topics, whoever wrote them.
 
 Read are topics whose messages are encoded in CDR and whose type is a ROS 2 message. Every other topic is left out and

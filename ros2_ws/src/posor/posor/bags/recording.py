@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Input of a calibration procedure: the scans of one POSOR and reference measurements of the same time span."""
 
 from __future__ import annotations

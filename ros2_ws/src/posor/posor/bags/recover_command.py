@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """recover: writes what is whole of a damaged MCAP bag, or of one whose recording was killed, to a new bag."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """reprocess: from recorded raw scans to transforms and endpoint poses, the same numbers as in the live graph."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The work of ``reprocess`` for one bag and its result: plain values that can be sent to another process or machine."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The folder of results: it appears under its name when it is complete, and replaces nothing but results.
 
 A mark, a file among the results, lists the other files with their sizes. So neither recordings nor results to which

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Results of ``reprocess``: a rosbag2 bag with the messages that the nodes would have published, or tables."""
 
 from __future__ import annotations

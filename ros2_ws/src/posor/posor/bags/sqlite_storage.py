@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """A closed SQLite file of any version of rosbag2."""
 
 from __future__ import annotations

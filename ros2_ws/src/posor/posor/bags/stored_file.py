@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """A file of a bag: its topics, and the span of its log times. See ``mcap_storage.py`` and ``sqlite_storage.py``."""
 
 from __future__ import annotations

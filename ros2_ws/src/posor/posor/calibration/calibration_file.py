@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The calibration file of one POSOR, version 3.
 
 Versions of the format:

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Causes of faults of a POSOR: which readings one physical cause moves together, and by how much at most.
 
 A calibration file changes the causes of its design under ``causes``: an entry with the name of a default cause replaces

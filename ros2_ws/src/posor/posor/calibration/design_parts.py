@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Builders of the designs' sensors as content of a calibration file: gap probes, diodes with light sources, rings.
 
 Coded rings have a spacing of the light sources such that the readings contradict wrong indices of the two lit sources.

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Calibrations of typical POSORs with realistic uncertainties, for accuracy studies, budgets and simulation.
 
 Sizes follow the thesis: ``design`` its 1985 design (probes at 1.5 and 3 in, table 5.2), ``sized_design`` the POSORs of

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Write the content of a file as YAML, for files that programs make: quantities on one line, repeated parts in full."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Change entries of a YAML text; comments and layout of all other entries are preserved."""
 
 from __future__ import annotations

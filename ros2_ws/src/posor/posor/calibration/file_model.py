@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Base of the pydantic models of all YAML files of the project, and the wording of their errors."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Fit records of a calibration file: recording, method, date and quality of each fit whose results it holds."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Covariance of a stack's parameters as a calibration file states it, and its square root.
 
 The file states standard uncertainties, and each fit record the covariance of the values that it replaced, with one

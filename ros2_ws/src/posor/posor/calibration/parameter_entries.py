@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The numbers of a calibration file behind the entries of a stack's parameter vector."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Quantities of a calibration file: a value with its unit and its standard uncertainty.
 
 In a file a quantity is a mapping such as ``{value: [0.0, 0.038, 0.0], sigma: 3.4e-4, unit: m}``. The unit is required

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Values of a calibration that change from one measuring session to the next."""
 
 from __future__ import annotations

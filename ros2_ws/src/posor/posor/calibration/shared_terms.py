@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Errors that several quantities share, as calibration and beams files state them under ``shared``.
 
 A term is one physical error, such as the scale of a length reference or the temperature of a calibration. The same name

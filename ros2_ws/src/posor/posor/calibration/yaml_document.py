@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Read YAML files strictly, and name file, line and key of every problem.
 
 Duplicate keys, several documents, recursive aliases, aliases that expand to too much, deep nesting, and lists and

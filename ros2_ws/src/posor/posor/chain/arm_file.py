@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The arm file: URDF, beams, calibrations, driver and scenario of an arm; the parameters of its nodes.
 
 Versions of the format:

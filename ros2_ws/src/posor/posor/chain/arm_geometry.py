@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Geometry of an arm for the kernels: the elements on the way from the base to the endpoint, with named fields."""
 
 from __future__ import annotations

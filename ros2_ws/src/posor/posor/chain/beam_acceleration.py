@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Acceleration of the beams: parabolas through their centres over a time window that ends with the last scan.
 
 The result belongs to the middle of the window. It is valid for motions that are slow compared with the window.

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Static bending of straight beams (Euler-Bernoulli), exact: polynomials with singularity functions.
 
 A beam along x from 0 to its length bends along y under loads along y:

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Temperatures of the beams of an arm from their thermometers, checked; a beam without a usable one has the spread.
 
 Temperatures change at whole seconds of the stamps of scans, from readings that are at least ``DELAY_S`` older. So

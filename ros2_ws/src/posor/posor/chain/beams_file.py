@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The beams file, version 3: uncertainty, sag and temperature of an arm's beams, whose transforms are in the URDF.
 
 Versions of the format:

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The commissioning record of an arm, version 1: which files were in force when the arm passed, and its results.
 
 ``posor commission`` writes it; the arm file names it with the key ``commissioning``; chain_node compares the arm with

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Endpoints at servo rate and of recorded scans: one scan at a time or many, by the same compiled kernel."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Bounds of an endpoint's error: protection levels from what the faults of each joint may do to its pose unseen.
 
 As in receiver autonomous integrity monitoring (RAIM) of satellite navigation. Along and about each axis k,

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Pose and covariance of the endpoint in one pass along the arm, with the sag of its beams.
 
 The covariance of a point is of x, y, z [m], about X, Y, Z [rad], axes of the base, the small turn applied on the base's

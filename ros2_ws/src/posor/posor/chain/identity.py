@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The identity of an arm: one hash over the calibrations in force, URDF, beams file and commissioning record.
 
 A controller compares one string. Which part differs is found by comparing the parts.

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Joint measurements: ``MeasuredJoint`` for one joint, ``JointMeasurements`` for n scans, ``JointRows`` as bytes."""
 
 from __future__ import annotations

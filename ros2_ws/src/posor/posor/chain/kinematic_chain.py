@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The kinematic chain: POSORs as floating joints, measuring beams between them, the endpoint on the last one.
 
 Pinocchio reads the URDF and finds the elements on the way from the base to the endpoint. A beam of the beams file is a

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """A measuring beam: the bar between two POSORs, its sag on its gimbals, and its thermal expansion.
 
 The beam carries only its own weight and the plates of the POSORs at its ends. Its sag follows from its section and

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """An arm's URDF as a pinocchio model in which every POSOR and every uncertain beam is a floating joint."""
 
 from __future__ import annotations

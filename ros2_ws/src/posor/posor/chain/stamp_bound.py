@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Largest error of the endpoint by errors of the joints' stamps: the sum of the amounts that each joint may add.
 
 A joint may be displaced by amounts t along and p about the axes of its receiving plate. To first order they move the

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Collect items with the same stamp from all members: the exact-time policy of ``message_filters``, for scans.
 
 ``TimeSynchroniser`` takes item after item, as a node receives them, and follows stamps that go back.

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """A robot description (URDF), read strictly: what bears on the geometry is understood, or refused by its line.
 
 The parser of ROS and pinocchio (urdfdom) ignores what it does not know: a misspelt ``origin``, an element that xacro

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Joints of a robot description as POSOR measures them, and the text of the model that pinocchio reads.
 
 A POSOR turns about Z of both of its plates. The links of a floating joint are its plates, unless the joint cannot turn

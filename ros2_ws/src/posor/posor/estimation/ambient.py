@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Ambient light and gain of the converter: what a dark scan and a known voltage remove from the readings.
 
 Ambient light adds a current to each contact of a diode, which draws its spot towards the middle of the diode. In a dark

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Two clocks of a stream of scans: the scan numbers and the stamps, and the line between them.
 
 Scan numbers count the ticks of the scan clock; stamps are the time of exposure by the ROS clock. The line ``stamp = a +

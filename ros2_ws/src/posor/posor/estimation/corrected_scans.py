@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Scans without ambient light and with the converter's gain of one, for procedures that use raw readings offline."""
 
 from __future__ import annotations

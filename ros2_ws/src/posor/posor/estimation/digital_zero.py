@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Digital zero: zero shifts of the gap probes with which a target at a known place is seen there.
 
 Source: thesis 8.3.1, where drift of the probes' zero is compensated in software. Three probes determine the gap and the

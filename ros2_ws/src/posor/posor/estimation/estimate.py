@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Estimate of a scan: pose, covariance, chi-square, state."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The one order of steps from a raw scan to an estimate: linearise, predict, solve, covariance, test, update tracker.
 
 ``estimate_scans`` takes the straight path for many scans. What is rare is left to the caller (``estimation.posor``),

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Exposure times of the readings, and the uncertainty that they add to a pose.
 
 A multiplexing converter reads the channels of a scan one after another, while the target moves on (thesis 8.3.3: eleven

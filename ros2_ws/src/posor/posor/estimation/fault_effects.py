@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """What the causes of faults may do to a pose unseen by the residual test, for the pose of one scan.
 
 Baarda's test of several parameters: a fault D b (D the columns of its hypothesis, (m, 1) or (m, 2)) makes the

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The causes of faults of a calibration as hypotheses for the kernels (``estimation.fault_model``)."""
 
 from __future__ import annotations

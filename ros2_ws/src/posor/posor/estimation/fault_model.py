@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Hypotheses of faults as the kernels read them: columns in the space of the linearised readings.
 
 A hypothesis has one or two parameters, each a column: what each of the m readings does per unit of the parameter. The

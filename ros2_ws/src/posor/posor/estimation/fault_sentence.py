@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The sentence on the faults of an estimate: what is wrong with a scan, and what would be right."""
 
 from __future__ import annotations

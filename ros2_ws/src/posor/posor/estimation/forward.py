@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The model run forward: the raw readings of a POSOR's sensors at given poses."""
 
 from __future__ import annotations

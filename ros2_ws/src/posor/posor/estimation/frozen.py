@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Readings that repeat to the last bit although they have noise: electronics that no longer measure.
 
 They repeat from scan to scan, or all of them in a loop, as from a buffer that nobody fills any more.

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """From raw readings of a scan to linearised readings and the reading rows that they belong to, sensor by sensor.
 
 Supply voltage and temperature: a calibration states the range in which it is valid. A supply or temperature that is not

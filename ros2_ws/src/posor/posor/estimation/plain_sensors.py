@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Estimates scans of a stack that holds sensors written in plain Python (``PlainSensor``).
 
 Their readings enter the compiled solver as affine rows: value and derivative at one pose. The expansion is repeated at

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The estimator of a POSOR: turns raw scans into poses by inverting the model of its sensors, scan after scan."""
 
 from __future__ import annotations

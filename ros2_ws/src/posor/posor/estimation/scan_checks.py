@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Checks between solution and tracker: residuals, motion gate, count of theta, home marks, reference; and the latch.
 
 A fault latches the joint. REGAINABLE_FAULTS hold the tracker at the last accepted pose. They are released where one of

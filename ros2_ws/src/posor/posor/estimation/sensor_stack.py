@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Sensors side by side as one set of readings: whose reading, row and parameter is which, laid out for the kernels."""
 
 from __future__ import annotations

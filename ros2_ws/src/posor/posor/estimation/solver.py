@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Weighted Gauss-Newton on SE(3) for one scan.
 
 The unknown is ``T_R_T``; the tangent is pinocchio's local one (``model.reading_rows``). Each iteration solves the

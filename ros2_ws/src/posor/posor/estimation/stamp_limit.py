@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Largest error of a pose by the largest error of its stamp.
 
 A stamp that is wrong by at most L displaces the pose along its motion. Let r be the mean rate along or about an axis

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Start poses in closed form, when no previous pose is known.
 
 Three or more gaps give the plane in R; two light spots give the direction from one source to the other. One rotation

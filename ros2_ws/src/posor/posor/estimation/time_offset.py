@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Time offset between a joint's scans and its encoder, found in motion; and the encoder's reading at a scan's stamp.
 
 Where the content of the scans is older than their stamps by tau, the encoder leads theta by ``tau`` times the rate.

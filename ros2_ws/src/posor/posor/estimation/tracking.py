@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """From scan to scan: the previous pose, prediction of the next one, and the prior where readings are blind."""
 
 from __future__ import annotations

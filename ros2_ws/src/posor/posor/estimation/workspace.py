@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """What the compiled estimator works on: the model of one POSOR, its tracker, and memory for one scan, by name.
 
 ``WORKSPACE`` describes memory of fixed capacity, bounded by ``posor_msgs/RawScan``. ``Model`` groups it with the arrays

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Compiled loops over the bytes of many messages."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Plain CDR (XCDR1, OMG DDS-XTypes 7.4), the encoding of ROS 2 messages: where each field of a message lies.
 
 A message begins with four bytes that name its encapsulation. The fields follow, each aligned to its own size as counted

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The endpoint's messages as bytes: many from arrays, or scan after scan from the arrays of an endpoint estimator."""
 
 from __future__ import annotations

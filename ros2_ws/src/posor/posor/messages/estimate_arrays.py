@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Estimates of recorded scans: poses of joints and of the endpoint at many scans, as named arrays."""
 
 from __future__ import annotations

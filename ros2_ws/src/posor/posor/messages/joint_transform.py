@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Joint transforms (``posor_msgs/JointTransform``): packed from estimates, checked without decoding the messages."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Definitions of message types, stored in bags or installed, and the schemas that follow from them.
 
 This module needs rosbags, and no ROS: the definitions of a sourced ROS are found through AMENT_PREFIX_PATH.

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Streams of messages: raw scans to joint transforms, unpacked, estimated and packed in one compiled call.
 
 A message is a row of bytes whose numbers lie at multiples of their size. The layouts (``messages.raw_scan``,

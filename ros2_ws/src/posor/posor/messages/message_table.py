@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Many messages with the same layout as one numpy table: a row of bytes for each, a named column for each field."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Raw scans (``posor_msgs/RawScan``): from the bytes of messages to readings, and written from a template."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """From the contact currents of a lateral effect diode to the ratios of currents, with every way to be invalid.
 
 The ratios are ``(A - C)/(A + C)`` along x and ``(B - D)/(B + D)`` along y (thesis 4.3 and 5.4.1).

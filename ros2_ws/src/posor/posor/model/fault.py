@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """States and faults of an estimate; a test holds their numbers to those of ``posor_msgs/JointTransform``."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Distance along the axis of a probe: to the target plane, or to the bumpy ring around the target.
 
 Plane: thesis 5.3.1 (equation 5.3, exact here). With the tip ``o`` and the axis ``a`` seen from T, the plane through

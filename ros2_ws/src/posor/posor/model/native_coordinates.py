@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The six native coordinates of a POSOR: (x, y, gap, alpha, beta, theta).
 
 ``x, y, gap`` are the origin of T in R [m]. Alpha and beta are the lean of the target's own Z axis, about X and Y of R:

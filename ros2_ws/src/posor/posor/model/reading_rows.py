@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Reading rows: the geometry of one scalar reading of any kind, and one way to evaluate them all.
 
 A row is a record of dtype ROW. Its ``parameters`` are the numbers that may carry uncertainty; the named geometry fields

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Sources of raw readings, and the codes of readings that cannot be linearised."""
 
 from __future__ import annotations

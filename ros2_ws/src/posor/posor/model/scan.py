@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Raw readings of one exposure: the fields of ``posor_msgs/RawScan`` without ROS, one scan or many."""
 
 from __future__ import annotations

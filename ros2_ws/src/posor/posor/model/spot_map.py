@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """From the ratios of a diode's contact currents to the spot's position on the diode, by a two-dimensional map.
 
 Two kinds of map:

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """From a probe's voltage to its gap: a polynomial with zero shift, supply and temperature sensitivity.
 
 ``gap = sum_k A_k V^k + supply (U - U0) + thermal (K - K0)`` with ``V = voltage + zero_shift`` (thesis table 7.10 for

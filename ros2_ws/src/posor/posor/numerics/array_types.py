@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Array types of the core. Shapes, units and frames stand in each function's docstring."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Kernels as machine code: from the library that the build makes, compiled by numba, or run as plain Python.
 
 Kernels are written once, as loops over scalars. In each of the three ways they do the same operations in the same

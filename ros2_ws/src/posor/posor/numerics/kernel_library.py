@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The kernels that the build has compiled: calls of their library, without numba.
 
 The library is one file of machine code. It holds the hash of the sources from which it was made, and for each kernel

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Symmetric matrices for kernels: 6x6 in 3x3 blocks, and Cholesky factors of any size.
 
 The symmetric matrix of the six unknowns of a pose (translation, rotation) is ``(A, B, D)`` for ``[[A, B'], [B, D]]``;

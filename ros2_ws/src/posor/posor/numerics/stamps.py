@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Stamps of messages as times, and a log of them.
 
 The scan clock: tick k is at k / rate seconds of the ROS clock on every host.

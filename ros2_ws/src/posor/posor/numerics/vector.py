@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Three-vectors, 3x3 matrices, angles and rigid motions for kernels.
 
 A vector is a tuple of three numbers, a matrix a tuple of three row vectors: compiled code keeps them in registers,

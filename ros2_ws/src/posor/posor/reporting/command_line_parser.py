@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Command-line parser that reports a wrong command line as a ParameterError."""
 
 from __future__ import annotations

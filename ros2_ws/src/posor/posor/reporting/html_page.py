@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Self-contained HTML pages of reports, rendered from ``report_page.html.j2``: title, verdict, sections with plots."""
 
 from __future__ import annotations

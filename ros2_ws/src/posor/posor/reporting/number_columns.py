@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Columns of numbers in tables: flush right, with the decimal points below each other."""
 
 from __future__ import annotations

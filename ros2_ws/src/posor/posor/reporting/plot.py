@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Interactive plots of report pages: zoom, values under the pointer, download of the data. BokehJS is in the page."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Errors of programs: one sentence on standard error, and an exit code."""
 
 from __future__ import annotations

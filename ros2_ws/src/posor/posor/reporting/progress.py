@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Progress of programs that take long: bars with the remaining time on a terminal, elsewhere one line for a long step.
 
 Everything goes to standard error, so that results can be piped.

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """A table of a report, with the same cells on a console and on a page."""
 
 from __future__ import annotations

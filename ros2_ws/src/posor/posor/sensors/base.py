@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """What every sensor of a POSOR can do: linearise its readings, and predict them from a pose.
 
 A sensor type is a pydantic model (its part of the calibration file) and a subclass of ``Sensor`` made from it. The

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Bumpy ring: gap probes looking radially at a ring with bumps; two runouts and the large rotation, counted in bumps.
 
 Source: thesis 3.2.2, the alternative to diodes. The source draws three probes. With three, the sensitivity of the

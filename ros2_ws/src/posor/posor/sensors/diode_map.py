@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Maps from the ratios of a diode's contact currents to the light spot's position, as calibration files give them.
 
 The ratios are ``(A - C)/(A + C)`` along x and ``(B - D)/(B + D)`` along y. ``model.spot_map`` describes

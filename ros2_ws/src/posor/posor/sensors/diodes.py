@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Lateral effect diodes: two-dimensional position sensing diodes that see light sources on the target plate.
 
 Two fixed sources serve a large rotation as wide as the diodes; many sources on a ring, lit one after another, extend it

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Gap probes looking at a target plane: impedance, capacitance or any other probe with a voltage for a distance.
 
 Source: thesis 5.3.1; voltage to gap, table 7.10; the tilt of the target plane, 8.3.1.

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """One non-contact probe, as gap probes and ring probes share it: where it looks from, and what its voltage means."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Find sensor types through the entry-point group ``posor.sensors``.
 
 The value of an entry point is the sensor's calibration class (a ``SensorCalibration``); its name is the ``type`` that

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The channels that a calibration has, and the values that it accepts: compared with the columns of a table."""
 
 from __future__ import annotations

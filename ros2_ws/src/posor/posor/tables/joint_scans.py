@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Scans of a joint from the numbers of its columns."""
 
 from __future__ import annotations

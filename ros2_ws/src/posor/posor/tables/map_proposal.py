@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Propose the map of a table from its header and the calibrations: a commented YAML file to be edited."""
 
 from __future__ import annotations

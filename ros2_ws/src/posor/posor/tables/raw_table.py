@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """A table as its file has it: named columns of numbers or texts, and the place of each row."""
 
 from __future__ import annotations

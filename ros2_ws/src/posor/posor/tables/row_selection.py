@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Which rows of a table are read: those that are whole and later than the ones before them."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Open a table of any format that a map can read: text, Parquet, TDMS, MATLAB."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The map of a table: which of its columns are the readings of each joint, and how the file is read.
 
 ::

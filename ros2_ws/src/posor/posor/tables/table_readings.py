@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The readings of a table by its map: scans of each joint, and references."""
 
 from __future__ import annotations

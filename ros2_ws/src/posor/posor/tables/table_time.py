@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Times of the rows of a table: numbers with a unit, texts, or a rate; whole nanoseconds since 1970."""
 
 from __future__ import annotations

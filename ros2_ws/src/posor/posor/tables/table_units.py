@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Units of the columns of a table, and how they become those of SI."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Text files: CSV and what data acquisition programs write in its place."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Refractive index of air (phase index) from wavelength, temperature, pressure, humidity and carbon dioxide.
 
 Sources: P. E. Ciddor, *Refractive index of air: new equations for the visible and near infrared*, Applied Optics 35(9),

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Poses of a budget, and the covariances of the sensor models there.
 
 A pose comes from native coordinates, or has all sensors in the middle of their ranges.

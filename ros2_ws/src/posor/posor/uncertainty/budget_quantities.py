@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Outputs and inputs of an error budget.
 
 Outputs: the six native coordinates, and the gap at chosen points of the plate. Inputs: the calibrated physical

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Errors that one calibration laboratory gives all parts of an arm: the scale of its length reference, its temperature.
 
 A relative error of the reference makes every length wrong by the same part of it. A wrong temperature of the parts

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """First-order error budget of a POSOR at a pose (JCGM 100, 5.1 and 5.2).
 
 All derivatives are those of the measurement model: of the pose with respect to readings (``sensitivity_at``), and of

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Correction and standard uncertainty of a laser interferometer that serves as reference of a calibration.
 
 The interferometer counts wavelengths between its fixed optics and a retroreflector. It converts them with an assumed

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Protection levels of poses of one joint and of an arm's endpoint, offline: the bounds that ``chain_node`` publishes.
 
 The definition is that of ``chain.fault_bounds``. An undetected fault of one cause leaves the error within the level

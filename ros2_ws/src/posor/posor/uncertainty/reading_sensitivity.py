@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """What an error of each reading does to the pose, and to the chi-square of the redundant readings."""
 
 from __future__ import annotations

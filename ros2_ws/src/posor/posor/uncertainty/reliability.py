@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Reliability of a POSOR after Baarda: which faults are detected at a pose, and the effect of those that are not.
 
 The estimator tests the redundant readings by one chi-square (``estimation.scan_checks``). An error b of a single

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Writes bags of arbitrary bytes chunk by chunk, and reads them with rosbags and with the block reader."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Joints estimated block after block: each joint's numbers are those of its scans one by one."""
 
 from __future__ import annotations

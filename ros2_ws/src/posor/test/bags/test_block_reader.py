@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Bags read and written in bulk are, message by message, what rosbags reads and writes.
 
 The order of chunks that overlap in log time is that of rosbags to the last tie, and only what has to wait is kept.

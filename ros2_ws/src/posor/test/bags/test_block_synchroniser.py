@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Transforms joined block after block are those that chain_node's synchroniser joins one after the other."""
 
 from __future__ import annotations

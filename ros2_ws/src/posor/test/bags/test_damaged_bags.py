@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Checksums of MCAP bags, damaged and cut files, and their recovery, against rosbags' reading of the undamaged file."""
 
 from __future__ import annotations

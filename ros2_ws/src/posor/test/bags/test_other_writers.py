@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Bags that MCAP and rosbag2 allow but no recorder of this stack writes; their arrangements: ``make foreign-bags``."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Reference tracks and recordings: interpolation, selection of a reference, and invalid tracks."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """A calibration file as plain data: its parts by key path, and its text."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """What calibration files say, and what identifies a calibration."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The one sentence for each mistake in a calibration file: file, line, key and what is expected."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Causes of faults in a calibration file: defaults, replacements, and sentences on invalid entries."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Light rings whose sources are spaced so that the lit ones are known: a slip contradicts the distance of the spots."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """POSORs of any outside diameter: where their sensors are, what they resolve, how far they can be displaced."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Changing a calibration file: what is replaced, what stays, and what is never lost."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Numbers with a unit in a quantity: converted once, exactly as they are written."""
 
 from __future__ import annotations

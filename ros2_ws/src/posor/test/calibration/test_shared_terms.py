@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Shared terms of calibration files: what is refused, and what the terms do to the parameters and to the pose."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Calibration files as YAML: what is none and is refused, and the ways in which a number may be written."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The six-axis arm with swinging joints, and comparison of arrays bit by bit."""
 
 from __future__ import annotations

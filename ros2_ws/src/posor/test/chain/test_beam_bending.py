@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The sag of the measuring beam of thesis 6.2.2 and of a cantilever, against formulas derived here by other means."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Beams at the temperatures of their thermometers, and thermometers that cannot be used."""
 
 from __future__ import annotations

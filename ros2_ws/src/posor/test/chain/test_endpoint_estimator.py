@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """EndpointEstimator: single scans and many, compared with pinocchio and with each other."""
 
 from __future__ import annotations

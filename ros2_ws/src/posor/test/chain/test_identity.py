@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The identity of an arm and its commissioning record: what they depend on, and what is refused."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Invalid measurements, arrays of the wrong shape, and no scans."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Chains whose beams sag and are not exact."""
 
 from __future__ import annotations

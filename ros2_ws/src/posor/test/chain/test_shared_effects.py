@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Shared terms along the chain: effects of joints and beams are added before they are squared."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Ambient light that dark scans show, and the gain of a converter that reads a known voltage."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Scan numbers against stamps: late scans, clock steps, scattered stamps, restarts; and exposures within a scan.
 
 The truth is the motion that the scans are simulated with, as geometry.

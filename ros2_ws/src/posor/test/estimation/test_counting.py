@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The bumpy ring: counting theta in bumps, the home mark, reversals, and what three probes cannot see."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Covariances and chi-square of a solution against the dense formulas, for any number of redundant readings."""
 
 from __future__ import annotations

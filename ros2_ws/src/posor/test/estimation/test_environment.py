@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Supply, temperature, flags of the driver, and readings that no longer change."""
 
 from __future__ import annotations

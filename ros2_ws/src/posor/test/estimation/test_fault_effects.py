@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Effects of undetected faults: directions against changed raw scans, sizes against the test, the hypotheses of two."""
 
 from __future__ import annotations

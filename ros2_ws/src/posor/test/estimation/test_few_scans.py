@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Exposures, stamps and time offsets in few scans, so that ``make coverage`` observes their kernels uncompiled."""
 
 from __future__ import annotations

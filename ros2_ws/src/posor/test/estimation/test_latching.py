@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Faults latch the joint out: short ones are left by themselves, lasting ones by a reference or an operator."""
 
 from __future__ import annotations

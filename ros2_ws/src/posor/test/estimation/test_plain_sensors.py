@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Sensors in plain Python: the same sensor as plain sensor and as rows gives the same poses, states and covariances."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The estimator on simulated scans: exact inversion, honest uncertainty, states and faults."""
 
 from __future__ import annotations

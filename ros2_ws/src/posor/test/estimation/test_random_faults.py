@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Random faults against the truth: no wrong pose is usable, and sound scans outside a latch stay OK."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """One scan at a time: the same bits as many at once, whatever the scan."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Stamps that are wrong by a constant: bounded by ``stamp_limit``, found by an encoder."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """What the tracker keeps of a motion, and how it predicts the next pose."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Messages as bytes, against rclpy's own reading and writing of the same messages."""
 
 from __future__ import annotations

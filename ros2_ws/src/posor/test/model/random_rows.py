@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Random parameters of reading rows, each with a pose at which the row reads a number."""
 
 from __future__ import annotations

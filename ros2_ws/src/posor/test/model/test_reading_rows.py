@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Readings of all kinds of rows against ray tracing, and their derivatives against finite differences."""
 
 from __future__ import annotations

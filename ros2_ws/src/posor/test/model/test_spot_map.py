@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Both kinds of diode map on the same simulated grid of stops: the one of 1985 and the smooth one."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Run the kernels on the same inputs and save what comes out: ``kernel_outputs.py FILE.npz [--short]``.
 
 The inputs are random ones for each kind of kernel, the golden cases and a bag; with ``--short`` some golden cases and a

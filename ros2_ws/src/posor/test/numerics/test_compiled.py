@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Kernels of the library, of numba and in plain Python give the same bits; a library that does not fit is refused."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Stamps as times: the same one by one, in kernels and in arrays; what is no time is none."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Interactive plots: data for download, one library in the page, drawing in a browser."""
 
 from __future__ import annotations

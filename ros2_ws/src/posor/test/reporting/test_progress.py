@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Progress: a bar with the remaining time on a terminal, elsewhere a line for a long step, on standard error."""
 
 from __future__ import annotations

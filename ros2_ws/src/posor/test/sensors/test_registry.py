@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Sensor types from entry points: packages as importlib.metadata finds them, sound and unsound."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Every analytic derivative of every sensor against seeded central differences, for every calibration parameter."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Tables for tests: ten scans of two gap probes and a temperature, in every way that a program may write them."""
 
 from __future__ import annotations

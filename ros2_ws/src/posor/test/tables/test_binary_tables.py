@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Tables of Parquet, TDMS and MATLAB files, written with the libraries of these formats, by the same map."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Tables beside a calibration: what does not fit is refused, and a map is proposed that reads the file."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Text tables: every way to write the same numbers gives the same scans, and every doubt is one sentence."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Scans with errors of single linearised readings, from POSORs with drawn calibration errors."""
 
 from __future__ import annotations

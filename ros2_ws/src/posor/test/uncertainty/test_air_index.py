@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Refractive index of air against published values, and against the sensitivities of appendix 4A."""
 
 from __future__ import annotations

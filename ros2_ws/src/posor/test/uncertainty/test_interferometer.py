@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Correction of an interferometer's reading: closed forms, figures of the thesis, Monte Carlo, refused input."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Protection levels: the kernel against pinocchio, bounds of beams, and errors in a simulation with faults."""
 
 from __future__ import annotations

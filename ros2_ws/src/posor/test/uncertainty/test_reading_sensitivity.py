@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Sensitivity of the pose to each reading: of the last estimate, and at any pose."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Files of a calibrated arm: URDF, beams file, plain URDF for the controller of the robot, arm file, numbers as JSON.
 
 A POSOR's error is constant in the axes of its receiving plate, so its correction is that of the beam or fixed joint

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Fit of all parameters of an arm to references of its endpoint, and its test on readings that are not used.
 
 The prior uncertainties of the files are readings of their own, so that what the references do not determine stays as it

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """An arm as a chain of uncertain transforms: base, beams and POSORs, and the derivatives of its endpoint by all errors.
 
 Each element of the chain is a free joint of a pinocchio model. With its placement P and its measured motion M it is

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Poses of an arm for its calibration: means of recorded transforms, or any angles; and which poses determine most."""
 
 from __future__ import annotations

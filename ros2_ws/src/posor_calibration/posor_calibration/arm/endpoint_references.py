@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """References of the endpoint: points or poses of reflectors, and distances from a fixed ball to a ball on the tool.
 
 A row of a table is one reading of one reflector. A distance of zero is a ball on the tool in one fixed seat (closure on

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The recording of a commissioning: scans of all joints, encoders, a reference of the endpoint, and the steps."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """All checks of a commissioning, their page and JSON, and the record of an arm that passes."""
 
 from __future__ import annotations

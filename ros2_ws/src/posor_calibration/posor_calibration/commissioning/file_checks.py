@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Checks of files: gates that let anything pass, the serial number, and what differs from the commissioned files."""
 
 from __future__ import annotations

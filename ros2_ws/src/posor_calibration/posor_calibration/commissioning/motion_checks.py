@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Checks of motions: each joint against its encoder and its nominal motion; the endpoint against a reference.
 
 The poses are estimated from the begin of each joint's sweep, where it is at its home mark, to the end of the recording.

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The steps of the commissioning of an arm: each plug in turn, each joint through a range, the endpoint in postures."""
 
 from __future__ import annotations

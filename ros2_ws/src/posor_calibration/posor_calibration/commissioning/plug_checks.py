@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Checks of plugs: one probe is lifted by a stated amount, or one diode covered, and one channel must react.
 
 A channel of another plug, a wrong direction or a wrong amount is named. All joints are compared: a plug may be that of

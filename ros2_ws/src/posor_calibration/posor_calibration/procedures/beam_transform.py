@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Transform of a measuring beam between two POSORs, as in hand-eye calibration.
 
 A beam carries the target plate of one POSOR at one end and the receiving plate of the next at the other. With both

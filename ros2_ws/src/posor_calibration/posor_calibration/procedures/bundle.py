@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Bundle fit: any parameters of a POSOR together, through its measurement model, from the scans of many poses."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Offset and rotation of the diodes against one another, from one light source.
 
 A stage carries the same source over all diodes. Each diode sees it over its own field, and the stage tells how far the

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Map of a lateral effect diode, from current ratios to the spot's position, over a grid of dwells.
 
 Two kinds: ``chebyshev``, a smooth surface, and ``curves``, the map of 1985 with polynomials along the lines of the grid

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Sensitivity of the gaps to supply voltage or temperature, from a recording in which it varies and the target rests.
 
 Each level of the quantity is a dwell. A slow drift counts as many short dwells. Source of the procedure for the supply:

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Linearise gap probes: polynomials from voltage to gap against a reference (thesis 7.5.1, tables 7.3 to 7.6, 7.10)."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Repeatability, hysteresis and drift of gap probes, from runs over the same places (thesis 7.5.3; JCGM 100, H.5)."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Inclination of the light sources, from spots that move as the plates part.
 
 A ray that is not square to the plates moves its spot in proportion to the distance; so does a stage that does not move

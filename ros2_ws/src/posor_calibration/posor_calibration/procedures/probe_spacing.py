@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Positions of the gap probes, from angles imposed on the target: spacings a, b and c (thesis 7.5.2).
 
 The reference gives the angles. The height of the target at each dwell and the zero of each probe are free; all other

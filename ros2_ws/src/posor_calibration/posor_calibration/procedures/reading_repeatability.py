@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Noise of diodes and of ring probes, from repeated visits of the same places (thesis 7.4.1, 7.4.3; JCGM 100, H.5).
 
 As ``gap_repeatability`` does for gap probes: the noise of one scan is the scatter within the dwells together with what

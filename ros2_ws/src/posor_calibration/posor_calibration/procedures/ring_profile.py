@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Profile of a bumpy ring from full turns: self-calibration by several probes around the ring.
 
 Each probe sees every bump, the others see the same bump at another time. In each scan three unknowns are free, the two

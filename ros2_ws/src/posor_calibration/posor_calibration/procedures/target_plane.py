@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Orientation of the target plane, the surface that the gap probes see, against the axis of rotation.
 
 If the plane is not square to the axis, the gaps change with the sine and cosine of theta while the target turns, which

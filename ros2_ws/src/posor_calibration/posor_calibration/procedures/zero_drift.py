@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Zero-drift search: the zero shifts of the gap probes for which the POSOR agrees best with a reference.
 
 The probes' electronics drift by some tenths of a volt from day to day, while their curves keep their shape. A zero

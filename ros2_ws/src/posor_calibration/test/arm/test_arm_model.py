@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The chain of uncertain transforms: derivatives against differences, endpoints against those of the chain."""
 
 from __future__ import annotations

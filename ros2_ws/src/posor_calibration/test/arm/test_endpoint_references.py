@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """References of an endpoint: each mistake in units, columns and angles is named by what explains it."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Text of a new URDF: only the named origins and types change; comments are no joints."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Checks of a commissioning on small recordings: kinds of findings, missing steps, repeated steps."""
 
 from __future__ import annotations

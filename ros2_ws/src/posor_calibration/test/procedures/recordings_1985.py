@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The motion tests of 1985 as calibration procedures take them, from the recorded tables."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """A procedure with a recording whose true parameters are known, and changes of the recording."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Transform of a beam between two POSORs: simulated motions, a reference, and parallel axes."""
 
 from __future__ import annotations

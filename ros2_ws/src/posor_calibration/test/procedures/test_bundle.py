@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Bundle fit: recovered parameters of a simulated POSOR, their uncertainty, and unusable data."""
 
 from __future__ import annotations

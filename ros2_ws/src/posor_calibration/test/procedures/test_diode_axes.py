@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Offset of the diodes: one simulated source over both diodes."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Diode maps from simulated grids: recovered truth, uncertainties, and unusable data."""
 
 from __future__ import annotations

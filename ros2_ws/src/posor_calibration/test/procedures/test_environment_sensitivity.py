@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Sensitivity to supply voltage and temperature: simulated truth, the entry of the file, and unsuitable levels."""
 
 from __future__ import annotations

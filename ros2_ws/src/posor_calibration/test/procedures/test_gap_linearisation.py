@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Linearisation of gap probes: simulated truth, wrong references, and the curves and tables of 1985."""
 
 from __future__ import annotations

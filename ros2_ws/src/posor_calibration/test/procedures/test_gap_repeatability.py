@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Repeatability of gap probes: simulated drift, hysteresis and scatter over repeated runs."""
 
 from __future__ import annotations

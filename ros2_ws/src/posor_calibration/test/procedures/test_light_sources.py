@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Inclination of the light sources: simulated travel along Z of a stage that is not square, with and without a turn."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Spacing of gap probes: simulated angles, fixed parameters, and angles that do not serve."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Noise of diodes and ring probes from simulated visits of the same places."""
 
 from __future__ import annotations

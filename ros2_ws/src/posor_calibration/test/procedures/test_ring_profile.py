@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Profile of a bumpy ring: simulated full turns of a ring whose true profile is known."""
 
 from __future__ import annotations

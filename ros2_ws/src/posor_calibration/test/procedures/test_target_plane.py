@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Orientation of the target plane: simulated turns with a known tilt, and the vertical test of 1985."""
 
 from __future__ import annotations

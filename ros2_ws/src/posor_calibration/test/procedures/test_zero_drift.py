@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Zero-drift search: simulated truth, bad data, and the tests of 1985 from their recorded tables."""
 
 from __future__ import annotations

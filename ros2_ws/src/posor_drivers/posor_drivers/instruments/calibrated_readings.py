@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The readings that a calibration file expects of a joint, compared with those of an instruments file."""
 
 from __future__ import annotations

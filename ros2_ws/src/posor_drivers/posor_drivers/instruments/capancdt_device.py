@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Device ``capancdt_6200``: capacitive distances of a capaNCDT 6200 controller of Micro-Epsilon.
 
 ::

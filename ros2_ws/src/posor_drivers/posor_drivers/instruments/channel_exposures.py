@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Exposures of the channels of a device: when each channel of a frame is read.
 
 A multiplexing device reads the channels of a frame one after another. The offset of a channel is the middle of its

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Mapping from the frame counter of a device to ROS time.
 
 A device numbers its frames by a clock of its own, and each frame arrives with a delay that is never negative. The

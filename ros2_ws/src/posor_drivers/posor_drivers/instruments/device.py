@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Base class of all devices, and their registry. Read this file to add a device.
 
 How to add a device:

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Reads a device in a thread that joints share, finds the ROS time of its frames, and keeps the newest."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """instruments: lists the devices of an instruments file, tries them, shows live values, prints a first file."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The instruments file: devices, and which of their channels are the readings of each joint.
 
 ::

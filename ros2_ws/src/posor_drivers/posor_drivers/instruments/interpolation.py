@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Interpolation between three frames of a device whose noise is that of one frame at every time.
 
 The mean of two frames has less noise than one frame, by a factor from 0.71 to 1 that depends on where the time lies

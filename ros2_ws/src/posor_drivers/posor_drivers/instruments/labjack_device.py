@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Device ``labjack``: analogue inputs of a LabJack T4, T7 or T8 over Modbus TCP, asked for each frame.
 
 ::

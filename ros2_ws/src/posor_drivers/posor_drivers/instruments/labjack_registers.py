@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Inputs and registers of a LabJack over Modbus TCP, for its devices.
 
 Source: Modbus map of the T series. Registers hold big-endian numbers with the high word first: the voltage of input n

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Device ``labjack_stream``: analogue inputs of a LabJack T7 in stream mode, which sends frames by its own clock.
 
 ::

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Device ``nidaqmx``: analogue inputs of National Instruments hardware through the package ``nidaqmx`` and NI's driver.
 
 Never run against hardware or NI's driver. Install ``nidaqmx`` and the driver yourself; neither is a dependency.

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Base class of devices that send nothing by themselves: they are asked for each frame."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Noise of readings that are interpolated while the arm moves: the calibration's noise and the interpolation error.
 
 A calibration is made at rest, so the noise that it states has no part for the interpolation between frames. An entry of

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """References of a calibration in an instruments file: channel, uncertainty, and corrections of an interferometer.
 
 ::

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Device ``scpi``: scanners and multimeters that answer text commands, through PyVISA with its own library pyvisa-py.
 
 ::

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Device ``stream``: any TCP server or UDP sender of binary frames of fixed length, or of lines of text.
 
 For frames of a magic number, a counter and two voltages in steps of 0.1 mV::

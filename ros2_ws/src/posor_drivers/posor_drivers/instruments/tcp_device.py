@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Devices behind a TCP port: the connection, and the base class of those that send their frames in packets."""
 
 from __future__ import annotations

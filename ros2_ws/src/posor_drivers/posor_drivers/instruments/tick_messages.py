@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Messages of a tick from the channels of devices: the scan of a joint, and references with their uncertainty."""
 
 from __future__ import annotations

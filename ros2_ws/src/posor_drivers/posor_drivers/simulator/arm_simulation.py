@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Simulation of an arm: true poses and raw scans at any tick, for nodes, bags and accuracy runs.
 
 Equal files and seeds give equal numbers in every process, for any ticks in any order.

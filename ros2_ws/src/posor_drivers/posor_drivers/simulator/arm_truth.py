@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """True poses of a simulated arm over one cycle of its scenario.
 
 J_i is the structure before bearing i, K_i behind it, B_i the line of the measuring beam that starts there:

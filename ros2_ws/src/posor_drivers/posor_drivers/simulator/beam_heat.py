@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Temperatures of the measuring beams of a simulated arm, and what their thermometers read.
 
 A beam has the temperature that the scenario states, or a constant one that is drawn within the spread and the shared

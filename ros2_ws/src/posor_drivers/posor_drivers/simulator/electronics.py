@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Sensors and electronics of one simulated joint: from the true pose of the target plate to a raw scan."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The section ``electronics`` of a scenario file; a missing entry means perfect electronics."""
 
 from __future__ import annotations

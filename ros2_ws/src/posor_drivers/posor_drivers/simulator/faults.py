@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Faults of a simulated joint, switched on and off at given times: the section ``faults`` of a scenario file.
 
 The kinds cover the failure types of PX4's fault injection (off, stuck, garbage, wrong, slow) and faults of the clock.

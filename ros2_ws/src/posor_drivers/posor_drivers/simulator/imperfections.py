@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Switches for the simulated imperfections, and their random numbers; magnitudes are in scenario and arm files."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Mechanical imperfections of one joint and its link: backlash, encoder steps, bearing error motion, bending.
 
 A structural link is a cantilever tube clamped to the target side of its joint. Loads and lever arms are those of the

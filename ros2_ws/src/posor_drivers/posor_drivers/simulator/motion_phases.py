@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Phases of a scenario's motion: their file format, and the joint angles that they command.
 
 Every phase starts at rest at the joint angles where the previous phase ended, and ends at rest. A spline ends at its

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Nominal kinematics of an arm for many joint angles at once, and the inverse for positions of the endpoint.
 
 The geometry equals that of ``Chain.nominal_endpoint``, which handles one set of angles.

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Arrays of poses, with the operations of pinocchio's SE3, and the true poses of an arm."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The scenario file: motion of a simulated arm, and the imperfections of its mechanics and electronics.
 
 Versions of the format:

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Scans as the simulator makes them, and where a channel stands in them."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Micromanipulator stage at the end of the arm: moves to commanded positions at a limited speed."""
 
 from __future__ import annotations

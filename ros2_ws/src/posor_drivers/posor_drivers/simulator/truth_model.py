@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Models that give the simulator its truth: the estimator's own, or one of a package that shares no code with it.
 
 A package registers a model with an entry point of the group ``posor_drivers.truths``, which is called with the path of

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Source ``bag``: scans recorded in a rosbag2 bag, MCAP or SQLite.
 
 Scans that were recorded with another version of RawScan are published in the present one.

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Source ``instruments``: scans of one joint made of the channels of devices, see ``instruments.instruments_file``.
 
 At each tick of the ROS clock the channels are interpolated between the three frames nearest to the tick, so the scans

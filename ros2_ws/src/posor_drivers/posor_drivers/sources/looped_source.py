@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Source ``looped``: recorded scans played forwards and backwards without end, at any rate, as a load for tests.
 
 Every second scan is played forwards, the others backwards. So no scan is played twice in a row, not even where ticks

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Source ``simulated``: one joint of a simulated arm, in step with the drivers of the other joints.
 
 Every driver computes the same truth from the same files. The driver of the last joint also publishes the truth of the

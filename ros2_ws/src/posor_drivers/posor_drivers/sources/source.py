@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Base classes of all sources, and their registry. An instrument is not a source: see ``instruments/device.py``.
 
 How to add a source:

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Source ``table``: a table of another program, by its map (``posor.tables``)."""
 
 from __future__ import annotations

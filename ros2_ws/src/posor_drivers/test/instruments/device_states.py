@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Device readers that run, and waits for their states."""
 
 from __future__ import annotations

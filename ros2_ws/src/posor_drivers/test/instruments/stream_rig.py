@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """An instruments file of one joint, ``elbow``, with one device, ``box``, of the kind ``stream``."""
 
 from __future__ import annotations

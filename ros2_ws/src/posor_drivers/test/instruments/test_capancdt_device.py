@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Device ``capancdt_6200`` over real sockets, against a counterpart of the controller with faults on demand."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Clock of a device against the arrivals of its frames, simulated with a seed."""
 
 from __future__ import annotations

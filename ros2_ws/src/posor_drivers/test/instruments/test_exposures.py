@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Channels that a device reads one after another: each is brought to the tick at its own time, or stated as unknown.
 
 A joint turns at 1 rad/s in a sawtooth behind the server of each multiplexing device. No noise is simulated, so an error

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Program ``instruments`` and the instruments file, with a device over a real socket."""
 
 from __future__ import annotations

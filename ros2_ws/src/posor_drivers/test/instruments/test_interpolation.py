@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Weights of the interpolation between frames: noise and error of the result."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Device ``labjack_stream`` over real sockets: a Modbus server of another code base and the stream of a T7."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Device ``nidaqmx`` without NI's driver: it names what is missing; nothing else can be tried here."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Devices ``labjack`` and ``scpi`` over real sockets, against servers of other code bases."""
 
 from __future__ import annotations

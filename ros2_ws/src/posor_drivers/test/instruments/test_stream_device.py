@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Device ``stream`` and the reader of a device, over real sockets."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Device ``stream`` with lines of text, and with frames without a counter, over real sockets."""
 
 from __future__ import annotations

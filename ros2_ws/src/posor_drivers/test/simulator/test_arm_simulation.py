@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The simulated arm as a whole: what is true, what is read, and that one belongs to the other."""
 
 from __future__ import annotations

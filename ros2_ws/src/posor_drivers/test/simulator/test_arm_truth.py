@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Sag of accelerated measuring beams, in the simulator and in the chain that corrects it."""
 
 from __future__ import annotations

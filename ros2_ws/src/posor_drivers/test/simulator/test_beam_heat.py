@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Warm beams of a simulated arm: the endpoint moves with them, and their thermometers are published."""
 
 from __future__ import annotations

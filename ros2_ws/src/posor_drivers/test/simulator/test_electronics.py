@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Electronics of the simulated arm: contamination, converter, supply, lost and late scans."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Faults of a scenario: what each kind changes, and nothing else; wrong entries."""
 
 from __future__ import annotations

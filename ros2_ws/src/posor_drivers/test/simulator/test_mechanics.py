@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Backlash, error motions and bending of the simulated arm against closed forms."""
 
 from __future__ import annotations

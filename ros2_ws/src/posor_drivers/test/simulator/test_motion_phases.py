@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Motion of a scenario, and the nominal kinematics it needs: against the chain and finite differences."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """References of a calibration over devices: an interferometer with a weather station, and an autocollimator."""
 
 from __future__ import annotations

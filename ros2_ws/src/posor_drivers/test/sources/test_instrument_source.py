@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Source ``instruments``: what becomes of the channels of a device in a scan, over a real socket."""
 
 from __future__ import annotations

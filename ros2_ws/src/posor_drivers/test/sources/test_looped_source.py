@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Source ``looped``: recorded scans played forwards and backwards at ticks, with new stamps and numbers only."""
 
 from __future__ import annotations

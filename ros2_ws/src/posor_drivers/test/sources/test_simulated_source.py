@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Source ``simulated`` in ``driver_node``: wall time, simulated time, several drivers, a stage."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Base classes and registry of sources: an instrument defines only its rate and its readings."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Source ``table`` and the program ``import``: the messages of a table by its map."""
 
 from __future__ import annotations
