@@ -35,6 +35,11 @@ PROBABILITY = limit_quantity(lambda value: 0.0 <= value < 1.0, "a probability of
 INTERVAL = limit_quantity(lambda limits: limits[0] < limits[1], "[lowest, highest]")
 
 Seconds = Annotated[Quantity, measured("s"), POSITIVE]
+MAX_DELAY_S = 5.0
+"""Longest delay of a reading: an instrument that is slower measures no arm, but 20 ms are easily entered as 20 s."""
+Delay = Annotated[
+    Quantity, measured("s"), limit_quantity(lambda s: 0.0 <= s <= MAX_DELAY_S, f"0 to {MAX_DELAY_S:g} s (milliseconds?)")
+]
 MAX_RATE_HZ = 10_000
 TickRate = Annotated[
     Quantity,

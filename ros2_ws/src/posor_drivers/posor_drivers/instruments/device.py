@@ -32,7 +32,7 @@ from posor.errors import PosorError
 from pydantic import AfterValidator, Field
 
 from posor_drivers.instruments.channel_exposures import ExposureEntry, Exposures, find_exposures
-from posor_drivers.quantity_limits import NOT_NEGATIVE, POSITIVE
+from posor_drivers.quantity_limits import POSITIVE, Delay
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -72,7 +72,7 @@ class DeviceSettings(FrozenModel):
     kind: str
     rate: Annotated[Quantity, measured("Hz"), POSITIVE]
     """Nominal number of frames per second."""
-    delay: Annotated[Quantity, measured("s"), NOT_NEGATIVE] = Quantity(value=0.0, unit="s")
+    delay: Delay = Quantity(value=0.0, unit="s")
     """Least time from the last exposure of a frame to its arrival, which arrivals cannot show, and its uncertainty."""
     trigger_tolerance: Annotated[Quantity, measured("s"), POSITIVE] | None = None
     """Of a device whose frames are triggered by hardware at the ticks: largest time from a tick to its frame, which is

@@ -38,7 +38,7 @@ from pydantic import Field, model_validator
 
 from posor_drivers.instruments.device import Device, DeviceSettings, device_classes
 from posor_drivers.instruments.reference_entry import ChannelEntry, ReferenceEntry
-from posor_drivers.quantity_limits import NOT_NEGATIVE, TickRate
+from posor_drivers.quantity_limits import NOT_NEGATIVE, Delay, TickRate
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -123,7 +123,7 @@ class InstrumentsFile(FrozenModel):
     version: Literal[1]
     name: str
     rate: TickRate
-    latency: Annotated[Quantity, measured("s"), NOT_NEGATIVE]
+    latency: Delay
     devices: Annotated[dict[str, Annotated[DeviceSettings, SETTINGS]], Field(min_length=1)]
     joints: Annotated[dict[str, JointEntry], Field(min_length=1)]
     references: dict[Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$")], ReferenceEntry] = Field(default_factory=dict)

@@ -51,7 +51,7 @@ from pydantic import Field, model_validator
 
 from posor_drivers.instruments.device import Channel, refuse_repeated_numbers, starting_channels
 from posor_drivers.instruments.polled_device import PolledDevice, PolledSettings
-from posor_drivers.quantity_limits import NOT_NEGATIVE, Seconds
+from posor_drivers.quantity_limits import Delay, Seconds
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -137,9 +137,9 @@ class ScpiSettings(PolledSettings):
     address: str
     dialect: str
     channels: Annotated[dict[str, ScpiChannel], Field(min_length=1)]
-    channel_delay: Annotated[Quantity, measured("s"), NOT_NEGATIVE] | None = None
+    channel_delay: Delay | None = None
     aperture: Seconds | None = None
-    overhead: Annotated[Quantity, measured("s"), NOT_NEGATIVE] | None = None
+    overhead: Delay | None = None
     light: LightSwitch | None = None
 
     @model_validator(mode="after")

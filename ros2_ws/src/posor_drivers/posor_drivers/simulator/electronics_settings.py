@@ -10,7 +10,7 @@ from posor.calibration.file_model import EntryError, FrozenModel, format_value
 from posor.calibration.quantity import Quantity, measured
 from pydantic import Field, model_validator
 
-from posor_drivers.quantity_limits import INTERVAL, NOT_NEGATIVE, POSITIVE, PROBABILITY, Seconds
+from posor_drivers.quantity_limits import INTERVAL, NOT_NEGATIVE, POSITIVE, PROBABILITY, Delay, Seconds
 
 Voltage = Annotated[Quantity, measured("V"), POSITIVE]
 Amplitude = Annotated[Quantity, measured("V"), NOT_NEGATIVE]
@@ -93,7 +93,7 @@ class Dropouts(FrozenModel):
 class Latency(FrozenModel):
     """Delay from mid-exposure to publication, uniform within ``mean`` plus or minus ``jitter``."""
 
-    mean: Annotated[Quantity, measured("s"), NOT_NEGATIVE]
+    mean: Delay
     jitter: Annotated[Quantity, measured("s"), NOT_NEGATIVE]
 
     @model_validator(mode="after")

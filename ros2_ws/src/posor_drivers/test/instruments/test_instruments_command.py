@@ -99,6 +99,8 @@ GAP = "joints.elbow.gap_voltages.0"
         ),
         ("devices.box", {"kind": "strean"}, "kind 'strean'; expected "),
         ("devices.box", {"rate": 500}, "500 has no unit; expected a mapping such as"),
+        ("latency", {"value": 50}, "latency.value: 50.0 s; expected 0 to 5 s (milliseconds?)."),
+        ("devices.box", {"delay": quantity(20, "s")}, "delay.value: 20.0 s; expected 0 to 5 s (milliseconds?)."),
         ("rate", {"value": 0.5}, "0.5 Hz; expected a whole number from 1 to 10000."),
     ],
 )

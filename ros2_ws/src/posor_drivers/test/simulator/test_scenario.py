@@ -99,6 +99,7 @@ electronics.contamination.1.size.value = -1.0 | electronics.contamination[1].siz
     | size -1 | more than -1, which leaves no current
 electronics.dropouts.probability.value = 1.0 | electronics.dropouts.probability.value \
     | 1.0 | a probability of 0 or more, less than 1
+electronics.latency.mean.value = 20 | electronics.latency.mean.value | 20.0 s | 0 to 5 s (milliseconds?)
 electronics.latency.jitter.value = 0.1 | electronics.latency.jitter.value | jitter 0.1 s | at most 0.001 s, the mean
 electronics.supply.measured = "yes" | electronics.supply.measured | 'yes' | true or false
 stage.stroke.value = 0.0 | stage.stroke.value | 0.0 m | more than 0
