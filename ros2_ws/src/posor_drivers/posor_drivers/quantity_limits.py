@@ -38,7 +38,9 @@ Seconds = Annotated[Quantity, measured("s"), POSITIVE]
 MAX_DELAY_S = 5.0
 """Longest delay of a reading: an instrument that is slower measures no arm, but 20 ms are easily entered as 20 s."""
 Delay = Annotated[
-    Quantity, measured("s"), limit_quantity(lambda s: 0.0 <= s <= MAX_DELAY_S, f"0 to {MAX_DELAY_S:g} s (milliseconds?)")
+    Quantity,
+    measured("s"),
+    limit_quantity(lambda s: 0.0 <= s <= MAX_DELAY_S, f"0 to {MAX_DELAY_S:g} s (milliseconds?)"),
 ]
 MAX_RATE_HZ = 10_000
 TickRate = Annotated[

@@ -32,7 +32,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 from posor.calibration.file_model import EntryError, FrozenModel, select_model_by_key
-from posor.calibration.quantity import Quantity, measured
+from posor.calibration.quantity import Quantity
 from posor.calibration.yaml_document import load_document
 from pydantic import Field, model_validator
 
@@ -61,12 +61,13 @@ WHOLE_NUMBERS = ("lit_sources", "home_mark", "light")
 """Readings that are never interpolated."""
 OWN_CHANNELS = ("gap_voltages", "ring_voltages", "diode_currents")
 """Readings that share no channel with others."""
+NotNegative = Annotated[Quantity, NOT_NEGATIVE]
 
 
 class ReadingEntry(ChannelEntry):
     """A reading of a joint."""
 
-    acceleration: Annotated[Quantity, NOT_NEGATIVE] | None = None
+    acceleration: NotNegative | None = None
 
 
 LitSource = Annotated[int, Field(strict=True, ge=0, le=254)] | ReadingEntry

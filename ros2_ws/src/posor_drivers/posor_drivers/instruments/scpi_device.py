@@ -45,7 +45,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 from posor.calibration.file_model import EntryError, Expression, FrozenModel
-from posor.calibration.quantity import Quantity, measured
 from posor.calibration.yaml_document import load_document
 from pydantic import Field, model_validator
 
@@ -55,6 +54,8 @@ from posor_drivers.quantity_limits import Delay, Seconds
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
+
+    from posor.calibration.quantity import Quantity
 
     from posor_drivers.instruments.device import Frames
 
