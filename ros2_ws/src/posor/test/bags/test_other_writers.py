@@ -153,6 +153,7 @@ DEFINITIONS = {
     "line ends of Windows": ("ros2msg", lambda text: text.replace("\n", "\r\n")),
     "line ends of old Macs": ("ros2msg", lambda text: text.replace("\n", "\r")),
     "a byte order mark": ("ros2msg", lambda text: "\ufeff" + text),
+    "a NUL at the end": ("ros2msg", lambda text: text + "\0"),
     "comments": ("ros2msg", lambda text: f"# \u00b5m\n{text}"),
     "IDL": ("ros2idl", lambda _: idl()),
     "none": ("", lambda _: ""),
@@ -186,6 +187,7 @@ def folder_of(bag: Path, files: Mapping[str, bytes], **changes: Any) -> Path:
 
 
 WHOLE = mcap({CDR: 5})
+TOPIC = {"name": ONE, "type": RAW_SCAN, "type_description_hash": "MD5_1"}
 METADATA_FAULTS: dict[str, tuple[dict[str, bytes], dict[str, Any], str]] = {
     "a missing file": (
         {"a.mcap": WHOLE},
@@ -221,12 +223,48 @@ def test_invalid_metadata_are_refused(
 
 
 def test_metadata_add_only_what_the_files_do_not_state(tmp_path: Path) -> None:
-    bag = folder_of(tmp_path / "bag", {"a.mcap": mcap({(ONE, "cdr", "", b""): 4}, type_name="")}, storage_identifier="")
+    rows = [{"topic_metadata": TOPIC, "message_count": n} for n in (2, 3)]
+    changes = {"storage_identifier": "", "topics_with_message_count": rows}
+    bag = folder_of(tmp_path / "bag", {"a.mcap": mcap({(ONE, "cdr", "", b""): 4}, type_name="")}, **changes)
     messages, notes = read(bag)
     assert len(messages) == 4
     assert notes == ["metadata.yaml states 5 messages of /one/raw; the files hold 4"]
     with pytest.raises(BagError, match="holds no messages but of /one/raw of no stated type"):
         read(bag / "a.mcap")
+
+
+FORMS: dict[str, tuple[bytes, dict[str, Any]]] = {
+    "a path of Windows": (WHOLE, {"relative_file_paths": [r"C:\bags\a.mcap"]}),
+    "a file that is listed twice": (WHOLE, {"relative_file_paths": ["a.mcap", "a.mcap"]}),
+    "no compression by the mode": (WHOLE, {"compression_format": "bz2", "compression_mode": "NONE"}),
+    "a hash of another kind": (WHOLE, {"topics_with_message_count": [{"topic_metadata": TOPIC, "message_count": 5}]}),
+    "a type name of ROS 1": (mcap({CDR: 5}, type_name=RAW_SCAN.replace("/msg/", "/")), {}),
+    "topics that only the data define": (mcap({CDR: 5}, repeat_channels=False, repeat_schemas=False), {}),
+}
+
+
+@pytest.mark.parametrize(("file", "changes"), FORMS.values(), ids=FORMS.keys())
+def test_metadata_and_files_of_other_forms_are_read_whole(file: bytes, changes: dict[str, Any], tmp_path: Path) -> None:
+    bag = folder_of(tmp_path / "bag", {"a.mcap": file}, **changes)
+    messages, notes = read(bag)
+    assert (len(messages), notes) == (5, [])
+    with opened_bag(bag) as reader:
+        assert [(each.msgtype, each.digest) for each in reader.connections] == [(RAW_SCAN, "")]
+
+
+def test_messages_of_a_missing_schema_are_listed(tmp_path: Path) -> None:
+    file = BytesIO()
+    writer = McapWriter(file)
+    writer.start()
+    channels = [writer.register_channel(topic, "cdr", 7) for topic in TOPICS]
+    for _ in range(3):
+        writer.add_message(channels[0], 1000, bytes(40), 0)
+    schema = writer.register_schema(RAW_SCAN, "ros2msg", definition())
+    writer.add_message(writer.register_channel("/four/raw", "cdr", schema), 1000, bytes(40), 0)
+    writer.finish()
+    (tmp_path / "a.mcap").write_bytes(file.getvalue())
+    messages, notes = read(tmp_path / "a.mcap")
+    assert (len(messages), notes) == (1, ["topic /one/raw is left out: 3 messages of a schema that the file lacks"])
 
 
 def test_log_times_beyond_the_range_are_refused(tmp_path: Path) -> None:
