@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from contextlib import nullcontext
 from dataclasses import replace
 from typing import Any
 
@@ -16,7 +17,7 @@ from posor.errors import FitError, PosorError, TrackError
 from posor.numerics.array_types import FloatArray
 from posor_calibration.calibration_fit import FitResult, fit
 from posor_calibration.procedure_registry import PROCEDURES
-from posor_calibration.reference_checks import find_drifts, find_repeated_values
+from posor_calibration.reference_checks import check_visits, find_drifts, find_repeated_values
 from posor_lab.harness.simulated_recordings import diode_calibration, lifted_recording, tilted_recording
 from scipy.spatial.transform import Rotation
 
@@ -84,6 +85,22 @@ def test_a_drift_is_found_with_its_size_where_the_target_returns() -> None:
 def test_a_drift_far_beyond_the_uncertainty_is_refused(travel: str, size: float, sentence: str) -> None:
     with pytest.raises(FitError, match=sentence):
         drifting(travel, size)
+
+
+VISITS: dict[str, tuple[list[float], list[float], bool]] = {
+    "a return": ([0.0, 1.0, 0.0], [0.0, 1.0, 1e-3], True),
+    "a place that the target has hardly left": ([0.0, 0.05, 0.0, 1.0], [0.0, 0.05, 1e-3, 1.0], False),
+    "a calibration before its fit": ([0.0, 1.0, 0.009], [0.0, 1.0, 0.0095], False),
+}
+
+
+@pytest.mark.parametrize(("measured", "reference", "refused"), VISITS.values(), ids=VISITS.keys())
+def test_only_returns_show_a_drift_between_visits(
+    measured: list[float], reference: list[float], *, refused: bool
+) -> None:
+    sigmas = np.full(len(measured), 1e-5)
+    with pytest.raises(FitError) if refused else nullcontext():
+        check_visits(np.array(measured), np.array(reference), sigmas, "bag")
 
 
 def test_a_drift_of_angles_is_named_with_its_size() -> None:

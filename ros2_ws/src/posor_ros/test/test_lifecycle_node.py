@@ -4,17 +4,23 @@
 
 from __future__ import annotations
 
+import math
 import signal
 from pathlib import Path
+from typing import Annotated
 
 import pytest
 import yaml
 from lifecycle_msgs.msg import Transition
 from posor.errors import ParameterError
+from posor.node_parameters import NodeParameters
+from posor.parameter_model import parameter_specs
 from posor_lab.harness.graph import Graph, values_of
 from posor_lab.harness.program import Program, script
+from posor_ros.declared_parameters import descriptor_of
 from posor_ros.node_program import non_ros_arguments
 from posor_ros.ros_arguments import ros_arguments
+from pydantic import Field
 from rcl_interfaces.msg import ParameterDescriptor, ParameterType
 from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters, SetParameters
 from rclpy.parameter import Parameter, parameter_value_to_python
@@ -206,6 +212,18 @@ def test_descriptors_have_type_description_range_and_read_only_mark() -> None:
         assert (span.from_value, span.to_value, count.read_only) == (1, 9, False)
         assert autostart.read_only
         assert fail.additional_constraints == "one of 'never', 'configure', 'late', 'activate', 'bug', 'active bug'"
+
+
+class OneBound(NodeParameters):
+    most: Annotated[int, Field(le=9)] = Field(default=2, description="a whole number with an upper bound")
+    above: Annotated[float, Field(gt=0.5)] = Field(default=2.0, description="a number with a lower bound")
+
+
+def test_the_range_of_a_parameter_with_one_bound_ends_with_its_type() -> None:
+    found = {spec.name: descriptor_of(spec) for spec in parameter_specs(OneBound)}
+    whole, number = found["most"].integer_range[0], found["above"].floating_point_range[0]
+    assert (whole.from_value, whole.to_value) == (-(2**63), 9)
+    assert (number.from_value, number.to_value) == (0.5, math.inf)
 
 
 def set_parameter(graph: Graph, parameter: Parameter) -> tuple[bool, str]:

@@ -258,9 +258,9 @@ def test_messages_of_a_missing_schema_are_listed(tmp_path: Path) -> None:
     writer.start()
     channels = [writer.register_channel(topic, "cdr", 7) for topic in TOPICS]
     for _ in range(3):
-        writer.add_message(channels[0], 1000, bytes(40), 0)
+        writer.add_message(channels[0], 0, bytes(40), 0)  # no log time
     schema = writer.register_schema(RAW_SCAN, "ros2msg", definition())
-    writer.add_message(writer.register_channel("/four/raw", "cdr", schema), 1000, bytes(40), 0)
+    writer.add_message(writer.register_channel("/four/raw", "cdr", schema), 0, bytes(40), 0)
     writer.finish()
     (tmp_path / "a.mcap").write_bytes(file.getvalue())
     messages, notes = read(tmp_path / "a.mcap")
