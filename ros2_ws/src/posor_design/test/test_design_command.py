@@ -210,10 +210,12 @@ def test_units_do_not_change_the_result(capsys: pytest.CaptureFixture[str]) -> N
 def test_the_page_shows_the_effect_of_each_argument(tmp_path: Path) -> None:
     page = tmp_path / "page.html"
     assert main([*example_of("thermal-growth"), "--html", str(page)]) == 0
-    rows = re.findall(r"<tr><td>(\w+)</td><td>([-+.\d]+%)</td><td></td></tr>", page.read_text(encoding="utf-8"))
+    rows = re.findall(
+        r'<tr><td>(\w+)</td><td class="number">([-+.\d]+%)</td><td></td></tr>', page.read_text(encoding="utf-8")
+    )
     assert rows == [("length", "+1.00%"), ("expansion", "+1.00%"), ("temperature_change", "+1.00%")]
     assert main([*example_of("cantilever-beam"), "--html", str(page)]) == 0
-    assert re.search(r"<td>tip_force</td>(<td>[^<]*</td>)*<td>from 0</td>", page.read_text(encoding="utf-8"))
+    assert re.search(r"<td>tip_force</td>(<td[^>]*>[^<]*</td>)*<td>from 0</td>", page.read_text(encoding="utf-8"))
     assert main(["abbe-error", "--offset", "2 in", "--angle", ".199 rad", "--html", str(page)]) == 0
     assert "refused: angle: 0.20099 rad" in page.read_text(encoding="utf-8")
 
