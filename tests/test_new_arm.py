@@ -38,13 +38,17 @@ def test_a_new_arm_comes_up_and_a_second_one_of_its_name_is_refused(tmp_path: Pa
         endpoints = graph.collect(EndpointState, "/own/endpoint/state")
         ok = EndpointState.STATE_OK
         graph.wait_until(lambda: sum(each.state == ok for each in endpoints) > OK_SCANS, "OK poses of the endpoint")
-        with Program([*command, str(tmp_path / "second")]) as second:
-            assert second.wait() == 1
-            assert second.stdout == []
-            assert "already runs in ROS domain" in second.errors[0]
-            assert second.errors[0].startswith("node /own/")
-        assert not (tmp_path / "second").exists()
-        assert not first.ended
+        refused_before_start = False
+        for folder in (tmp_path / f"second_{n}" for n in range(3)):  # discovery may be late on a busy host
+            with Program([*command, str(folder)]) as second:
+                assert second.wait() == 1
+                assert "already runs in ROS domain" in second.errors[0]
+                assert second.errors[0].startswith("node /own/")
+            assert not first.ended
+            refused_before_start = second.stdout == [] and not folder.exists()
+            if refused_before_start:
+                break
+        assert refused_before_start
         with Program([*command, str(tmp_path / "third"), "-p", "simulated.nois:=false"]) as third:
             assert third.wait() == 2
             (error,) = third.errors

@@ -22,8 +22,10 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
     from types import TracebackType
 
-DISCOVERY_S = 1.0
-"""Time in which a new participant learns of the nodes of its domain; it runs while the files of the arm are read."""
+DISCOVERY_S = 2.0
+"""Time in which a new participant learns of the nodes of its domain; it runs while the files of the arm are read.
+
+On a busy host it may take longer; ``refuse_second`` then finds the other arm after the start."""
 POLL_S = 0.02
 
 
