@@ -96,6 +96,12 @@ def parse_options(arguments: Sequence[str] | None) -> argparse.Namespace:
             raise ParameterError(f"{value}", where=f"{WHERE}, --{name.replace('_', '-')}", expected=f"{least} or more")
     if options.hold_out == 1:
         raise ParameterError("no pose would be used", where=f"{WHERE}, --hold-out", expected="0, or 2 or more")
+    options.tool = _named("--tool", options.tool, (POINT, PLACE), positive=False)
+    options.tool_uncertainty = _numbers("--tool-uncertainty", options.tool_uncertainty, (2,), positive=True)
+    options.uncertainty = {
+        name: Uncertainty(*numbers)
+        for name, numbers in _named("--uncertainty", options.uncertainty, (1, 2, 3), positive=True).items()
+    }
     return options
 
 
@@ -121,16 +127,14 @@ def _named(option: str, entries: Sequence[str], counts: Sequence[int], *, positi
     return found
 
 
-def _tools(options: argparse.Namespace) -> dict[str, Tool]:
-    length, angle = _numbers("--tool-uncertainty", options.tool_uncertainty, (2,), positive=True)
-    places = _named("--tool", options.tool, (POINT, PLACE), positive=False)
-    angles = {
-        name: pin.rpy.rpyToMatrix(np.array([*numbers[POINT:], *[0.0] * PLACE][:POINT]))
-        for name, numbers in places.items()
-    }
+def _tools(options: argparse.Namespace, reflectors: Mapping[str, object]) -> dict[str, Tool]:
+    """Return the tool of each reflector; one without ``--tool`` is at the endpoint."""
+    given, (length, angle) = options.tool, options.tool_uncertainty
+    _check_names(given, reflectors, "--tool")
+    places = {name: np.array([*given.get(name, ()), *[0.0] * PLACE][:PLACE]) for name in reflectors}
     return {
-        name: Tool(pin.SE3(angles[name], np.array(numbers[:POINT])), (length, angle))
-        for name, numbers in places.items()
+        name: Tool(pin.SE3(pin.rpy.rpyToMatrix(place[POINT:]), place[:POINT]), (length, angle))
+        for name, place in places.items()
     }
 
 
@@ -145,23 +149,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the program; exit code 0: the files have been written, or the poses printed."""
     options = parse_options(arguments)
     arm = load_arm(options.arm)
-    tools = _tools(options)
-    uncertainties = {
-        name: Uncertainty(*numbers)
-        for name, numbers in _named("--uncertainty", options.uncertainty, (1, 2, 3), positive=True).items()
-    }
+    uncertainties = options.uncertainty
     console = report_console(WIDTH)
     if options.select is not None:
-        _print_selection(arm, options, tools, uncertainties, console)
+        _print_selection(arm, options, console)
         return 0
     folder = options.output or Path("build/calibrate_arm") / arm.name
     check_output(folder, arm, force=options.force)
     table = load_readings(options.table, options.map, needs_joints=False)
     references = references_of(table, uncertainties, str(options.table))
     _check_names(uncertainties, references.reflectors, "--uncertainty")
-    _check_names(tools, references.reflectors, "--tool")
-    length, angle = _numbers("--tool-uncertainty", options.tool_uncertainty, (2,), positive=True)
-    tools = {name: tools.get(name, Tool(pin.SE3.Identity(), (length, angle))) for name in references.reflectors}
+    tools = _tools(options, references.reflectors)
     chain = arm.chain()
     estimates = arm.estimate(options.bag)
     poses = recorded_poses(estimates, chain, references.stamps_ns, references.rows, options.window, str(options.bag))
@@ -233,17 +231,12 @@ def _grouped(names: Sequence[str]) -> list[str]:
     return [name if axes in whole else f"{name} ({', '.join(axes)})" for name, axes in parts.items()]
 
 
-def _print_selection(
-    arm: Arm,
-    options: argparse.Namespace,
-    tools: Mapping[str, Tool],
-    uncertainties: Mapping[str, Uncertainty],
-    console: Console,
-) -> None:
+def _print_selection(arm: Arm, options: argparse.Namespace, console: Console) -> None:
     """Print the best candidates, as a table (CSV) of angles."""
+    uncertainties = options.uncertainty
     if not uncertainties:
         raise ParameterError("--uncertainty missing", where=WHERE, expected="that of each reflector")
-    _check_names(tools, uncertainties, "--tool")
+    tools = _tools(options, uncertainties)
     uncertain = ArmUncertainty(arm)
     angles = path_poses(uncertain, options.candidates).angles
     chain = uncertain.chain
@@ -253,7 +246,7 @@ def _print_selection(
     readings = []
     for n, endpoint in enumerate(model.move(states, np.zeros(len(model.parameters)), pin.SE3.Identity()).endpoints):
         for name, own in uncertainties.items():
-            place = endpoint * tools.get(name, Tool(pin.SE3.Identity())).T_endpoint_reflector
+            place = endpoint * tools[name].T_endpoint_reflector
             length = own.constant + own.per_metre * float(np.linalg.norm(place.translation))
             values, sigmas = pin.SE3ToXYZQUAT(place), np.repeat([length, own.angle], POINT)
             size = (len(values), PLACE) if own.angle else (POINT, POINT)

@@ -36,9 +36,7 @@ CENTRE = "fixed ball"
 CENTRE_SIGMA = 10.0  # prior standard uncertainty of the fixed ball [m]: not known beforehand
 STEP = 1e-3  # expected size of what is not known beforehand [m], [rad]
 UNDETERMINED = 0.5  # share of its prior standard uncertainty that a parameter keeps if the references leave it open
-MOST_CORRECTION = (
-    10.0  # correction over its prior standard uncertainty beyond which file and arm do not belong together
-)
+MOST_CORRECTION = 10.0  # correction over its prior standard uncertainty: beyond it, file and arm do not belong together
 LEAST_MOVED = 3  # outliers in a row, up to the last reading or from the first one, that a moved reflector explains
 SPARE = 3  # numbers that there must be beyond the unknown mounting
 
@@ -48,7 +46,7 @@ class Tool:
     """A reflector on the endpoint."""
 
     T_endpoint_reflector: pin.SE3  # as drawn
-    sigmas: tuple[float, float] = (0.05, 0.2)  # its prior standard uncertainty [m], [rad]
+    sigmas: tuple[float, float]  # its prior standard uncertainty [m], [rad]
 
 
 class Misfit(NamedTuple):
@@ -103,10 +101,10 @@ class ArmProblem:
     def __init__(
         self, model: ArmModel, states: ArmStates, references: EndpointReferences, tools: Mapping[str, Tool]
     ) -> None:
-        """Place the base at the references, and weigh the readings; ``tools``: by reflector."""
+        """Place the base at the references, and weigh the readings; ``tools``: of each reflector, by name."""
         self.model, self.states, self.readings = model, states, references.readings
         self.T_reference_base = pin.SE3.Identity()
-        self._tools = {name: tools.get(name, Tool(pin.SE3.Identity())) for name in references.reflectors}
+        self._tools = tools
         self.parameters = [*model.parameters]
         sigmas: list[FloatArray] = []
         self._first: dict[str, slice] = {}
