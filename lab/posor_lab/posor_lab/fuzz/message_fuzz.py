@@ -288,9 +288,9 @@ class TransformFuzz(MessageFuzz):
         """Estimate the undamaged scans of all joints."""
         super().__init__(f"transforms {seed}")
         chain = simulation.chain
-        self._formats = [JointTransformFormat(joint.parent, joint.child) for joint in chain.joints]
-        self._estimator = chain.estimator(0.0, [each.row_layout for each in self._formats])
         recordings = [record(simulation, joint.name) for joint in chain.joints]
+        self._formats = [JointTransformFormat(each.transforms[0]) for each in recordings]
+        self._estimator = chain.estimator(0.0, [each.row_layout for each in self._formats])
         usable = set.intersection(*(set(each.usable) for each in recordings))
         self._scans = [[each.transforms[n] for each in recordings] for n in sorted(usable)]
 
@@ -331,10 +331,10 @@ class TransformFuzz(MessageFuzz):
             if not kind.matches(data):
                 try:
                     plain = installed_schema(JOINT_TRANSFORM).normal(data)
-                    kind.tail(plain)
+                    found = JointTransformFormat(plain)
                 except TopicError:
                     return None
-                if not kind.matches(plain):
+                if found.constants != kind.constants:
                     return None
             row[LEAD : LEAD + kind.size] = np.frombuffer(plain[: kind.size], dtype=np.uint8)
         if self._estimator.estimate_rows(1) < 0:

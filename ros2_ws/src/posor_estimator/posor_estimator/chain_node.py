@@ -19,9 +19,8 @@ import time
 from functools import partial
 from pathlib import Path
 from threading import RLock
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
-import numpy as np
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 from posor.chain.arm_file import CHAIN_NODE
 from posor.chain.beam_temperatures import BeamTemperatures
@@ -30,7 +29,8 @@ from posor.chain.time_synchroniser import MAX_OPEN_SCANS, TimeSynchroniser
 from posor.errors import TopicError
 from posor.messages.cdr_schema import STAMP
 from posor.messages.endpoint_messages import EndpointStateWriter, EndpointVerdict, EndpointWriter
-from posor.messages.joint_transform import JointTransformFormat, TransformTail, stamp_ns_of
+from posor.messages.joint_transform import JointTransformFormat, TransformConstants, stamp_ns_of
+from posor.messages.message_table import LEAD
 from posor.model.fault import State
 from posor.node_parameters import ChainParameters
 from posor.numerics.stamps import NO_TIME, NS, time_ns
@@ -72,6 +72,8 @@ if TYPE_CHECKING:
     from std_srvs.srv import Trigger
 
 
+JointMessage: TypeAlias = tuple[JointTransformFormat, bytes]
+OK = int(State.OK)
 _STAMP = struct.Struct("<iI")
 LATE_CHECK_S = 0.5
 """Longest time between two checks for late joints; each takes the interpreter lock from the thread of the scans."""
@@ -87,12 +89,10 @@ class ChainNode(PosorNode[ChainParameters]):
     Parameters = ChainParameters
 
     _estimator: EndpointEstimator
-    _synchroniser: TimeSynchroniser[bytes]
+    _synchroniser: TimeSynchroniser[JointMessage]
     _temperatures: BeamTemperatures
-    _kinds: dict[str, JointTransformFormat]
-    # name, format, and memory of the row, of shared effects and of fault effects of each joint
-    _buffers: list[tuple[str, JointTransformFormat, tuple[memoryview, memoryview, memoryview]]]
-    _tails: list[TransformTail]  # of the joints' transforms in the last scan
+    _formats: dict[str, JointTransformFormat]  # of the last transform of each joint
+    _rows: list[tuple[str, JointTransformFormat, memoryview]]  # joints, formats and memory of the estimator's rows
     _transforms: list[IntraProcessSubscription]
     _home: FloatArray | None
     _frames: FramePublisher | None
@@ -124,15 +124,12 @@ class ChainNode(PosorNode[ChainParameters]):
         # With keep-all topics one joint may be ahead of another by a whole replay.
         max_open = math.inf if self.parameters.lossless else MAX_OPEN_SCANS
         self._synchroniser = TimeSynchroniser(names, max_open, self.parameters.max_wait)
-        self._kinds = {joint.name: JointTransformFormat(joint.parent, joint.child) for joint in chain.joints}
-        layouts = [self._kinds[name].row_layout for name in names]
-        self._estimator = chain.estimator(self.parameters.acceleration_window, layouts)
+        schema = schema_of_class(JointTransform)
+        plain = {joint.name: TransformConstants(joint.parent, joint.child).encoded(schema) for joint in chain.joints}
+        self._formats = {name: JointTransformFormat(example) for name, example in plain.items()}
+        self._estimator = chain.estimator(self.parameters.acceleration_window)
         self._temperatures = BeamTemperatures(chain.beams, self._estimator)
-        self._buffers = [
-            (name, self._kinds[name], self._kinds[name].row_parts(row))
-            for name, row in zip(names, self._estimator.rows, strict=True)
-        ]
-        self._tails, self._transforms, self._reads_effects = [], [], True
+        self._rows, self._transforms, self._reads_effects = [], [], True
         self._home, self._pose_stamp, self._reported = None, b"", None
         self._poses = self._scans_refused = self._scans_incomplete = self._transforms_refused = 0
         self._refusals.clear()
@@ -173,7 +170,7 @@ class ChainNode(PosorNode[ChainParameters]):
 
     def _subscribe(self, joint: FreeJoint) -> None:
         topic, qos = f"{joint.name}/{TRANSFORM_TOPIC}", input_qos(self.parameters)
-        callback = partial(self._on_transform, joint, self._kinds[joint.name])
+        callback = partial(self._on_transform, joint)
         subscription = IntraProcessSubscription(self, JointTransform, topic, qos, callback)
         self._inputs.add(subscription)
         self._transforms.append(subscription)
@@ -217,19 +214,20 @@ class ChainNode(PosorNode[ChainParameters]):
             age_s = (self.timing.now_ns() - stamp_ns) / NS if stamp_ns else math.nan
             self._endpoint_state.publish(self._state_writer.write(stamp, age_s, verdict))
 
-    def _on_transform(self, joint: FreeJoint, kind: JointTransformFormat, data: bytes) -> None:
+    def _on_transform(self, joint: FreeJoint, data: bytes) -> None:
         """Add a transform of one joint to its scan; publish the endpoint once the scan is complete."""
         with self._lock:
             if not self.may_publish:
                 return
-            if not kind.matches(data) and not (data := self._normalise(joint, data)):
+            if not self._formats[joint.name].matches(data) and not (data := self._use_format_of(joint, data)):
                 return
             stamp_ns = stamp_ns_of(data[STAMP])
             if stamp_ns == 0:  # the synchroniser would take it for a time that has gone back
                 reason = f"the stamp of a transform {NO_TIME}; expected the time of exposure"
                 self._refuse_transform(joint, reason, data[STAMP])
                 return
-            scan = self._synchroniser.add(joint.name, stamp_ns, data, time.monotonic())
+            message = self._formats[joint.name], data
+            scan = self._synchroniser.add(joint.name, stamp_ns, message, time.monotonic())
             if self._synchroniser.incomplete:
                 self._report_incomplete_scans()
             if scan is not None:
@@ -241,24 +239,25 @@ class ChainNode(PosorNode[ChainParameters]):
         with self._lock:
             self._temperatures.add(name, time_ns(stamp.sec, stamp.nanosec), message.temperature, frame)
 
-    def _normalise(self, joint: FreeJoint, data: bytes) -> bytes:
-        """Return a transform in plain CDR; refuse an invalid transform or wrong frames and return empty bytes."""
+    def _use_format_of(self, joint: FreeJoint, data: bytes) -> bytes:
+        """Take the format of a transform and return it in plain CDR; refuse an invalid one and return empty bytes."""
         try:
             data = schema_of_class(JointTransform).normal(data)
-            values = schema_of_class(JointTransform).values(data)
-            self._kinds[joint.name].tail(data)
+            found = JointTransformFormat(data)
         except TopicError as error:
             self._refuse_transform(joint, str(error), bytes(8))
             return b""
-        frames = (str(values["header.frame_id"]), str(values["child_frame_id"]))
-        if frames == (joint.parent, joint.child):
-            return data  # of other shared terms or causes than the message before, or with other padding
-        reason = (
-            f"transforms from '{frames[0]}' to '{frames[1]}' arrive; "
-            f"expected '{joint.parent}' to '{joint.child}', as in the URDF"
-        )
-        self._refuse_transform(joint, reason, data[STAMP])
-        return b""
+        parent, child, *_ = found.constants
+        if (parent, child) != (joint.parent, joint.child):
+            reason = (
+                f"transforms from '{parent}' to '{child}' arrive; "
+                f"expected '{joint.parent}' to '{joint.child}', as in the URDF"
+            )
+            self._refuse_transform(joint, reason, data[STAMP])
+            return b""
+        if found.constants != self._formats[joint.name].constants:  # not only other padding
+            self._formats[joint.name] = found
+        return data
 
     def _refuse_transform(self, joint: FreeJoint, reason: str, stamp: bytes) -> None:
         """Report a refused transform. If its stamp is invalid, the state has the stamp of the last complete scan."""
@@ -294,64 +293,58 @@ class ChainNode(PosorNode[ChainParameters]):
                 self._report_refused_scan(verdict)
 
     def _read_effects(self, *, read: bool) -> None:
-        """Read the fault effects of transforms from now on, or leave them NaN: only the endpoint's state needs them."""
+        """Read the fault effects of transforms from now on, or not: only the endpoint's state needs them."""
         self._reads_effects = read
-        for subscription, (_, kind, _), row in zip(self._transforms, self._buffers, self._estimator.rows, strict=True):
+        for subscription in self._transforms:
             subscription.reads_whole = read
-            row[kind.row_layout.effects :].view(np.float32)[:] = np.nan
 
-    def _fill_rows(self, scan: dict[str, bytes]) -> bytes:
-        """Copy the transforms of a scan with shared terms, causes and calibrations; return the bytes of its stamp."""
-        tails, ids, with_effects = [], [], self._reads_effects
-        for name, kind, (row, shared, effects) in self._buffers:
-            data = scan[name]
-            row[:] = data if len(data) == kind.size else data[: kind.size]
-            tail = kind.tail(data)
-            if tail.terms:
-                shared[: tail.shared.stop - tail.shared.start] = data[tail.shared]
-            if with_effects and tail.causes.kinds:
-                effects[: tail.effects.stop - tail.effects.start] = data[tail.effects]
-            tails.append(tail)
-            ids.append(data[kind.calibration])
-        if tails != self._tails:
-            self._tails = tails
-            self._estimator.use_terms([tail.terms for tail in tails])
-            self._estimator.use_causes([tail.causes for tail in tails])
-        if ids != self._identity.ids:
-            self._identity.update(ids)
-            self._state_writer.identity = self._identity.sha256
+    def _fill_rows(self, scan: dict[str, JointMessage]) -> bytes:
+        """Copy the transforms of a scan into the estimator; return the bytes of its stamp."""
+        if not self._rows:
+            self._use_formats([scan[name][0] for name in self._estimator.joints])
+        data = b""
+        for name, expected, row in self._rows:
+            found, data = scan[name]
+            if found is not expected:
+                self._rows = []
+                return self._fill_rows(scan)
+            row[:] = data if len(data) == found.size else data[: found.size]
         return data[STAMP]
 
-    def _publish_endpoint(self, scan: dict[str, bytes], stamp_ns: int) -> None:
+    def _use_formats(self, formats: list[JointTransformFormat]) -> None:
+        """Take the rows, shared terms, causes and calibrations of the formats of all joints."""
+        estimator, constants = self._estimator, [each.constants for each in formats]
+        estimator.use_rows([each.row_layout for each in formats])
+        estimator.use_terms([each.shared for each in constants])
+        estimator.use_causes([each.causes for each in constants])
+        self._identity.update([each.calibration for each in constants])
+        self._state_writer.identity = self._identity.sha256
+        self._rows = [
+            (name, each, row[LEAD : LEAD + each.size].data)
+            for name, each, row in zip(estimator.joints, formats, estimator.rows, strict=True)
+        ]
+
+    def _publish_endpoint(self, scan: dict[str, JointMessage], stamp_ns: int) -> None:
         estimator, identity = self._estimator, self._identity
-        if (read := self._endpoint_state.has_subscriptions) != self._reads_effects:
-            self._read_effects(read=read)
+        if (state_is_read := self._endpoint_state.has_subscriptions) != self._reads_effects:
+            self._read_effects(read=state_is_read)
         stamp = self._last_stamp = self._fill_rows(scan)
-        refusal = self._inputs.refusal(stamp_ns)
-        if refusal:
+        if not self._inputs.accepts(stamp_ns) and (refusal := self._inputs.refusal(stamp_ns)):
             self._refuse_scan(stamp, stamp_ns, EndpointVerdict(EndpointState.STATE_LOST, 0, "", refusal))
             return
-        self._temperatures.update(stamp_ns)
+        if self._temperatures.names:
+            self._temperatures.update(stamp_ns)
         worst = estimator.estimate_rows(stamp_ns)
         if worst < 0 or identity.refuses:
             verdict = unusable_verdict(self._joints_of(scan)) if worst < 0 else identity.verdict
             self._refuse_scan(stamp, stamp_ns, verdict)
             return
-        self._pose_stamp = stamp
-        if self._is_relative:
-            self._home = estimator.pose.copy() if self._home is None else self._home
-            estimator.estimate_relative_to(self._home)
-        writer = self._writer
-        self._pose.publish(writer.pose.write(stamp))
-        if self._pose_with_covariance.has_subscriptions:
-            self._pose_with_covariance.publish(writer.write_pose_with_covariance(stamp))
-        if self._joint_states.has_subscriptions:
-            self._joint_states.publish(writer.joint_states.write(stamp))
-        if self._frames is not None:
-            self._frames.publish(stamp)
-        verdict = SOUND if worst == State.OK else degraded_verdict(self._joints_of(scan))
-        verdict = without_thermometers(identity.degraded(verdict), self._temperatures.reason)
-        self._publish_state(stamp, stamp_ns, verdict)
+        self._publish_pose(stamp)
+        is_sound = worst == OK and identity.verdict is SOUND and not self._temperatures.reason
+        verdict = SOUND if is_sound else self._verdict_of_pose(scan, worst)
+        self._state_published = True
+        if state_is_read:
+            self._publish_state(stamp, stamp_ns, verdict)
         self.timing.record(stamp_ns)
         self._poses += 1
         excess = self._alarms.excess(self._scan_number()) if self._has_alarm else ""
@@ -361,16 +354,35 @@ class ChainNode(PosorNode[ChainParameters]):
             self._status.report(level, f"{text}; {excess}" if excess else text, self._counts())
             self._reported, self._has_alarm = key, bool(excess)
 
+    def _publish_pose(self, stamp: bytes) -> None:
+        self._pose_stamp = stamp
+        if self._is_relative:
+            self._home = self._estimator.pose.copy() if self._home is None else self._home
+            self._estimator.estimate_relative_to(self._home)
+        writer = self._writer
+        self._pose.publish(writer.pose.write(stamp))
+        if self._pose_with_covariance.has_subscriptions:
+            self._pose_with_covariance.publish(writer.write_pose_with_covariance(stamp))
+        if self._joint_states.has_subscriptions:
+            self._joint_states.publish(writer.joint_states.write(stamp))
+        if self._frames is not None:
+            self._frames.publish(stamp)
+
+    def _verdict_of_pose(self, scan: dict[str, JointMessage], worst: int) -> EndpointVerdict:
+        """Return the verdict on a scan with a pose; ``worst``: state of its joints."""
+        verdict = SOUND if worst == OK else degraded_verdict(self._joints_of(scan))
+        return without_thermometers(self._identity.degraded(verdict), self._temperatures.reason)
+
     def _refuse_scan(self, stamp: bytes, stamp_ns: int, verdict: EndpointVerdict) -> None:
         self._scans_refused += 1
         self._pose_stamp = b""
         self._publish_state(stamp, stamp_ns, verdict)
         self._report_refused_scan(verdict)
 
-    def _joints_of(self, scan: dict[str, bytes]) -> list[JointStatus]:
+    def _joints_of(self, scan: dict[str, JointMessage]) -> list[JointStatus]:
         """Return the status of each joint of a complete scan after the estimate, in the chain's order."""
-        codes = zip(self._estimator.joints, self._estimator.faults.tolist(), strict=True)
-        return [JointStatus(name, *self._kinds[name].read_state(scan[name]), code) for name, code in codes]
+        joints = zip(self._rows, self._estimator.faults.tolist(), strict=True)
+        return [JointStatus(name, *each.read_state(scan[name][1]), code) for (name, each, _), code in joints]
 
     def _scan_number(self) -> int:
         return self._poses + self._scans_refused + self._scans_incomplete

@@ -15,6 +15,7 @@ import numpy as np
 import pinocchio as pin
 from posor.numerics.stamps import NS
 from posor.ros_names import ROBOT_DESCRIPTION_TOPIC, TF_STATIC_TOPIC, TF_TOPIC
+from posor_ros.intra_process import IntraProcessPublisher
 from posor_ros.message_classes import schema_of_class
 from posor_ros.qos import LATCHED_QOS, TF_QOS
 from std_msgs.msg import String
@@ -61,7 +62,7 @@ class FramePublisher:
         self._period_ns = round(NS / node.parameters.tf_rate)
         joints = (*chain.joints, *chain.beam_joints)
         self._writer = TransformWriter([(prefix + joint.parent, prefix + joint.child) for joint in joints])
-        self._publisher = node.create_publisher(TFMessage, TF_TOPIC, TF_QOS)
+        self._publisher = IntraProcessPublisher(node, TFMessage, TF_TOPIC, TF_QOS)
         fixed = TransformWriter([(prefix + each.parent, prefix + each.child) for each in chain.fixed_transforms])
         poses = [pin.SE3ToXYZQUAT(each.T_parent_child) for each in chain.fixed_transforms]
         stamp = np.array(divmod(node.timing.now_ns(), NS), dtype=np.uint32).tobytes()
@@ -69,13 +70,13 @@ class FramePublisher:
         static.publish(fixed.write(stamp, np.array(poses).reshape(-1, 7)))
         description = node.create_publisher(String, ROBOT_DESCRIPTION_TOPIC, LATCHED_QOS)
         description.publish(schema_of_class(String).serialize(String(data=chain.urdf)))
-        for publisher in (self._publisher, static, description):
+        for publisher in (static, description):
             node.add_cleanup(node.destroy_publisher, publisher)
 
     def publish(self, stamp: bytes) -> None:
         """Publish the transforms of the present scan, unless the last are too recent or nobody subscribes."""
         now_ns = time.monotonic_ns()
-        if now_ns < self._next_ns or not self._publisher.get_subscription_count():
+        if now_ns < self._next_ns or not self._publisher.has_subscriptions:
             return
         self._next_ns = now_ns + self._period_ns
         poses = np.concatenate([self._estimator.poses, self._estimator.beam_transforms])

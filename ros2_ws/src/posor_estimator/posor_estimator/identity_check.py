@@ -14,7 +14,6 @@ from posor.chain.commissioning_record import load_record
 from posor.chain.identity import ArmIdentity, file_sha256
 from posor.errors import CalibrationError
 from posor.messages.endpoint_messages import EndpointVerdict
-from posor.messages.joint_transform import unpack_calibration
 from posor_msgs.msg import EndpointState
 
 from posor_estimator.endpoint_verdict import SOUND
@@ -30,7 +29,7 @@ class IdentityCheck:
 
     Attributes:
         sha256: The identity, 64 hexadecimal digits; empty: not known yet.
-        ids: Bytes of the ids of the joints' calibrations in the last transforms; empty: there were none.
+        refuses: Whether no scan may have a pose.
         verdict: On a scan whose joints are sound: OK where the arm is the commissioned one or there is no record.
 
     """
@@ -53,23 +52,17 @@ class IdentityCheck:
                 )
         self._files, self._joints = files, tuple(joints)
         self._state = EndpointState.STATE_LOST if parameters.require_commissioned else EndpointState.STATE_DEGRADED
-        self.sha256, self.ids = "", list[bytes]()
-        self.verdict = SOUND
+        self.sha256, self.verdict, self.refuses = "", SOUND, False
 
-    def update(self, ids: list[bytes]) -> None:
-        """Use the calibrations that transforms state, the bytes of an id for each joint."""
-        self.ids, commissioned = ids, self._commissioned
-        numbers = dict(zip(self._joints, map(unpack_calibration, ids), strict=True))
+    def update(self, ids: Sequence[int]) -> None:
+        """Use the calibrations that transforms state, an id (``calibration_id``) for each joint."""
+        commissioned, numbers = self._commissioned, dict(zip(self._joints, ids, strict=True))
         present = self._files.with_calibrations(numbers, "" if commissioned is None else commissioned.record)
         self.sha256, self.verdict = present.sha256, SOUND
         if commissioned is not None and (found := present.differences(commissioned)):
             joint = next((name for name in self._joints if name in found), "")
             self.verdict = EndpointVerdict(self._state, 0, joint, f"not as commissioned: {'; '.join(found.values())}")
-
-    @property
-    def refuses(self) -> bool:
-        """Whether no scan may have a pose."""
-        return not self.verdict.has_pose
+        self.refuses = not self.verdict.has_pose
 
     def degraded(self, verdict: EndpointVerdict) -> EndpointVerdict:
         """Return the verdict on a scan with a pose, with the difference from the commissioned arm, if any."""

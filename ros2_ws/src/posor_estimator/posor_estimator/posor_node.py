@@ -262,11 +262,13 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
         with self._lock:
             if not self.may_publish:
                 return
-            if self._count_from_next and self._inputs.silent:
+            inputs, stream, transform = self._inputs, self._stream, None
+            if self._count_from_next and inputs.silent:
                 self._forget_home()
-            if self._stream is not None:
-                self._stream.use_effects(used=self._publisher.is_read_whole)
-            transform = self._estimate_expected(data)
+            if stream is not None:
+                stream.use_effects(used=self._publisher.is_read_whole)
+                if not inputs.several:
+                    transform = stream.estimate_message(data, inputs.stamp_limits.now_ns())  # of an expected scan
             if transform is None:
                 transform = self._estimate_scan(data)
             if transform is None:
@@ -275,13 +277,6 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
             if transform and self._stream is not None:
                 self._publisher.publish(transform)
                 self._update_counts(self._stream, data)
-
-    def _estimate_expected(self, data: bytes) -> bytes | None:
-        """Return the transform of a scan that passes all checks; None for any other, which changes nothing."""
-        inputs, stream = self._inputs, self._stream
-        if stream is None or inputs.several:
-            return None
-        return stream.estimate_message(data, inputs.stamp_limits.now_ns())
 
     def _estimate_scan(self, data: bytes) -> bytes | None:
         """Return the transform of a scan, empty for a repeated one; None if there is no stream for it."""

@@ -90,11 +90,11 @@ def estimates() -> Iterator[Estimate]:
 
 def test_a_transform_is_recognised_and_read_for_the_chain() -> None:
     scan = next(scans((3, 0, 8)))
-    kind = JointTransformFormat("plate_r", "plate_t")
     every = list(estimates())
     measured = JointMeasurements.allocate(len(every), 1)
-    rows = np.zeros((len(every), -(-(LEAD + kind.size) // 8) * 8), dtype=np.uint8)
     messages = [transform_message(scan, estimate, "plate_r", "plate_t") for estimate in every]
+    kind = JointTransformFormat(JOINT_TRANSFORM.serialize(messages[0]))
+    rows = np.zeros((len(every), -(-(LEAD + kind.size) // 8) * 8), dtype=np.uint8)
     for row, message in zip(rows, messages, strict=True):
         data = serialize_message(message)
         assert kind.matches(data)
@@ -118,7 +118,7 @@ def test_a_transform_is_recognised_and_read_for_the_chain() -> None:
 
 def test_shared_terms_and_causes_are_found_behind_names_of_any_length() -> None:
     scan, estimate = next(scans((3, 0, 8))), next(estimates())
-    kind, chance = JointTransformFormat("plate_r", "plate_t"), np.random.default_rng(3)
+    chance = np.random.default_rng(3)
     for names in ((), ("scale",), ("scale", "temperature_of_the_bench"), tuple("abcdefgh"), ()):
         message = transform_message(scan, estimate, "plate_r", "plate_t")
         message.shared_terms, message.shared_effects = list(names), chance.normal(size=6 * len(names))
@@ -128,11 +128,15 @@ def test_shared_terms_and_causes_are_found_behind_names_of_any_length() -> None:
             message.effects = chance.normal(size=7 * len(causes)).astype(np.float32)
             data = JOINT_TRANSFORM.serialize(message)
             for written in (data, data + b"surplus", serialize_message(message)):
-                found = kind.tail(written)
+                kind = JointTransformFormat(written)
                 assert kind.matches(written)
-                assert (found.terms, found.causes.names) == (names, causes)
-                assert written[found.shared] == np.asarray(message.shared_effects).tobytes()
-                assert written[found.effects] == np.asarray(message.effects, dtype=np.float32).tobytes()
+                assert (kind.constants.shared, kind.constants.causes.names) == (names, causes)
+                assert kind.size == len(data)
+                row, at = bytes(LEAD) + written, kind.row_layout
+                for begin, field in ((at.shared, message.shared_effects), (at.effects, message.effects)):
+                    numbers = np.asarray(field)
+                    assert row[begin : begin + numbers.nbytes] == numbers.tobytes()
+                assert at.effect_count == len(causes)
 
 
 @pytest.mark.parametrize(
@@ -152,7 +156,7 @@ def test_terms_and_causes_that_do_not_fit_are_refused(change: dict[str, Any], wh
     message = transform_message(next(scans((3, 0, 8))), next(estimates()), "plate_r", "plate_t")
     for name, value in change.items():
         setattr(message, name, value)
-    error = refusal(TopicError, JointTransformFormat("plate_r", "plate_t").tail, JOINT_TRANSFORM.serialize(message))
+    error = refusal(TopicError, JointTransformFormat, JOINT_TRANSFORM.serialize(message))
     assert what in error.what
     assert error.expected == expected
 
@@ -163,19 +167,21 @@ def test_a_transform_between_other_plates_is_not_taken() -> None:
         JOINT_TRANSFORM.serialize(transform_message(scan, estimate, "plate_r", child))
         for child in ("plate_t", "plate_s", "another plate")
     )
-    kind = JointTransformFormat("plate_r", "plate_t")
+    kind = JointTransformFormat(own)
     assert kind.matches(own + b"surplus")
     others = (other, longer, own[:-1], b"", b"\x00\x00" + own[2:], b"\x00\x07" + own[2:])
     assert [kind.matches(data) for data in others] == [False] * 6
 
 
-def test_a_transform_is_taken_whatever_its_padding_holds() -> None:
+def test_a_format_has_the_same_constants_whatever_the_padding_of_the_message_holds() -> None:
     scan, estimate = next(scans((3, 0, 8))), next(estimates())
     own = JOINT_TRANSFORM.serialize(transform_message(scan, estimate, "r", "t"))
     gap = own.index(b"r\x00", 12) + 2
     padded = own[:gap] + b"\xaa" * (-gap % 4) + own[gap + (-gap % 4) :]
     assert padded != own
-    assert JointTransformFormat("r", "t").matches(padded)
+    plain, other = JointTransformFormat(own), JointTransformFormat(padded)
+    assert not plain.matches(padded)
+    assert (other.constants, other.size) == (plain.constants, plain.size)
 
 
 def test_a_writer_writes_the_present_numbers_of_its_arrays() -> None:

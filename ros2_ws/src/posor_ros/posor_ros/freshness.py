@@ -185,6 +185,11 @@ class InputMonitor:
             self._report(Level.ERROR if key else Level.OK, text or "in time", key)
         self._on_check(is_new)
 
+    def accepts(self, stamp_ns: int) -> bool:
+        """Return whether ``refusal`` of a stamp [ns] is certainly empty; takes a fraction of its time."""
+        limits = self.stamp_limits
+        return not self.several and limits.youngest_ns <= limits.now_ns() - stamp_ns <= limits.oldest_ns
+
     def refusal(self, stamp_ns: int) -> str:
         """Return why a message with a stamp [ns] must not be used: several publishers, or the stamp; else empty."""
         return self._several_publishers() or self.stamp_limits.fault(stamp_ns)

@@ -114,6 +114,7 @@ class IntraProcessPublisher:
         self._cancelled = cancelled
         self._dds_subscriptions = 0
         self._subscriptions: tuple[IntraProcessSubscription, ...] = ()
+        self._is_read_whole_here = False
         self._manager = IntraProcessManager.of(node.context)
         self._manager.check_type(self)
         self._count_listeners = count_listeners
@@ -142,10 +143,11 @@ class IntraProcessPublisher:
     @property
     def is_read_whole(self) -> bool:
         """Whether any subscription reads all parts of a message, see ``IntraProcessSubscription.reads_whole``."""
-        for subscription in self._subscriptions:
-            if subscription.reads_whole:
-                return True
-        return bool(self._handle.get_subscription_count())
+        return self._is_read_whole_here or bool(self._handle.get_subscription_count())
+
+    def note_readers(self) -> None:
+        """Note which subscriptions of this process read all parts of a message."""
+        self._is_read_whole_here = any(subscription.reads_whole for subscription in self._subscriptions)
 
     def publish(self, data: bytes) -> bool:
         """Deliver a serialised message within this process, then publish it over DDS; return whether all received it.
@@ -212,6 +214,7 @@ class IntraProcessPublisher:
         """Deliver to these subscriptions of this process from now on."""
         if subscriptions != self._subscriptions:
             self._subscriptions = subscriptions
+            self.note_readers()
             self._report_count()
 
     def _on_matched(self, event: Any) -> None:
@@ -253,7 +256,7 @@ class IntraProcessSubscription:
         self.message_type = message_type
         self.watch = InputWatch(self.topic_name)
         self.publishers = 0
-        self.reads_whole = True
+        self._reads_whole = True
         self.on_publishers: Callable[[], None] = lambda: None
         self._node = node
         self._topic = topic
@@ -268,6 +271,16 @@ class IntraProcessSubscription:
         self._manager.check_type(self)
         self._manager.add(self)
         node.add_cleanup(self.destroy)
+
+    @property
+    def reads_whole(self) -> bool:
+        """See the class."""
+        return self._reads_whole
+
+    @reads_whole.setter
+    def reads_whole(self, whole: bool) -> None:
+        self._reads_whole = whole
+        self._manager.note_readers(self.topic_name)
 
     def find_publishers(self) -> None:
         """Count the publishers, also those in other processes that are ignored while this process has one."""
@@ -369,6 +382,12 @@ class IntraProcessManager:
             ends = self._ends.get(end.topic_name, ())
             self._ends[end.topic_name] = tuple(other for other in ends if other is not end)
             self._connect(end.topic_name)
+
+    def note_readers(self, topic: str) -> None:
+        """Have the publishers of a topic note which subscriptions read all parts of a message."""
+        for end in self._ends.get(topic, ()):
+            if isinstance(end, IntraProcessPublisher):
+                end.note_readers()
 
     def _connect(self, topic: str) -> None:
         ends = self._ends[topic]

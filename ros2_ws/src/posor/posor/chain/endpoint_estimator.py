@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from posor.chain.arm_geometry import ArmGeometry
     from posor.chain.joint_measurements import JointRowLayout, MeasuredJoint
     from posor.chain.measuring_beam import MeasuringBeam
-    from posor.numerics.array_types import FloatArray, IntArray
+    from posor.numerics.array_types import ByteArray, FloatArray, IntArray
 
 
 class EndpointEstimator:
@@ -94,7 +94,6 @@ class EndpointEstimator:
         self._endpoints = Endpoints.allocate(1, len(joints))
         self._relative = self._endpoints.with_own_poses()
         self._rows = JointRows.allocate(row_layouts)
-        self.rows = self._rows.octets
         self._stamp_ns, *measured = self._measurements[:5]
         self.poses, self.covariances_random, self.covariances_systematic, self.thetas = (array[0] for array in measured)
         self.stamp_shifts = self._measurements.stamp_shifts[0]
@@ -121,6 +120,16 @@ class EndpointEstimator:
         self._prepare_arguments()
         if any(beam.shared_effects for beam in beams):
             self._set_terms(self._joint_terms)
+
+    @property
+    def rows(self) -> ByteArray:
+        """See the class."""
+        return self._rows.octets
+
+    def use_rows(self, layouts: Sequence[JointRowLayout]) -> None:
+        """Take rows of other layouts, one for each joint, from the next scan on; ``rows`` is then another array."""
+        self._rows = JointRows.allocate(layouts)
+        self._prepare_arguments()
 
     def use_terms(self, of_joints: list[tuple[str, ...]]) -> None:
         """Take the names of each joint's shared terms, in the order of its effects, from the next scan on."""

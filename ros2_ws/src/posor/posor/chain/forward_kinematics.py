@@ -421,10 +421,11 @@ def estimate_endpoint_of_rows(
         for t in range(shared.shape[0]):
             for i in range(6):
                 shared[t, i] = rows.numbers[j, first + 6 * t + i] if arm.joint_terms[j, t] >= 0 else 0.0
-        effects, first = measurements.fault_effects[0, j], 2 * rows.layouts[j]["effects"]
+        effects, first = measurements.fault_effects[0, j], rows.layouts[j]["effects"]
         for c in range(effects.shape[0]):
             for i in range(EFFECT):
-                effects[c, i] = rows.singles[j, first + EFFECT * c + i]
+                stated = c < rows.layouts[j]["effect_count"]
+                effects[c, i] = rows.singles[j, first + EFFECT * c + i] if stated else math.nan
     if estimate_endpoints(arm, history, measurements, endpoints, 0) == 0:
         return HISTORY_FULL
     return UNUSABLE if math.isnan(endpoints.poses[0, 0]) else worst

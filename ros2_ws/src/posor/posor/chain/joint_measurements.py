@@ -63,10 +63,13 @@ ROW_LAYOUT = np.dtype(
             "effects",
             "stamp_shift",
             "state",
+            "effect_count",
         )
     ]
 )
-"""Where a row of message bytes holds its fields: indices of 8-byte numbers, and of the byte ``state``."""
+"""Where a row of message bytes holds its fields: indices of 8-byte numbers, ``effects`` of 4-byte ones, ``state`` of a
+byte; and the number of fault effects."""
+BYTES_PER_INDEX = {"effects": 4, "state": 1, "effect_count": 1}  # of a field of ``ROW_LAYOUT``; of the others 8
 
 
 @dataclass(frozen=True)
@@ -118,23 +121,27 @@ class JointRowLayout:
     covariance_random: int  # 36 numbers, row by row, likewise
     covariance_systematic: int  # the same
     shared: int  # six numbers for each shared term, likewise
-    effects: int  # EFFECT numbers for each fault effect, floats of 4 bytes; a multiple of 8
+    effects: int  # EFFECT numbers for each fault effect, floats of 4 bytes; a multiple of 4
     stamp_shift: int  # six numbers, likewise
     state: int  # ``State``, one byte
     size: int  # length of the row
+    effect_count: int = 0  # number of fault effects
 
     @property
     def record(self) -> RecordArray:
         """The layout for the kernels, (1,) of ``ROW_LAYOUT``.
 
-        Raises ValueError: the offset of a number is not a multiple of 8.
+        Raises ValueError: the offset of a number is not a multiple of its size.
         """
         covariances = self.covariance_random, self.covariance_systematic
-        numbers = self.pose, self.native, *covariances, self.shared, self.effects, self.stamp_shift
-        if any(offset % 8 for offset in numbers):
-            message = f"{self}: expected offsets of numbers that are multiples of 8"
+        numbers = self.pose, self.native, *covariances, self.shared, self.stamp_shift
+        if any(offset % 8 for offset in numbers) or self.effects % 4:
+            message = f"{self}: expected offsets of numbers that are multiples of their sizes"
             raise ValueError(message)
-        return np.array([(*(offset // 8 for offset in numbers), self.state)], dtype=ROW_LAYOUT)
+        record = np.zeros(1, dtype=ROW_LAYOUT)
+        for name in ROW_LAYOUT.names or ():
+            record[name] = getattr(self, name) // BYTES_PER_INDEX.get(name, 8)
+        return record
 
 
 class JointRows(NamedTuple):

@@ -109,24 +109,6 @@ class Layout:
     def __getitem__(self, path: str) -> Span:
         return self.spans[path]
 
-    def unpacker(self, paths: Sequence[str]) -> struct.Struct:
-        """Return a struct that unpacks the first two bytes of a message, then fields; it fails on a short message.
-
-        ``paths``: of the fields, in the order of the message. A string comes with its length before it and the zero
-        after it, as bytes; ``path#`` is the length of a string or sequence.
-        """
-        form, position = "<2s", len(LITTLE_ENDIAN)
-        for path in paths:
-            if path.endswith("#"):
-                begin, text = self.lengths[path[:-1]], "I"
-            elif self.schema.by_path[path].code == "s":
-                begin, text = self.lengths[path], f"{4 + self.spans[path].length + 1}s"
-            else:
-                begin, text = self.spans[path].offset, f"{self.spans[path].length}{self.schema.by_path[path].code}"
-            form += f"{begin - position}x{text}"
-            position = begin + struct.calcsize("<" + text)
-        return struct.Struct(f"{form}{self.size - position}x")
-
 
 class Schema:
     """The fields of a message type, in the order of the encoding.

@@ -15,11 +15,10 @@ from posor.chain.identity import NOT_STATED, calibration_id
 from posor.chain.joint_measurements import JointRowLayout
 from posor.errors import ShapeError, TopicError
 from posor.estimation.estimate_scan import LOST
-from posor.estimation.fault_model import EFFECT, MAX_EFFECTS, JointCauses
+from posor.estimation.fault_model import EFFECT, JointCauses
 from posor.messages.cdr_schema import LITTLE_ENDIAN, STAMP
 from posor.messages.message_definitions import installed_schema
 from posor.messages.message_table import LEAD, MessageRows, MessageTable, TableLayout
-from posor.model.scan import MAX_TERMS
 from posor.numerics.compiled import in_place, inlined, record_view
 from posor.numerics.stamps import time_ns
 from posor.ros_names import JOINT_TRANSFORM
@@ -30,7 +29,7 @@ if TYPE_CHECKING:
     from posor.estimation.estimate import Estimates
     from posor.estimation.posor import Posor
     from posor.messages.cdr_schema import Schema
-    from posor.numerics.array_types import ByteArray, FloatArray
+    from posor.numerics.array_types import FloatArray
 
 FIELDS = {  # fields that an estimate fills, by their names in TRANSFORM_LAYOUT
     "stamp": "header.stamp.sec",
@@ -53,7 +52,6 @@ TRANSFORM_LAYOUT = np.dtype([*((name, "i8") for name in FIELDS), ("shared_count"
 NO_CAUSES = JointCauses()
 _STAMP = struct.Struct("<iI")
 _FAULTS = struct.Struct("<I")
-_CALIBRATION = struct.Struct("<Q")
 
 
 class TransformConstants(NamedTuple):
@@ -170,116 +168,72 @@ def stamp_ns_of(stamp: bytes) -> int:
     return time_ns(*_STAMP.unpack(stamp))
 
 
-def row_layout_of(layout: TableLayout) -> JointRowLayout:
-    """Return the offsets of the fields that the chain reads from rows of transforms."""
-    return JointRowLayout(
-        pose=LEAD + layout.offset("pose.position.x"),
-        native=LEAD + layout.offset("native"),
-        covariance_random=LEAD + layout.offset("covariance_random"),
-        covariance_systematic=LEAD + layout.offset("covariance_systematic"),
-        shared=(shared := -(-(LEAD + layout.size) // 8) * 8),  # not where a message has them: that depends on names
-        effects=(effects := shared + 8 * 6 * MAX_TERMS),
-        stamp_shift=LEAD + layout.offset("stamp_shift"),
-        state=LEAD + layout.offset("state"),
-        size=effects + 4 * EFFECT * MAX_EFFECTS,
-    )
-
-
-class TransformTail(NamedTuple):
-    """The last fields of a transform, whose lengths differ from joint to joint."""
-
-    terms: tuple[str, ...]  # names of the shared terms
-    shared: slice  # bytes of their effects
-    causes: JointCauses
-    effects: slice  # bytes of the effects of the causes
-
-
 class JointTransformFormat:
-    """Format of serialised transforms between two plates.
+    """Format of the serialised transforms of a joint: where the numbers lie, and all bytes that do not change.
 
     Attributes:
-        size: Of a message without shared terms and causes [bytes]; surplus bytes at its end are ignored.
-        calibration: Bytes of the id of the calibration in force, see ``unpack_calibration``.
-        row_layout: Offsets of the fields in a row with the message.
+        constants: What is the same in all transforms.
+        size: Of a message [bytes]; surplus bytes at its end are ignored.
+        row_layout: Offsets of the fields in a row that holds the message behind ``LEAD`` bytes.
 
     """
 
-    def __init__(self, parent: str, child: str) -> None:
-        schema = installed_schema(JOINT_TRANSFORM)
-        example = TransformConstants(parent, child).encoded(schema)
-        layout = schema.layout(example)
-        self.row_layout = row_layout_of(TableLayout.of(example, schema))
-        self._schema, self._begin_shared = schema, layout.lengths["shared_terms"]
-        self._tail = TransformTail((), slice(0), NO_CAUSES, slice(0))
-        self._begin_causes, self._least = layout.lengths["causes"], layout.size
-        self._known_terms, self._known_causes = bytes(8), example[self._begin_causes :]
-        self.size = layout.size
-        self._frames = example[STAMP.stop : layout["scan"].offset]
-        self._unpack = layout.unpacker(("header.frame_id", "child_frame_id")).unpack_from
-        self._unpacked_frames = self._unpack(example)
-        self._state, self._faults = layout["state"].offset, layout["faults"].offset
-        self.calibration = layout["calibration"].part
-        self._known = example
-
-    def matches(self, data: bytes) -> bool:
-        """Return whether a message is a transform between these plates, with the terms and causes seen last."""
-        if not self._has_known_tail(data):
-            return False
-        if data.startswith(self._frames, STAMP.stop) and data.startswith(LITTLE_ENDIAN):
-            return True
-        return bool(self._unpack(data) == self._unpacked_frames)  # the padding after the names is arbitrary
-
-    def _has_known_tail(self, data: bytes) -> bool:
-        if data is self._known:
-            return True
-        if (
-            len(data) >= self._least
-            and data.startswith(self._known_terms, self._begin_shared)
-            and data.startswith(self._known_causes, self._begin_causes)
-        ):
-            self._known = data
-            return True
-        return False
-
-    def tail(self, data: bytes) -> TransformTail:
-        """Return the last fields of a message in plain CDR.
+    def __init__(self, example: bytes) -> None:
+        """Take the format of a message in plain CDR.
 
         Raises TopicError: invalid bytes, not six effects for each term, not seven for each of the effects of causes, or
         an unknown cause.
         """
-        if not self._has_known_tail(data):
-            values, layout = self._schema.values(data), self._schema.layout(data)
-            terms, of_effects, kinds = values["shared_terms"], values["effect_causes"], values["effect_kinds"]
-            shared, effects, count = layout["shared_effects"], layout["effects"], len(of_effects)
-            for name, found, wanted in (
-                ("shared_effects", shared.length, 6 * len(terms)),
-                ("effect_kinds", len(kinds), count),
-                ("effects", effects.length, EFFECT * count),
-            ):
-                if found != wanted:
-                    raise TopicError(f"a message has {found} {name}", where=self._schema.name, expected=f"{wanted}")
-            if count and max(of_effects) >= len(values["causes"]):
-                what, expected = f"effect_causes has {max(of_effects)}", f"less than {len(values['causes'])}"
-                raise TopicError(what, where=self._schema.name, expected=expected)
-            causes = JointCauses(tuple(values["causes"]), tuple(of_effects), tuple(kinds))
-            self._tail, self._known = TransformTail(tuple(terms), shared.part, causes, effects.part), data
-            self._least, self._begin_causes = layout.size, layout.lengths["causes"]
-            self._known_terms = data[
-                self._begin_shared : shared.offset if terms else layout.lengths["shared_effects"] + 4
-            ]
-            self._known_causes = data[self._begin_causes : effects.offset if count else layout.size]
-        return self._tail
+        schema = installed_schema(JOINT_TRANSFORM)
+        values, layout = schema.values(example), schema.layout(example)
+        terms, of_effects, kinds = values["shared_terms"], values["effect_causes"], values["effect_kinds"]
+        shared, effects, count = layout["shared_effects"], layout["effects"], len(of_effects)
+        for name, found, wanted in (
+            ("shared_effects", shared.length, 6 * len(terms)),
+            ("effect_kinds", len(kinds), count),
+            ("effects", effects.length, EFFECT * count),
+        ):
+            if found != wanted:
+                raise TopicError(f"a message has {found} {name}", where=schema.name, expected=f"{wanted}")
+        if count and max(of_effects) >= len(values["causes"]):
+            what, expected = f"effect_causes has {max(of_effects)}", f"less than {len(values['causes'])}"
+            raise TopicError(what, where=schema.name, expected=expected)
+        causes = JointCauses(tuple(values["causes"]), tuple(of_effects), tuple(kinds))
+        frames = values["header.frame_id"], values["child_frame_id"]
+        self.constants = TransformConstants(*frames, tuple(terms), causes, values["calibration"])
+        self.size = layout.size
+        self.row_layout = JointRowLayout(
+            pose=LEAD + layout["pose.position.x"].offset,
+            native=LEAD + layout["native"].offset,
+            covariance_random=LEAD + layout["covariance_random"].offset,
+            covariance_systematic=LEAD + layout["covariance_systematic"].offset,
+            shared=LEAD + shared.offset if terms else 0,
+            effects=LEAD + effects.offset if count else 0,
+            stamp_shift=LEAD + layout["stamp_shift"].offset,
+            state=LEAD + layout["state"].offset,
+            size=LEAD + layout.size,
+            effect_count=count,
+        )
+        self._frames = example[STAMP.stop : layout["scan"].offset]
+        self._begin_terms, self._begin_causes = layout["calibration"].offset, layout.lengths["causes"]
+        end_of_terms = shared.offset if terms else layout.lengths["shared_effects"] + 4
+        self._terms = example[self._begin_terms : end_of_terms]
+        self._causes = example[self._begin_causes : effects.offset if count else layout.size]
+        self._state, self._faults = layout["state"].offset, layout["faults"].offset
 
-    def row_parts(self, row: ByteArray) -> tuple[memoryview, memoryview, memoryview]:
-        """Return where a row of ``row_layout`` holds the first bytes of a message, shared effects and fault effects."""
-        shared, effects = self.row_layout.shared, self.row_layout.effects
-        return row[LEAD : LEAD + self.size].data, row[shared:effects].data, row[effects:].data
+    def matches(self, data: bytes) -> bool:
+        """Return whether a message is in plain CDR and has the constants of this format, in the same bytes.
+
+        The padding after strings is arbitrary: a message with other padding does not match either.
+        """
+        return (
+            len(data) >= self.size
+            and data.startswith(self._frames, STAMP.stop)
+            and data.startswith(self._terms, self._begin_terms)
+            and data.startswith(self._causes, self._begin_causes)
+            and data.startswith(LITTLE_ENDIAN)
+        )
 
     def read_state(self, data: bytes) -> tuple[int, int]:
         """Return ``State`` and ``Fault`` of a message as plain numbers."""
         return data[self._state], int(_FAULTS.unpack_from(data, self._faults)[0])
-
-
-def unpack_calibration(data: bytes) -> int:
-    """Return the id of a calibration from its eight bytes in a transform."""
-    return int(_CALIBRATION.unpack(data)[0])
