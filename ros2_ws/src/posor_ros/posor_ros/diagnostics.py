@@ -246,8 +246,17 @@ class Diagnostics:
         self._publish_scheduled()
 
     def _publish_periodically(self) -> None:
-        for work in (*self._refreshers, self._publish):
-            run_when_idle(work)
+        self._run_first_of([*self._refreshers, self._publish])
+
+    def _run_first_of(self, works: list[Callable[[], None]]) -> None:
+        """Run the first piece of work; the executor handles the messages that have come meanwhile before the next."""
+        first, *others = works
+        run_when_idle(first)
+        executor = self._node.executor
+        if others and executor is None:
+            self._run_first_of(others)
+        elif others:
+            executor.create_task(self._run_first_of, others)
 
     def _publish(self) -> None:
         with self._lock:

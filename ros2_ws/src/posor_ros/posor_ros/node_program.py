@@ -7,6 +7,7 @@ from __future__ import annotations
 import re
 import signal
 import sys
+from collections import deque
 from contextlib import ExitStack, closing, contextmanager
 from time import monotonic
 from typing import TYPE_CHECKING, Any, Self
@@ -191,16 +192,18 @@ class NodeGroup:
             prepare_heap()
             manager.report_ready()
             next_check_s = 0.0
+            unchecked: deque[PosorNode[Any]] = deque()
             while self._locations and not stop():
-                executor.spin_once(timeout_sec=INPUT_CHECK_S)
+                executor.spin_once(timeout_sec=0.0 if unchecked else INPUT_CHECK_S)
                 if (now_s := monotonic()) >= next_check_s:
-                    next_check_s = now_s + INPUT_CHECK_S
-                    for node in self._locations:
-                        run_when_idle(node.run_checks)
+                    next_check_s, unchecked = now_s + INPUT_CHECK_S, deque(self._locations)
+                if unchecked:  # one at a time: messages do not wait for the checks of all nodes
+                    run_when_idle(unchecked.popleft().run_checks)
                 manager.report_alive()
                 for node in [node for node in self._locations if node.exit_requested]:
                     leave_executor(node)
                     del self._locations[node]
+                    unchecked.clear()
                     with _name_node_in_errors(node, lambda _: "", several=several):
                         node.stop()
                         node.raise_failure()
