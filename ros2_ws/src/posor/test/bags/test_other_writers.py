@@ -377,3 +377,35 @@ def test_rows_of_no_topic_are_listed(tmp_path: Path) -> None:
     messages, notes = read(path)
     assert len(messages) == 15
     assert notes == ["topic of number 7 is left out: 5 messages of no topic in the table of topics"]
+
+
+def with_largest_pages(database: sqlite3.Connection) -> None:
+    database.execute("PRAGMA page_size = 65536")  # stated as 1 in the file
+    database.execute("VACUUM")
+
+
+def test_a_file_of_the_largest_pages_is_read_whole_or_refused(tmp_path: Path) -> None:
+    path = sqlite_bag(tmp_path, with_largest_pages, ())
+    assert len(read(path)[0]) == 20
+    path.write_bytes(path.read_bytes()[:-65536])
+    with pytest.raises(BagError, match="the file is cut short"):
+        read(path)
+
+
+@pytest.mark.parametrize("storage", [StoragePlugin.SQLITE3, StoragePlugin.MCAP])
+def test_messages_are_read_from_a_time_to_before_another(storage: StoragePlugin, tmp_path: Path) -> None:
+    write(tmp_path / "bag", [MESSAGES], storage)
+    with opened_bag(tmp_path / "bag") as reader:
+        found = [time_ns for _, time_ns, _ in reader.messages(reader.connections, start=1010, stop=1020)]
+    assert found == list(range(1010, 1020))
+
+
+def test_of_several_definitions_of_a_type_that_of_the_topics_hash_counts(tmp_path: Path) -> None:
+    def add_another(database: sqlite3.Connection) -> None:
+        columns = "id, topic_type, encoding, encoded_message_definition, type_description_hash"
+        database.execute("UPDATE message_definitions SET id = id + 100")
+        other = (1, RAW_SCAN, "ros2msg", "float64 other", "RIHS01_" + "0" * 64)
+        database.execute(f"INSERT INTO message_definitions ({columns}) VALUES (?, ?, ?, ?, ?)", other)  # noqa: S608  own
+
+    with opened_bag(sqlite_bag(tmp_path, add_another, ())) as reader:
+        assert scan_schema(reader.connections, ONE, "bag").by_path.keys() == installed_schema(RAW_SCAN).by_path.keys()
