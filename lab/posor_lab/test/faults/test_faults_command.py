@@ -19,9 +19,9 @@ from posor_drivers.simulator.pose_array import PoseArray
 from posor_lab.faults.availability import OK_SHARE, START, arm_availability
 from posor_lab.faults.cause_injection import inject
 from posor_lab.faults.device_run import ACTIONS
-from posor_lab.faults.fault_table import FAULT_TABLE, NAMING_LIMITS_S, FaultRow, RowResult
+from posor_lab.faults.fault_table import FAULT_TABLE, NAMING_LIMITS_S, ArmName, FaultRow, RowResult
 from posor_lab.faults.faults_command import PROGRAM, TITLES, describe_arms, describe_motion, describe_rest, main
-from posor_lab.faults.levels_at_rest import levels_at_rest
+from posor_lab.faults.levels_at_rest import AIMS, levels_at_rest
 from posor_lab.faults.message_run import change_message
 from posor_lab.faults.motion_coverage import LEAST, LevelCoverage, motion_coverage
 from posor_lab.faults.offline_faults import run_ambient, run_slips
@@ -207,8 +207,9 @@ def test_a_fault_of_an_episode_has_one_size_direction_and_choice_of_readings(sto
             assert np.abs(shifts).max() > 5e-7
 
 
-def test_an_arm_at_rest_with_known_temperatures_has_small_levels() -> None:
-    found = levels_at_rest("six_axis", 3)
+@pytest.mark.parametrize("name", AIMS)
+def test_an_arm_at_rest_with_known_temperatures_has_small_levels(name: ArmName) -> None:
+    found = levels_at_rest(name, 3)
     assert describe_rest(found).verdict is Verdict.HOLDS
     assert np.all(found.worst >= found.median)
     assert describe_rest(found._replace(worst=found.worst + 1e-4)).verdict is Verdict.FAILS
