@@ -8,8 +8,10 @@ import re
 
 RAW_TOPIC = "raw"
 TRANSFORM_TOPIC = "transform"
+TRANSFORM_THROTTLE_TOPIC = "transform_throttle"
 ENDPOINT_TOPIC = "endpoint/pose"
 ENDPOINT_STATE_TOPIC = "endpoint/state"
+ENDPOINT_STATE_THROTTLE_TOPIC = "endpoint/state_throttle"
 ENDPOINT_COVARIANCE_TOPIC = "endpoint/pose_with_covariance"
 JOINT_STATES_TOPIC = "joint_states"
 TEMPERATURE_TOPIC = "temperature"

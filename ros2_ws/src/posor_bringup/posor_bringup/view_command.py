@@ -85,7 +85,7 @@ def _view(arguments: Sequence[str]) -> None:
 
 
 def _follow_arm(arm: ArmFile, geometry: ArmGeometry, options: Namespace, stop: StopSignal) -> None:
-    topics = ArmTopics(arm)
+    topics = ArmTopics(arm, throttled=True)
     store = MessageStore(arm.namespace, topics.types)
     observer = Observer(topics, store, geometry.joints)
     record = ArmRecord(geometry.joints, tuple(WINDOWS_S.values()))

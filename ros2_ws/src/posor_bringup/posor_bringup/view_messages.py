@@ -2,7 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The newest messages on an arm: taken from DDS, or read from a bag.
 
-Messages stay bytes until the page is drawn: several hundred arrive in a second, and few are drawn.
+Of a running arm the throttled topics are received, a few messages a second and every change, whatever the rate of the
+scans. Messages stay bytes until the page is drawn.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from posor.ros_names import (
     DIAGNOSTICS_TOPIC,
     ENDPOINT_COVARIANCE_TOPIC,
     ENDPOINT_STATE,
+    ENDPOINT_STATE_THROTTLE_TOPIC,
     ENDPOINT_STATE_TOPIC,
     ENDPOINT_TOPIC,
     JOINT_STATE,
@@ -32,13 +34,14 @@ from posor.ros_names import (
     POSE_STAMPED,
     POSE_WITH_COVARIANCE_STAMPED,
     RAW_TOPIC,
+    TRANSFORM_THROTTLE_TOPIC,
     TRANSFORM_TOPIC,
 )
 from posor_ros.message_classes import message_class, schema_of_class
-from posor_ros.qos import SENSOR_QOS
+from posor_ros.qos import RELIABLE_QOS, SENSOR_QOS
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
-from rclpy.qos import QoSProfile, QoSReliabilityPolicy
+from rclpy.qos import QoSProfile
 
 from posor_bringup.view_recording import estimate_raw_scans
 
@@ -50,12 +53,12 @@ if TYPE_CHECKING:
     from posor.messages.cdr_schema import Schema
 
 NO_VERDICT = b"none"  # differs from the bytes of every state
-KEPT = 64  # messages kept of each topic; the stamp finds the messages of one scan
+KEPT = 128  # messages kept of each topic; the stamp finds the messages of one scan
 BLOCK_S = 10.0  # part of a bag after its position that is in memory
 LEAD_S = 2.0  # time before the position of a bag from which messages are shown, such as diagnostics
 DIAGNOSTICS_QOS = QoSProfile(depth=100)  # every node of the arm may report at once
-STATE_QOS = QoSProfile(depth=2000, reliability=QoSReliabilityPolicy.BEST_EFFORT)
-"""Every state counts: those of one second at 2 kHz."""
+STATE_QOS = QoSProfile(depth=2000)  # reliable: every change counts, and each scan may be a change
+ENCODER_QOS = QoSProfile(depth=KEPT, reliability=SENSOR_QOS.reliability)  # at the rate of the drives
 DIAGNOSTIC_ARRAY = "diagnostic_msgs/msg/DiagnosticArray"
 ENDPOINT_TOPICS = {
     ENDPOINT_STATE_TOPIC: ENDPOINT_STATE,
@@ -101,10 +104,11 @@ class ArmTopics:
 
     """
 
-    def __init__(self, arm: ArmFile, endpoint: str = ENDPOINT_STATE_TOPIC) -> None:
-        """Name the topics; ``endpoint`` is one of ``ENDPOINT_TOPICS``."""
-        self.endpoint = f"{arm.namespace}/{endpoint}"
-        self.transforms = {joint: f"{arm.namespace}/{joint}/{TRANSFORM_TOPIC}" for joint in arm.calibrations}
+    def __init__(self, arm: ArmFile, endpoint: str = ENDPOINT_STATE_TOPIC, *, throttled: bool = False) -> None:
+        """Name the topics; ``endpoint`` is one of ``ENDPOINT_TOPICS``; ``throttled``: those of a running arm."""
+        self.endpoint = f"{arm.namespace}/{ENDPOINT_STATE_THROTTLE_TOPIC if throttled else endpoint}"
+        transform = TRANSFORM_THROTTLE_TOPIC if throttled else TRANSFORM_TOPIC
+        self.transforms = {joint: f"{arm.namespace}/{joint}/{transform}" for joint in arm.calibrations}
         self.encoders = {joint: _encoder(arm, joint) for joint in arm.calibrations}
         self.false_alarms = {name: joint.false_alarm for name, joint in Settings.of_arm(arm).joints.items()}
         self.types = {
@@ -208,7 +212,7 @@ def _decode(schema: Schema, data: bytes) -> Mapping[str, Any]:
 class LiveTopics:
     """Subscriptions to the topics of a running arm, in a node that no executor spins.
 
-    Between two calls of ``take`` DDS keeps the last messages of each topic: of ``endpoint/state`` all of a second.
+    Between two calls of ``take`` DDS keeps the last messages of each topic: of ``endpoint/state_throttle`` 2000.
     """
 
     def __init__(self, store: MessageStore, topics: ArmTopics) -> None:
@@ -216,8 +220,10 @@ class LiveTopics:
         self._node = Node("view", enable_rosout=False, start_parameter_services=False)
         self._subscriptions: list[Any] = []
         self._store.clear(time.monotonic())
+        special = {DIAGNOSTICS_TOPIC: DIAGNOSTICS_QOS, self._topics.endpoint: STATE_QOS}
+        special |= {topic: ENCODER_QOS for topic, _ in self._topics.encoders.values()}
         for topic, name in self._topics.types.items():
-            qos = {DIAGNOSTICS_TOPIC: DIAGNOSTICS_QOS, self._topics.endpoint: STATE_QOS}.get(topic, SENSOR_QOS)
+            qos = special.get(topic, RELIABLE_QOS)
             events = SubscriptionEventCallbacks(use_default_callbacks=False)
             subscription = self._node.create_subscription(
                 message_class(name), topic, _no_callback, qos, raw=True, event_callbacks=events

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from posor.model.fault import USABLE_STATES, State
 from posor.numerics.stamps import NS
-from posor.ros_names import ENDPOINT_STATE_TOPIC
+from posor.ros_names import ENDPOINT_STATE, ENDPOINT_STATE_TOPIC
 from posor_msgs.msg import EndpointState
 from scipy.special import chdtri
 
@@ -92,7 +92,7 @@ class Observer:
         self._topics, self._store, self._joints = topics, store, joints
         self._prefix = topics.endpoint.rpartition("/endpoint/")[0]
         self._reported: dict[tuple[str, str], float] = {}  # when each report of a node was seen first
-        self._has_state = topics.endpoint.endswith(f"/{ENDPOINT_STATE_TOPIC}")
+        self._has_state = topics.types[topics.endpoint] == ENDPOINT_STATE
 
     def observe(self, now_s: float, time_ns: int) -> Observation:
         """Return the state of the arm at a time, by the clock that stamped the arrival of the messages, and in UTC."""

@@ -8,7 +8,8 @@ Subscribes to ``<joint>/transform`` (posor_msgs/JointTransform) for every floati
 It also subscribes to the thermometers of the beams file, and keeps the beams at their temperatures.
 Transforms are joined by equal stamps. Without a usable transform of every joint in time there is no pose.
 ``endpoint/state`` (posor_msgs/EndpointState) is published for every scan, for every transform that is refused, and
-every 0.08 s during a silence of the input; it and the diagnostics name the joint and the reason.
+every 0.08 s during a silence of the input; it and the diagnostics name the joint and the reason. Those who watch have
+``endpoint/state_throttle``: every change, and otherwise at most twenty a second.
 """
 
 from __future__ import annotations
@@ -36,6 +37,7 @@ from posor.node_parameters import ChainParameters
 from posor.numerics.stamps import NO_TIME, NS, time_ns
 from posor.ros_names import (
     ENDPOINT_COVARIANCE_TOPIC,
+    ENDPOINT_STATE_THROTTLE_TOPIC,
     ENDPOINT_STATE_TOPIC,
     ENDPOINT_TOPIC,
     JOINT_STATES_TOPIC,
@@ -49,6 +51,7 @@ from posor_ros.lifecycle_node import PosorNode
 from posor_ros.message_classes import schema_of_class
 from posor_ros.node_program import run_node
 from posor_ros.qos import input_qos, result_qos
+from posor_ros.throttled_publisher import ThrottledPublisher
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from sensor_msgs.msg import JointState, Temperature
@@ -110,6 +113,7 @@ class ChainNode(PosorNode[ChainParameters]):
         self._refusals: dict[str, tuple[float, str]] = {}  # by joint: monotonic time [s] and reason of the latest
         self._reported = None
         self._last_stamp = bytes(8)
+        self._published_verdict = SOUND
         self._state_published = self._has_alarm = False
         self.diagnostics.add_refresh(self._refresh_status)
 
@@ -149,9 +153,9 @@ class ChainNode(PosorNode[ChainParameters]):
         self._pose = self._create_publisher(PoseStamped, ENDPOINT_TOPIC)
         self._pose_with_covariance = self._create_publisher(PoseWithCovarianceStamped, ENDPOINT_COVARIANCE_TOPIC)
         self._joint_states = self._create_publisher(JointState, JOINT_STATES_TOPIC)
-        self._endpoint_state = IntraProcessPublisher(
-            self, EndpointState, ENDPOINT_STATE_TOPIC, result_qos(self.parameters)
-        )
+        qos = result_qos(self.parameters)
+        self._endpoint_state = IntraProcessPublisher(self, EndpointState, ENDPOINT_STATE_TOPIC, qos)
+        self._throttle = ThrottledPublisher(self, EndpointState, ENDPOINT_STATE_THROTTLE_TOPIC, qos)
         self.add_cleanup(self._inputs.clear)
         self._joint_of_topic: dict[str, str] = {}
         for joint in chain.joints:
@@ -208,11 +212,16 @@ class ChainNode(PosorNode[ChainParameters]):
     def _publish_state(self, stamp: bytes, stamp_ns: int, verdict: EndpointVerdict) -> None:
         """Publish the state of a scan; a stamp of zero: there is no scan yet."""
         self._state_published = True
-        if self._endpoint_state.has_subscriptions:
+        is_due = self._throttle.is_due(stamp_ns, changed=verdict != self._published_verdict)
+        self._published_verdict = verdict
+        if is_due or self._endpoint_state.has_subscriptions:
             if verdict.has_pose:
                 self._state_writer.bound_error()
             age_s = (self.timing.now_ns() - stamp_ns) / NS if stamp_ns else math.nan
-            self._endpoint_state.publish(self._state_writer.write(stamp, age_s, verdict))
+            message = self._state_writer.write(stamp, age_s, verdict)
+            self._endpoint_state.publish(message)
+            if is_due:
+                self._throttle.publish(message)
 
     def _on_transform(self, joint: FreeJoint, data: bytes) -> None:
         """Add a transform of one joint to its scan; publish the endpoint once the scan is complete."""
@@ -326,7 +335,8 @@ class ChainNode(PosorNode[ChainParameters]):
 
     def _publish_endpoint(self, scan: dict[str, JointMessage], stamp_ns: int) -> None:
         estimator, identity = self._estimator, self._identity
-        if (state_is_read := self._endpoint_state.has_subscriptions) != self._reads_effects:
+        state_is_read = self._endpoint_state.has_subscriptions or self._throttle.has_subscriptions
+        if state_is_read != self._reads_effects:
             self._read_effects(read=state_is_read)
         stamp = self._last_stamp = self._fill_rows(scan)
         if not self._inputs.accepts(stamp_ns) and (refusal := self._inputs.refusal(stamp_ns)):

@@ -31,7 +31,7 @@ from posor.messages.raw_scan import scan_of
 from posor.model.fault import Fault, State
 from posor.model.scan import Scans
 from posor.node_parameters import PosorParameters
-from posor.ros_names import RAW_TOPIC, TRANSFORM_TOPIC
+from posor.ros_names import RAW_TOPIC, TRANSFORM_THROTTLE_TOPIC, TRANSFORM_TOPIC
 from posor_msgs.msg import JointTransform, RawScan
 from posor_msgs.srv import Acknowledge
 from posor_ros.diagnostics import Level
@@ -41,6 +41,7 @@ from posor_ros.lifecycle_node import PosorNode
 from posor_ros.message_classes import schema_of_class
 from posor_ros.node_program import run_node
 from posor_ros.qos import input_qos, result_qos
+from posor_ros.throttled_publisher import ThrottledPublisher
 
 from posor_estimator.alarm_rate import AlarmRate
 from posor_estimator.encoder_subscription import subscribe_to_encoder
@@ -103,6 +104,7 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
         self._status.report(Level.STALE, "no scan yet")
         qos = result_qos(self.parameters)
         self._publisher = IntraProcessPublisher(self, JointTransform, TRANSFORM_TOPIC, qos, count_listeners=True)
+        self._throttle = ThrottledPublisher(self, JointTransform, TRANSFORM_THROTTLE_TOPIC, qos)
         self.add_cleanup(self._forget_scans)
         self.add_cleanup(self._inputs.clear)
         qos = input_qos(self.parameters)
@@ -276,7 +278,7 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
                 transform = self._estimate_scan(data)
             if transform and self._stream is not None:
                 self._publisher.publish(transform)
-                self._update_counts(self._stream, data)
+                self._update_counts(self._stream, data, transform)
 
     def _estimate_scan(self, data: bytes) -> bytes | None:
         """Return the transform of a scan, empty for a repeated one; None if there is no stream for it."""
@@ -311,9 +313,11 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
             stream.count_from_next()
         return data
 
-    def _update_counts(self, stream: RawScanStream, data: bytes) -> None:
+    def _update_counts(self, stream: RawScanStream, data: bytes, transform: bytes) -> None:
         """Count an answered scan, keep a sound one for the digital zero, and report a change of the status."""
         stamp_ns, changed = stream.stamp_and_change()
+        if self._throttle.is_due(stamp_ns, changed=bool(changed)):
+            self._throttle.publish(transform)
         if stamp_ns:
             self.timing.record(stamp_ns)
         self._scans += 1

@@ -7,6 +7,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Iterator
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,7 @@ from posor_lab.harness.message_conversion import stamp_ns
 from posor_lab.harness.program import Program, installed
 from posor_msgs.msg import EndpointState, JointTransform
 from posor_ros.ros_arguments import ros_arguments
+from posor_ros.throttled_publisher import PERIOD_NS
 from rclpy.qos import QoSProfile
 
 from .chain_program import PLATES, RANDOM_SHARE, lost_transform, transform_of
@@ -124,6 +126,26 @@ def test_a_single_lost_scan_is_a_warning_and_several_in_a_row_an_error(rig: Rig)
 
     assert send_after_sound_scan(1, b"\x01") == {b"\x01"}
     assert b"\x02" in send_after_sound_scan(5, b"\x02")
+
+
+def test_the_throttled_topic_has_every_change_and_the_first_scan_of_each_period(rig: Rig) -> None:
+    throttled: list[Any] = rig.graph.collect(EndpointState, "endpoint/state_throttle")
+    rig.graph.wait_until(lambda: bool(throttled), "a throttled state", lambda: rig.send(transform_of(1)))
+    degraded = transform_of(1)
+    degraded.state, degraded.faults = JointTransform.STATE_DEGRADED, JointTransform.FAULT_FLAGGED
+    rig.states.clear()
+    begin_ns, due = stamp_ns(rig.state_of(transform_of(1))), []
+    while len(due) < 6 or len(rig.states) < 2 * len(due):
+        rig.state_of(degraded if len(due) == 2 else transform_of(1))
+        keys = [(stamp_ns(each), each.state, each.reason) for each in rig.states]
+        due = [new for old, new in pairwise(keys) if (old[0] // PERIOD_NS, *old[1:]) != (new[0] // PERIOD_NS, *new[1:])]
+
+    def received() -> list[tuple[int, int, str]]:
+        return [(stamp_ns(each), each.state, each.reason) for each in throttled if stamp_ns(each) > begin_ns]
+
+    rig.graph.wait_until(lambda: received()[-1:] == due[-1:], "the throttled states")
+    assert received() == [each for each in due if each[0] > begin_ns]
+    assert {each[1] for each in due} >= {EndpointState.STATE_OK, EndpointState.STATE_DEGRADED}
 
 
 def test_a_degraded_joint_shows_with_its_faults(rig: Rig) -> None:

@@ -1,0 +1,35 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""A topic for those who watch: every change, and otherwise a few messages a second of a topic at the rate of scans."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from posor.numerics.stamps import NS
+
+from posor_ros.intra_process import IntraProcessPublisher
+
+if TYPE_CHECKING:
+    from rclpy.qos import QoSProfile
+
+    from posor_ros.lifecycle_node import PosorNode
+
+PERIOD_NS = NS // 20
+
+
+class ThrottledPublisher(IntraProcessPublisher):
+    """Publishes a message with the first stamp of each ``PERIOD_NS``, so that all joints choose the same scans."""
+
+    def __init__(self, node: PosorNode[Any], message_type: type[Any], topic: str, qos: QoSProfile) -> None:
+        """Create the publisher of a topic, see ``IntraProcessPublisher``."""
+        super().__init__(node, message_type, topic, qos)
+        self._slot = -1
+
+    def is_due(self, stamp_ns: int, *, changed: bool) -> bool:
+        """Return whether to publish the message of a stamp [ns]; ``changed``: it says another thing than the last."""
+        slot = stamp_ns // PERIOD_NS
+        if not changed and slot == self._slot:
+            return False
+        self._slot = slot
+        return self.has_subscriptions
