@@ -17,7 +17,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument, LogInfo, OpaqueFunction, Shutdown
+from launch.actions import DeclareLaunchArgument, LogInfo, OpaqueFunction, RegisterEventHandler, Shutdown
+from launch.event_handlers import OnShutdown
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 from posor_bringup.arm_programs import frame_prefix_of, full_name
@@ -72,13 +73,16 @@ def arm_nodes(context: LaunchContext) -> list[LaunchDescriptionEntity]:
             parameter_files=files,
         )
         arm, programs = checked.arm, checked.programs
+        claim = graph.claim(arm.namespace)
         graph.refuse_running([full_name(program) for program in programs])
-    tools: list[LaunchDescriptionEntity] = []
+    tools: list[LaunchDescriptionEntity] = [
+        RegisterEventHandler(OnShutdown(on_shutdown=lambda _event, _context: claim.close()))
+    ]
     if view != "none":
         folder = Path(value("view_folder")) / arm.namespace.lstrip("/")
         folder.mkdir(parents=True, exist_ok=True)
         views = write_views(arm, folder, frame_prefix_of(programs))
-        tools = [LogInfo(msg=f"views of {arm.name}: {folder}"), *view_nodes(view, views)]
+        tools += [LogInfo(msg=f"views of {arm.name}: {folder}"), *view_nodes(view, views)]
     return tools + [
         Node(
             package=program.package,

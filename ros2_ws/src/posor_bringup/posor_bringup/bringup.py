@@ -25,6 +25,7 @@ from rich.console import Console
 from posor_bringup.arm_programs import LAYOUTS, frame_prefix_of, full_name, group_programs
 from posor_bringup.arms import check_arm
 from posor_bringup.bringup_options import LOGS, add_driver_parameters, add_namespace, prepare_output_folder
+from posor_bringup.claim import claim
 from posor_bringup.graph_observer import GraphObserver
 from posor_bringup.supervisor import Supervisor
 from posor_bringup.tool_views import VIEWS, write_views
@@ -32,6 +33,7 @@ from posor_bringup.tool_views import VIEWS, write_views
 if TYPE_CHECKING:
     from argparse import Namespace
     from collections.abc import Callable, Sequence
+    from socket import socket
 
     from posor_bringup.supervisor import RunningProgram
 
@@ -101,6 +103,12 @@ def _enclave(options: Namespace) -> str:
     return ""
 
 
+def _claim_of_folder(folder: Path) -> socket:
+    """Return the claim of an output folder, whose logs another bringup, such as one of another domain, would delete."""
+    what, expected = "another bringup writes there", "another folder, with --output"
+    return claim(str(folder.resolve()), where=str(folder), what=what, expected=expected)
+
+
 def _run_arm(options: Namespace) -> None:
     console = Console(highlight=False, soft_wrap=True, markup=False)
     parameters: dict[str, bool | float] = dict(RECORDING) if options.recording else {}
@@ -118,16 +126,19 @@ def _run_arm(options: Namespace) -> None:
         )
         arm, nodes = checked.arm, checked.programs
         names = [full_name(node) for node in nodes]
-        graph.refuse_running(names)
-        folder = prepare_output_folder(options.output / arm.namespace.lstrip("/"), tuple(VIEWS.values()))
-        write_views(arm, folder, frame_prefix_of(nodes))
-        with StopSignal() as stop, Supervisor(folder / LOGS) as supervisor:
-            running = [supervisor.start(program) for program in group_programs(nodes, options.layout, folder)]
-            for started in running:
-                console.print(f"{started.program.name}: process {started.process.pid}")
-            console.print(f"{arm.name}: {len(nodes)} nodes started, their logs in {folder / LOGS}; Ctrl-C ends them")
-            console.print(f"views for RViz, Foxglove and PlotJuggler: {', '.join(VIEWS.values())} in {folder}")
-            _watch(supervisor, running, stop, console, lambda: graph.refuse_second(names))
+        folder = options.output / arm.namespace.lstrip("/")
+        with graph.claim(arm.namespace), _claim_of_folder(folder):
+            graph.refuse_running(names)
+            prepare_output_folder(folder, tuple(VIEWS.values()))
+            write_views(arm, folder, frame_prefix_of(nodes))
+            with StopSignal() as stop, Supervisor(folder / LOGS) as supervisor:
+                running = [supervisor.start(program) for program in group_programs(nodes, options.layout, folder)]
+                for started in running:
+                    console.print(f"{started.program.name}: process {started.process.pid}")
+                ends = "Ctrl-C ends them"
+                console.print(f"{arm.name}: {len(nodes)} nodes started, their logs in {folder / LOGS}; {ends}")
+                console.print(f"views for RViz, Foxglove and PlotJuggler: {', '.join(VIEWS.values())} in {folder}")
+                _watch(supervisor, running, stop, console, lambda: graph.refuse_second(names))
     console.print(f"{arm.name}: all nodes have ended")
 
 

@@ -18,15 +18,21 @@ from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
+from posor_bringup.claim import claim
+
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
+    from socket import socket
     from types import TracebackType
 
 DISCOVERY_S = 2.0
 """Time in which a new participant learns of the nodes of its domain; it runs while the files of the arm are read.
 
 On a busy host it may take longer; ``refuse_second`` then finds the other arm after the start."""
+END_S = 5.0
+"""Time in which nodes that are listed may still end, as those of a bringup that was killed do."""
 POLL_S = 0.02
+ONE_ARM = "one arm of a name: end it, give this one another name, or set another ROS_DOMAIN_ID"
 
 
 class GraphObserver:
@@ -58,13 +64,25 @@ class GraphObserver:
     def _names(self) -> Iterable[str]:
         return (f"{namespace.rstrip('/')}/{name}" for name, namespace in self._node.get_node_names_and_namespaces())
 
+    def claim(self, namespace: str) -> socket:
+        """Return the claim of an arm's namespace in this domain: its nodes are listed only seconds later.
+
+        Raises PosorError: another process of this host has claimed the namespace.
+        """
+        domain = self._context.get_domain_id()
+        what = f"another bringup starts, runs or ends it in ROS domain {domain}"
+        return claim(f"{domain}:{namespace}", where=f"arm {namespace}", what=what, expected=ONE_ARM)
+
     def refuse_running(self, names: Sequence[str]) -> None:
-        """Raise a PosorError if a node with one of the full names runs; wait until the domain has been discovered."""
-        wanted = set(names)
-        while True:
-            self._refuse(wanted.intersection(self._names()))
-            if time.monotonic() >= self._discovered_s:
-                return
+        """Raise a PosorError if a node with one of the full names runs and does not end within ``END_S``.
+
+        Waits until the domain has been discovered.
+        """
+        time.sleep(max(0.0, self._discovered_s - time.monotonic()))
+        end_s = time.monotonic() + END_S
+        while running := set(names).intersection(self._names()):
+            if time.monotonic() >= end_s:
+                self._refuse(running)
             time.sleep(POLL_S)
 
     def refuse_second(self, names: Sequence[str]) -> None:
@@ -78,5 +96,5 @@ class GraphObserver:
             raise PosorError(
                 f"already runs in ROS domain {domain}, with {len(running)} of the nodes to be started",
                 where=f"node {min(running)}",
-                expected="one arm of a name: end it, give this one another name, or set another ROS_DOMAIN_ID",
+                expected=f"{ONE_ARM}; nodes that were killed are listed for up to 20 s",
             )

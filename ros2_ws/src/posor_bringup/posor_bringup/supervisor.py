@@ -14,7 +14,7 @@ import sys
 from contextlib import nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
-from shutil import disk_usage
+from shutil import disk_usage, which
 from typing import TYPE_CHECKING, Self
 
 from ament_index_python.packages import PackageNotFoundError, get_package_prefix
@@ -84,6 +84,12 @@ class ProgramCommand:
         return [str(path)]
 
 
+def _ends_with_thread() -> list[str]:
+    """Return the start of a command whose program gets SIGINT when the thread that starts it ends (setpriv, Linux)."""
+    setpriv = which("setpriv")
+    return [setpriv, "--pdeathsig", "INT", "--"] if setpriv else []
+
+
 class RunningProgram:
     """A started program; its output goes to a log file."""
 
@@ -96,7 +102,11 @@ class RunningProgram:
             with interrupts_blocked() if program.package in LAZY_PACKAGES else nullcontext():
                 # In its own session: Ctrl-C in the terminal reaches only the supervisor, which ends all in order.
                 self.process = subprocess.Popen(
-                    command, stdin=subprocess.DEVNULL, stdout=file, stderr=file, start_new_session=True
+                    [*_ends_with_thread(), *command],
+                    stdin=subprocess.DEVNULL,
+                    stdout=file,
+                    stderr=file,
+                    start_new_session=True,
                 )
 
     @property
@@ -175,7 +185,7 @@ class Supervisor:
             error.add_note(f"While the programs were ended: {failure}")
 
     def start(self, program: ProgramCommand) -> RunningProgram:
-        """Start a program.
+        """Start a program, from a thread that lasts until its end: it gets SIGINT when this thread, or process, ends.
 
         Raises:
             ProcessError: It is not installed.

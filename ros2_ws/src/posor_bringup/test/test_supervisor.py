@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -14,7 +15,7 @@ import pytest
 from posor_bringup import supervisor as module
 from posor_bringup.supervisor import ProcessError, ProgramCommand, RunningProgram, Supervisor
 from posor_lab.harness.case_tables import refusal
-from posor_lab.harness.program import in_background
+from posor_lab.harness.program import in_background, wait_until
 
 LOOP = "echo started; while :; do sleep 0.05; done"
 SCRIPTS = {
@@ -167,6 +168,18 @@ def test_programs_of_a_supervisor_in_the_background_end_on_sigint(tmp_path: Path
     command = [sys.executable, str(tmp_path / "supervise.py"), str(tmp_path), str(tmp_path / "child.py")]
     done = subprocess.run(in_background(command), check=True, capture_output=True, text=True)
     assert done.stdout == "-2\n"
+
+
+def test_programs_end_orderly_when_their_supervisor_is_killed(tmp_path: Path) -> None:
+    (tmp_path / "supervise.py").write_text(SUPERVISE, encoding="utf-8")
+    (tmp_path / "child.py").write_text(
+        "import os, signal, sys\n"
+        "signal.signal(signal.SIGINT, lambda *_: sys.exit(print('closed', flush=True)))\n"
+        "os.kill(os.getppid(), signal.SIGKILL)\nsignal.pause()\n"
+    )
+    command = [sys.executable, str(tmp_path / "supervise.py"), str(tmp_path), str(tmp_path / "child.py")]
+    assert subprocess.run(command, check=False).returncode == -signal.SIGKILL
+    wait_until(lambda: "closed" in (tmp_path / "child.log").read_text(encoding="utf-8"), "the end", lambda: None)
 
 
 def test_end_of_the_programs_does_not_replace_the_first_error(folder: Path) -> None:
