@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The storm of faults through real posor_nodes: the program plays their drivers, without loss, in stretches.
 
-After each stretch it waits for all transforms; between two of them an operator acknowledges. There is no encoder here:
-after an acknowledgement a bumpy ring is UNCOUNTED until it passes its home mark. The transforms must equal those of the
-estimator alone.
+After each stretch it waits for all transforms; between two of them an operator acknowledges, which the node refuses
+where its last scan is not plausible. There is no encoder here: after an acknowledgement a bumpy ring is UNCOUNTED until
+it passes its home mark. The transforms must equal those of the estimator alone with the same acknowledgements.
 """
 
 from __future__ import annotations
@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from posor.calibration.calibration_file import Calibration
+    from posor.numerics.array_types import IntArray
 
     from posor_lab.faults.storm import Storm, StormCount, StormMaker
     from posor_lab.reports.graph_receiver import GraphWatch
@@ -55,12 +56,12 @@ def run_node_storm(
         # A new node for each block: the true sensors are others.
         player = NodePlayer(*PLAYER_ARGUMENTS)
         with running_graph([program], player, folder, "storm") as watch:
-            play_storm(storm, player, watch)
+            granted = play_storm(storm, player, watch)
             found = [deserialize_message(data, JointTransform) for data in player.answers]
         poses = pose_array([each.pose for each in found])
         states, faults = np.array([(each.state, each.faults) for each in found], dtype=np.int64).T
         covariances = np.reshape([each.covariance_random + each.covariance_systematic for each in found], (-1, 6, 6))
-        expected = estimate_storm(maker.posor, storm)
+        expected = estimate_storm(maker.posor, replace(storm, acknowledgements=granted))
         effects = np.reshape([each.effects for each in found], np.shape(expected.fault_effects))
         same = (states == expected.states) & (faults == expected.faults)
         same &= np.all((poses.translations == expected.translations) | (states == State.LOST)[:, None], axis=1)
@@ -83,9 +84,9 @@ def posor_program(calibration: Calibration, folder: Path) -> ProgramCommand:
     return ProgramCommand("posor_node", "posor_estimator", "posor_node", (), NAMESPACE, parameters)
 
 
-def play_storm(storm: Storm, player: NodePlayer, watch: GraphWatch) -> None:
-    """Publish all scans of a storm, and acknowledge where an operator does."""
-    types, records = MessageTypes(), storm.scans
+def play_storm(storm: Storm, player: NodePlayer, watch: GraphWatch) -> IntArray:
+    """Publish all scans of a storm, and acknowledge where an operator does; return where the node granted it."""
+    types, records, granted = MessageTypes(), storm.scans, list[int]()
     watch.wait(player.is_ready, lambda: "posor_node, or one of its connections")
     begin = 0
     for end in [*storm.acknowledgements.tolist(), len(records)]:
@@ -97,6 +98,7 @@ def play_storm(storm: Storm, player: NodePlayer, watch: GraphWatch) -> None:
             lambda end=end: len(player.answers) >= end,  # type: ignore[misc]
             lambda end=end: f"{end - len(player.answers)} of {end} transforms",  # type: ignore[misc]
         )
-        if end < len(records):
-            player.acknowledge(watch)
+        if end < len(records) and player.acknowledge(watch):
+            granted.append(end)
         begin = end
+    return np.array(granted, dtype=np.int64)

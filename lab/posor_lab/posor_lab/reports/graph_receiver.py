@@ -241,7 +241,7 @@ class NodePlayer(GraphReceiver):
         is_active = self.status_value(f"{self._node}: lifecycle", "message") == "active"
         return is_active and listeners == "1" and all(each.get_subscription_count() for each in self.inputs)
 
-    def acknowledge(self, watch: GraphWatch) -> None:
-        """Release a latched fault, as an operator does."""
+    def acknowledge(self, watch: GraphWatch) -> bool:
+        """Release a latched fault, as an operator does; return whether the node does not refuse it."""
         request = Acknowledge.Request(caller="laboratory", reason="the fault has ended")
-        watch.call(Acknowledge, f"{self._node}/acknowledge", request)
+        return bool(watch.call(Acknowledge, f"{self._node}/acknowledge", request).success)
