@@ -252,7 +252,7 @@ def run_faults(trial: Trial) -> tuple[Findings, Mapping[str, Any]]:
         "motion": [{**vars(each), "share": each.share} for each in moving],
         "storm": storm_json(storms),
     }
-    resting = [levels_at_rest(arm) for arm in DRAWN_ARMS] if trial.options.arms else []
+    resting = [levels_at_rest(arm) for arm in AIMS] if trial.options.arms else []
     found = fault_findings(results, soaks, storms)
     arms = (*map(describe_arms, sound), *map(describe_motion, moving), *map(describe_rest, resting))
     return Findings((*found.findings, *arms)), content

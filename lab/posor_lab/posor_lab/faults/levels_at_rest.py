@@ -20,11 +20,10 @@ if TYPE_CHECKING:
     from posor.calibration.calibration_file import Calibration
     from posor.numerics.array_types import FloatArray
 
-    from posor_lab.faults.fault_table import ArmName
-
 POSTURES = 40  # evenly spread over the scenario
 DEVIATION_K = 0.2  # largest deviation of beams, and largest error of the thermometers of the joints
-AIMS = {"six_axis": (100e-6, 130e-6), "five_axis_checked": (80e-6, 100e-6)}
+TWO_DIODES = "six_axis with two of its three diodes"
+AIMS = {"six_axis": (100e-6, 130e-6), TWO_DIODES: (200e-6, 200e-6), "five_axis_checked": (80e-6, 100e-6)}
 """Largest levels along [m] and about [rad] an axis that are aimed at."""
 
 
@@ -47,15 +46,17 @@ class RestingArm(NamedTuple):
         return f"{along[0]}, {along[1]}, {along[2]} um; {about[0]}, {about[1]}, {about[2]} urad"
 
 
-def levels_at_rest(name: ArmName, postures: int = POSTURES) -> RestingArm:
-    """Return the levels of an installed arm with beams and thermometers within ``DEVIATION_K``."""
-    arm = load_arm_file(find_arm(name))
+def levels_at_rest(name: str, postures: int = POSTURES) -> RestingArm:
+    """Return the levels of an arm of ``AIMS`` with beams and thermometers within ``DEVIATION_K``, without encoders."""
+    arm = load_arm_file(find_arm("six_axis" if name == TWO_DIODES else name))
     content = load_beams(arm.beams).model_dump(mode="json") if arm.beams else {}
     for beam in content["beams"]:
         if beam["temperature"]:
             beam["temperature"]["deviation"]["value"] = DEVIATION_K
     chain = Chain(arm.urdf.read_text(encoding="utf-8"), arm.endpoint_frame, BeamsFile.model_validate(content))
     calibrations = {joint.name: _with_thermometer(arm.calibration(joint.name)) for joint in chain.joints}
+    if name == TWO_DIODES:
+        calibrations = {joint: _with_two_diodes(each) for joint, each in calibrations.items()}
     simulation = ArmSimulation(arm, Imperfections.only())
     commanded = simulation.truth((np.arange(postures) * simulation.scenario.cycle_ticks) // postures).commanded
     angles = [dict(zip(calibrations, row, strict=True)) for row in commanded.tolist()]
@@ -69,3 +70,12 @@ def _with_thermometer(calibration: Calibration) -> Calibration:
     own = [cause for cause in calibration.causes if cause.name != default.name]
     known = default.model_copy(update={"bound": DEVIATION_K, "source": "a thermometer"})
     return calibration.model_copy(update={"causes": [*own, known]})
+
+
+def _with_two_diodes(calibration: Calibration) -> Calibration:
+    """Return the calibration of a joint without its third diode."""
+    content = calibration.model_dump(mode="json", exclude_none=True)
+    (ring,) = [each for each in content["sensors"] if each["type"] == "diodes"]
+    ring["diodes"] = ring["diodes"][:2]
+    ring["maps"] = {name: maps[:2] for name, maps in ring["maps"].items()}
+    return calibration.model_validate(content)

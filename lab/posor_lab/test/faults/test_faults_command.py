@@ -19,7 +19,7 @@ from posor_drivers.simulator.pose_array import PoseArray
 from posor_lab.faults.availability import OK_SHARE, START, arm_availability
 from posor_lab.faults.cause_injection import inject
 from posor_lab.faults.device_run import ACTIONS
-from posor_lab.faults.fault_table import FAULT_TABLE, NAMING_LIMITS_S, ArmName, FaultRow, RowResult
+from posor_lab.faults.fault_table import FAULT_TABLE, NAMING_LIMITS_S, FaultRow, RowResult
 from posor_lab.faults.faults_command import PROGRAM, TITLES, describe_arms, describe_motion, describe_rest, main
 from posor_lab.faults.levels_at_rest import AIMS, levels_at_rest
 from posor_lab.faults.message_run import change_message
@@ -208,7 +208,7 @@ def test_a_fault_of_an_episode_has_one_size_direction_and_choice_of_readings(sto
 
 
 @pytest.mark.parametrize("name", AIMS)
-def test_an_arm_at_rest_with_known_temperatures_has_small_levels(name: ArmName) -> None:
+def test_an_arm_at_rest_with_known_temperatures_has_small_levels(name: str) -> None:
     found = levels_at_rest(name, 3)
     assert describe_rest(found).verdict is Verdict.HOLDS
     assert np.all(found.worst >= found.median)
