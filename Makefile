@@ -15,6 +15,7 @@ FAULTS ?=
 COMMISSIONING ?=
 FORBIDDEN_WORDS := told|abreast|eights|taking_turns|Outlet|Inlet|places, ints, floats
 WHEELS := posor posor_calibration posor_design
+export DCC_SCHEMA  # folder of the schema files of DCC and D-SI, for tests that need them
 IN_WORKSPACE := .venv/bin/python -E tools/in_workspace.py
 
 help:
@@ -34,6 +35,7 @@ help:
 	@echo "make calibration-truth [CALIBRATION_TRUTH='--arms 20 ...']   whole arms calibrated with a simulated tracker, against the truth"
 	@echo "make soak [SOAK='--seconds 120 ...']                   run an arm for an hour, find losses and growth"
 	@echo "make test [TESTS='path ...']                           linters and all tests, or only the tests of TESTS"
+	@echo "make test DCC_SCHEMA=folder                            with the tests that need the schema files of DCC and D-SI"
 	@echo "make test-long [TESTS='path ...']                      the tests that take long: many draws, whole campaigns, benchmarks"
 	@echo "make test-noble [TESTS='path ...']                     tests with Python 3.12 and the libraries of Ubuntu 24.04"
 	@echo "make lint                                              ruff, mypy and forbidden words"

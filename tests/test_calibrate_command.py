@@ -17,6 +17,7 @@ import yaml
 from posor.bags.calibration_recording import bag_sha256
 from posor.calibration.calibration_file import Calibration, load_calibration
 from posor.calibration.fit_record import FitRecord
+from posor.certificates.dcc_check import check_dcc
 from posor.ros_names import POSE_STAMPED, TRANSFORM_STAMPED
 from posor_calibration.calibrate_command import main
 from posor_calibration.calibration_comparison import compare_calibrations
@@ -25,6 +26,7 @@ from posor_calibration.outcome_tables import WIDTH
 from posor_calibration.procedure_registry import PROCEDURES
 from posor_drivers.calibration_bag import TYPES, entries, write_bag
 from posor_lab.harness.case_tables import cases
+from posor_lab.harness.certificates import CERTIFICATE, SCHEMA, needs_schema, numbers, quantities, read_dcc, texts
 from posor_lab.harness.drawn_posor import ABOUT, ALONG, DrawnPosor
 from posor_lab.harness.program import installed
 
@@ -88,7 +90,10 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Bench:
 @pytest.fixture(scope="module")
 def fitted(bench: Bench) -> Path:
     output = bench.folder / "fitted.yaml"
-    done = bench.fit(output, "--loss", "linear")
+    lab = bench.folder / "lab.yaml"
+    lab.write_text(CERTIFICATE, encoding="utf-8")
+    dcc = ("--dcc", str(bench.folder / "dcc.xml"), "--certificate", str(lab))
+    done = bench.fit(output, "--loss", "linear", *dcc)
     assert (done.returncode, done.stderr.strip()) == (0, ""), done.stderr
     return output
 
@@ -131,6 +136,25 @@ def test_a_fit_becomes_a_file_with_its_record(bench: Bench, fitted: Path) -> Non
     assert record.residuals["bundle"].spread > 1.5
     assert any("were not fitted" in warning for warning in record.warnings)
     assert str(bench.folder) not in text
+
+
+def test_the_certificate_holds_the_numbers_of_the_report(bench: Bench, fitted: Path) -> None:
+    document = read_dcc(bench.folder / "dcc.xml")
+    found = quantities(document)
+    fits = json.loads(fitted.with_suffix(".json").read_text(encoding="utf-8"))["fits"]
+    for what, fit in fits.items():
+        assert len(fit["parameters"]) > 5
+        for name, value, sigma in zip(fit["parameters"], fit["values"], fit["sigmas"], strict=True):
+            assert numbers(found.pop(f"{what}: {name}")) == [value, 2.0 * sigma, 2.0, 0.9545]
+    assert not found
+    assert load_calibration(fitted).content_hash in texts(document, "dcc:value")
+    assert {r"\metre", r"\metre\volt\tothe{-1}", r"\radian", r"\volt"} <= set(texts(document, "si:unit"))
+
+
+@needs_schema
+def test_the_certificate_is_valid(bench: Bench, fitted: Path) -> None:
+    assert fitted.exists()
+    check_dcc(bench.folder / "dcc.xml", SCHEMA)
 
 
 def test_nothing_is_overwritten_without_force_and_the_old_file_is_kept(bench: Bench, fitted: Path) -> None:

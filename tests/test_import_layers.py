@@ -18,7 +18,10 @@ ROOT = Path(__file__).resolve().parents[1]
 WITHOUT_ROS = {"posor", "posor_calibration", "posor_design"}
 ROS_LIBRARIES = {"posor_msgs", "rclpy", "ament_index_python", "launch", "rosidl_parser", "tf2_msgs"}
 LAYERS_OF_POSOR = (  # lowest first; parts of one line may import each other
-    ("arm_names", "errors", "input_text", "lazy_program", "library_programs", "reporting", "ros_names"),
+    (
+        *("arm_names", "errors", "input_text", "lazy_program", "library_programs", "optional_library", "reporting"),
+        "ros_names",
+    ),
     ("numerics",),
     ("model",),
     ("calibration", "sensors", "node_parameters", "parameter_model"),
@@ -26,7 +29,7 @@ LAYERS_OF_POSOR = (  # lowest first; parts of one line may import each other
     ("chain",),
     ("uncertainty",),
     ("messages",),
-    ("bags", "tables", "kernel_build", "kernel_examples"),
+    ("bags", "tables", "certificates", "kernel_build", "kernel_examples"),
     ("",),  # posor itself: the public Python API
 )
 LAYER = {f"posor.{part}".rstrip("."): layer for layer, parts in enumerate(LAYERS_OF_POSOR) for part in parts}

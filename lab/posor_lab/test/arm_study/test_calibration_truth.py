@@ -34,6 +34,7 @@ from posor_lab.arm_study.calibration_truth import (
 from posor_lab.arm_study.calibration_truth_command import main
 from posor_lab.arm_study.statement_truth import DrawnArm
 from posor_lab.arm_study.tracker_recording import write_calibration_recording
+from posor_lab.harness.certificates import CERTIFICATE, numbers, quantities, read_dcc
 from scipy.optimize import least_squares
 
 USED, TESTED, ARMS = 40, 6, 4
@@ -191,11 +192,17 @@ def options(folder: Path, table: str = "tracker.csv") -> list[str]:
 def test_the_program_writes_an_arm_that_can_be_used_and_replaces_nothing(
     recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    output = ["--output", str(tmp_path / "new")]
-    assert calibrate([*options(recorded), *output]) == 0
+    output, lab = ["--output", str(tmp_path / "new")], tmp_path / "lab.yaml"
+    lab.write_text(CERTIFICATE, encoding="utf-8")
+    dcc = ["--dcc", str(tmp_path / "dcc.xml"), "--certificate", str(lab)]
+    assert calibrate([*options(recorded), *output, *dcc]) == 0
     content = json.loads((tmp_path / "new" / "arm_calibration.json").read_text(encoding="utf-8"))
     assert content["after"]["held out"]["position"] < 1.5 * content["before"]["held out"]["position"]
     assert str(recorded / "tracker.csv") in content["sources"]
+    found = quantities(read_dcc(tmp_path / "dcc.xml"))
+    for each in content["parameters"]:
+        stated = [each["value"], 2.0 * each["standard_uncertainty"], 2.0, 0.9545]
+        assert numbers(found[f"change: {each['name']}"]) == stated
     arm = load_arm_file(tmp_path / "new" / "arm.yaml")
     assert arm.chain().links[1].T_nominal != load_arm_file(recorded / "arm.yaml").chain().links[1].T_nominal
     before = {path.name: path.read_bytes() for path in (tmp_path / "new").iterdir()}
@@ -241,6 +248,7 @@ def test_the_program_selects_poses_that_determine_more(tmp_path: Path, capsys: p
     [
         ([], "--bag and --table and --map missing"),
         (["--select", "3"], "--candidates missing"),
+        (["--select", "3", "--candidates", "c", "--dcc", "d"], "--dcc with --select; expected --select alone"),
         (["--bag", "b", "--table", "t", "--map", "m", "--hold-out", "1"], "no pose would be used"),
         (["--select", "3", "--candidates", "c", "--uncertainty", "ball"], "expected NAME="),
         (["--select", "3", "--candidates", "c", "--tool", "ball=1,2"], "expected 3 or 6 numbers"),

@@ -145,6 +145,10 @@ class DataFileError(PosorError):
     """A recorded table cannot be read: missing file, missing column, or a cell that is not a number."""
 
 
+class CertificateError(PosorError):
+    """A Digital Calibration Certificate, or its schema, is invalid."""
+
+
 class BagError(PosorError):
     """A rosbag2 bag cannot be read or written."""
 

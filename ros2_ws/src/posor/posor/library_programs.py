@@ -7,4 +7,5 @@ from __future__ import annotations
 from posor.lazy_program import LazyProgram
 
 reprocess = LazyProgram("reprocess", "posor.bags.reprocess_command")
+dcc = LazyProgram("dcc", "posor.certificates.dcc_command")
 recover = LazyProgram("recover", "posor.bags.recover_command")

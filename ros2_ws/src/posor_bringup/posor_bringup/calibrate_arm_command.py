@@ -15,6 +15,8 @@ import pinocchio as pin
 from posor.arm_names import describe_argument
 from posor.bags.calibration_recording import bag_sha256
 from posor.bags.offline_pipeline import load_arm
+from posor.certificates.dcc_document import write_dcc
+from posor.certificates.dcc_options import add_dcc_options, read_dcc_options
 from posor.chain.identity import file_sha256
 from posor.errors import ParameterError
 from posor.reporting.command_line_parser import CommandLineParser
@@ -40,6 +42,7 @@ from posor_calibration.arm.endpoint_references import (
     check_references,
     references_of,
 )
+from posor_calibration.calibration_certificate import certificate_of_arm
 from posor_design.arm_uncertainty import ArmUncertainty
 from posor_design.statement_poses import path_poses
 
@@ -82,12 +85,15 @@ def parse_options(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--candidates", type=Path, metavar="FILE.csv", help=text)
     parser.add_argument("--output", type=Path, metavar="FOLDER", help="default: build/calibrate_arm/<name of the arm>")
     parser.add_argument("--force", action="store_true", help="replace existing files; the old ones are kept")
+    add_dcc_options(parser)
     options = parser.parse_args(arguments)
     needed = ("candidates",) if options.select is not None else ("bag", "table", "map")
     missing = [f"--{name}" for name in needed if getattr(options, name) is None]
     if missing:
         expected = "--bag, --table and --map, or --select with --candidates"
         raise ParameterError(f"{' and '.join(missing)} missing", where=WHERE, expected=expected)
+    if options.select is not None and options.dcc is not None:
+        raise ParameterError("--dcc with --select", where=WHERE, expected="--select alone: it calibrates nothing")
     if (options.candidates is None) != (options.select is None):
         raise ParameterError("--candidates without --select", where=WHERE, expected="both")
     for name, least in (("window", 0.0), ("hold_out", 0), ("select", 1)):
@@ -154,6 +160,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.select is not None:
         _print_selection(arm, options, console)
         return 0
+    stated = read_dcc_options(options, WHERE)
     folder = options.output or Path("build/calibrate_arm") / arm.name
     check_output(folder, arm, force=options.force)
     table = load_readings(options.table, options.map, needs_joints=False)
@@ -184,6 +191,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for path in kept:
         console.print(f"kept: {path}", soft_wrap=True, markup=False)
     console.print(f"{', '.join(texts)}: {folder}", soft_wrap=True, markup=False)
+    if stated is not None:
+        write_dcc(options.dcc, certificate_of_arm(arm, found, origin), stated)
+        console.print(f"certificate: {options.dcc}", soft_wrap=True, markup=False)
     return 0
 
 

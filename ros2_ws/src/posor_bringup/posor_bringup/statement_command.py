@@ -11,6 +11,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from posor.arm_names import describe_argument
+from posor.certificates.dcc_document import write_dcc
+from posor.certificates.dcc_options import add_dcc_options, read_dcc_options
 from posor.chain.arm_file import load_arm_file
 from posor.errors import ParameterError
 from posor.reporting.command_line_parser import CommandLineParser
@@ -18,6 +20,7 @@ from posor.reporting.program_errors import reports_errors
 from posor.reporting.report_console import report_console
 from posor_design.arm_uncertainty import ArmUncertainty
 from posor_design.statement import make_statement
+from posor_design.statement_certificate import certificate_of
 from posor_design.statement_poses import bag_poses, given_pose, grid_poses, path_poses
 from posor_design.statement_records import Records
 from posor_design.statement_report import print_statement, write_statement
@@ -80,6 +83,7 @@ def parse_options(arguments: Sequence[str] | None) -> argparse.Namespace:
     text = "the beams deviate by at most this from the temperature of the URDF (default: as the beams file states)"
     parser.add_argument("--temperature-deviation", type=_deviation, metavar="K", help=text)
     parser.add_argument("--output", type=Path, metavar="FOLDER", help="default: build/statement/<name of the arm>")
+    add_dcc_options(parser)
     options = parser.parse_args(arguments)
     given = [name for name in ("angles", "path", "grid", "bag") if getattr(options, name) is not None]
     if not given:
@@ -112,6 +116,7 @@ def compute_statement(options: argparse.Namespace) -> Statement:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the program; exit code 0: the statement has been written."""
     options = parse_options(arguments)
+    stated = read_dcc_options(options, "statement")
     statement = compute_statement(options)
     folder = options.output or Path("build/statement") / statement.arm.name
     try:
@@ -120,9 +125,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except OSError as error:
         what = f"cannot be written: {error.strerror}"
         raise ParameterError(what, where=f"statement, --output, {folder}", expected="a writable folder") from error
+    if stated is not None:
+        write_dcc(options.dcc, certificate_of(statement), stated)
     console = report_console(WIDTH)
     print_statement(statement, console)
     console.print(f"page, PDF and JSON: {folder}", soft_wrap=True, markup=False)
+    if stated is not None:
+        console.print(f"certificate: {options.dcc}", soft_wrap=True, markup=False)
     return 0
 
 

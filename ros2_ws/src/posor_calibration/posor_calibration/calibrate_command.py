@@ -15,12 +15,15 @@ from posor.bags.result_folder import writing
 from posor.calibration.calibration_file import FILE_KIND, load_calibration, parse_calibration
 from posor.calibration.save import refuse_existing
 from posor.calibration.yaml_document import read_text
+from posor.certificates.dcc_document import write_dcc
+from posor.certificates.dcc_options import add_dcc_options, read_dcc_options
 from posor.errors import OutputError, ParameterError
 from posor.reporting.command_line_parser import CommandLineParser
 from posor.reporting.program_errors import reports_errors
 from posor.reporting.progress import progress_display
 from rich.console import Console
 
+from posor_calibration.calibration_certificate import certificate_of_fit
 from posor_calibration.calibration_comparison import compare_calibrations
 from posor_calibration.calibration_fit import fit_recording, read_recording, to_track_sigmas
 from posor_calibration.drift_check import check_drift
@@ -40,6 +43,7 @@ if TYPE_CHECKING:
     from posor.calibration.fit_record import Instrument
 
     from posor_calibration.calibration_fit import FitResult
+    from posor_calibration.outcome_report import ProcedureVerdict
 
 NOT_EXPLAINED = 3
 """Exit code of ``check`` for a calibration that does not explain the bag."""
@@ -69,6 +73,7 @@ def make_parser() -> CommandLineParser:
         action.add_argument("--length-scale", action="append", default=[], metavar="NAME=S", help=text)
         text = "shared term and standard uncertainty [K] of the thermometer of the plate; may be repeated"
         action.add_argument("--thermometer", action="append", default=[], metavar="NAME=K", help=text)
+        add_dcc_options(action)
         add_options(action, procedure.options)
     return parser
 
@@ -111,9 +116,14 @@ def _run_action(options: argparse.Namespace, console: Console) -> int:
             check = check_drift(recording, calibration, settings)
         print_drift_check(check, console, every=options.all)
         return 0 if check.explains else NOT_EXPLAINED
+    stated = read_dcc_options(options, "calibrate")
     with progress_display() as progress:
         result = calibrate(options, progress.begin)
-    write_result(result, options, console)
+    verdict = write_result(result, options, console)
+    if stated is not None:
+        certificate = certificate_of_fit(result, verdict, options.bag, options.calibration)
+        write_dcc(options.dcc, certificate, stated)
+        console.print(f"certificate: {options.dcc}", soft_wrap=True, markup=False, highlight=False)
     return 0
 
 
@@ -149,8 +159,8 @@ def calibrate(options: argparse.Namespace, report: Callable[[str], object]) -> F
     )
 
 
-def write_result(result: FitResult, options: argparse.Namespace, console: Console) -> None:
-    """Print the verdict; write the new calibration file, and its report, if the command line names one.
+def write_result(result: FitResult, options: argparse.Namespace, console: Console) -> ProcedureVerdict:
+    """Print and return the verdict; write the new calibration file, and its report, if the command line names one.
 
     Raises:
         CalibrationError: The file cannot be written.
@@ -177,6 +187,7 @@ def write_result(result: FitResult, options: argparse.Namespace, console: Consol
     elsewhere = "with --all" if options.output is None else f"in {page.name}"
     for line in verdict.lines(ending, elsewhere):
         console.print(line, markup=False, highlight=False, soft_wrap=True)
+    return verdict
 
 
 def _report_files(output: Path) -> tuple[Path, Path]:

@@ -5,13 +5,13 @@
 from __future__ import annotations
 
 import warnings
-from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from posor.errors import DataFileError, ParameterError, clause_of
 from posor.input_text import check_input_file, read_input_bytes
+from posor.optional_library import optional_library
 from posor.tables.raw_table import ArrayTable, Column
 from posor.tables.table_units import find_unit, unit_in_name
 from posor.tables.text_table import TextTable, decode
@@ -91,17 +91,8 @@ def _read_binary(path: Path, kind: str, reader: Callable[[Path], RawTable]) -> R
         raise DataFileError(f"is not a whole {kind} file, {clause_of(error)}", where=str(path)) from error
 
 
-def _library(name: str, extra: str, path: Path) -> Any:
-    try:
-        return import_module(name)
-    except ImportError:
-        package = name.partition(".")[0]
-        what = f"the Python library '{package}' is not installed"
-        raise ParameterError(what, where=str(path), expected=f"pip install 'posor[{extra}]'") from None
-
-
 def _parquet(path: Path) -> RawTable:
-    parquet, arrow = _library("pyarrow.parquet", "tables", path), _library("pyarrow", "tables", path)
+    parquet, arrow = optional_library("pyarrow.parquet", "tables", path), optional_library("pyarrow", "tables", path)
     table = parquet.ParquetFile(path).read()
     columns = []
     for field, chunks in zip(table.schema, table.columns, strict=True):
@@ -132,7 +123,7 @@ def _exact(chunks: Any) -> NDArray[Any]:
 
 
 def _tdms(path: Path) -> RawTable:
-    tdms = _library("nptdms", "tdms", path).TdmsFile.read(path)
+    tdms = optional_library("nptdms", "tdms", path).TdmsFile.read(path)
     columns: list[tuple[Column, NDArray[Any]]] = []
     for group in tdms.groups():
         for channel in group.channels():
@@ -162,7 +153,7 @@ def _matlab(path: Path) -> RawTable:
 
 
 def _matlab_73(path: Path) -> RawTable:
-    h5py = _library("h5py", "matlab", path)
+    h5py = optional_library("h5py", "matlab", path)
 
     def content(node: Any) -> Any:
         if isinstance(node, h5py.Group):
