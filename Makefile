@@ -1,7 +1,7 @@
 # POSOR for ROS 2. Every target sets the workspace up first; this takes a fraction of a second if nothing has changed.
 
 .DEFAULT_GOAL := help
-.PHONY: help setup environment audit bounds demo arm calibrate-demo faults commissioning time mutations fuzz foreign-bags instruments shop soak statement-truth calibration-truth test test-long test-noble coverage accuracy budgets thesis bench bench-core data docs lint words lines rooms wheels lock clean
+.PHONY: help setup environment audit bounds demo arm calibrate-demo faults commissioning time mutations fuzz foreign-bags instruments shop soak health statement-truth calibration-truth test test-long test-noble coverage accuracy budgets thesis bench bench-core data docs lint words lines rooms wheels lock clean
 
 BAG ?= ymo
 CAL ?= printed
@@ -31,6 +31,7 @@ help:
 	@echo "make fuzz [FUZZ='--scans 10000 ...']                   damage messages and files, count wrong poses"
 	@echo "make instruments [INSTRUMENTS='--trials TEXT ...']      try every kind of device against a server"
 	@echo "make shop [SHOP='--arms 100']                          endpoint in a shop whose temperature changes by 10 K"
+	@echo "make health [HEALTH='--years 10 ...']                    monthly health tests of arms: sound, a probe that creeps, a beam bumped"
 	@echo "make statement-truth [STATEMENT='--draws 500 ...']     U of posor statement against drawn arms"
 	@echo "make calibration-truth [CALIBRATION_TRUTH='--arms 20 ...']   whole arms calibrated with a simulated tracker, against the truth"
 	@echo "make soak [SOAK='--seconds 120 ...']                   run an arm for an hour, find losses and growth"
@@ -105,6 +106,9 @@ soak:
 
 shop:
 	@./run posor_lab shop $(SHOP)
+
+health:
+	@./run posor_lab health $(HEALTH)
 
 calibration-truth:
 	@./run posor_lab calibration_truth $(CALIBRATION_TRUTH)

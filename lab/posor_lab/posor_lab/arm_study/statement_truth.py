@@ -10,7 +10,7 @@ readings are those of the independent truth. Poses and endpoint are estimated as
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
     from pathlib import Path
 
+    from posor.calibration.calibration_file import Calibration
     from posor.numerics.array_types import FloatArray
 
 THETA_SIGMA = 1e-4  # with which the count of each POSOR is confirmed [rad]
@@ -42,6 +43,7 @@ STEP_NS = NS // 200  # between drawn POSORs, so short that the count is kept
 REACH = 1.0  # joint angles are drawn within this of zero [rad]
 AXES: tuple[Axis, ...] = ("z", "y", "y", "x")
 SENSORS: tuple[Sensors, ...] = ("light_ring", "bumpy_ring", "light_ring", "bumpy_ring")
+SURROUNDINGS: tuple[Literal["supply"], Literal["temperature"]] = ("supply", "temperature")
 LENGTH = 0.3  # of the beams of an arm of four joints [m]
 
 
@@ -151,7 +153,7 @@ class StatementTruth:
                     common[name] for name in calibration.shared
                 ]
             true = self._truth.joint(joint, dict(zip(stack.parameter_names, wrong.tolist(), strict=True)))
-            supply, warmth = (self._surroundings(joint, what, random) for what in ("supply", "temperature"))
+            supply, warmth = (surroundings_of(calibration, what, len(self.angles), random) for what in SURROUNDINGS)
             for name, values in true.readings(*places, supply, warmth).items():
                 fields.setdefault(name, []).append(values)
         count, size = len(randoms), len(self.angles)
@@ -170,20 +172,10 @@ class StatementTruth:
             poses[:, k] = estimates.poses
         return poses
 
-    def _surroundings(self, joint: str, what: str, random: np.random.Generator) -> FloatArray | None:
-        """Return what the probes of a joint have, which its scans do not measure, (p,); None: at the reference."""
-        environment = self.model.calibrations[joint].environment
-        spread = getattr(environment, what, None)
-        probes = [p for sensor in self.model.calibrations[joint].sensors for p in getattr(sensor, "probes", ())]
-        references = {getattr(probe, what).reference.number for probe in probes if getattr(probe, what) is not None}
-        if spread is None or len(references) != 1:
-            return None
-        return np.full(len(self.angles), references.pop() + spread.spread.number * random.normal())
-
     def _drawn_arm(self, random: np.random.Generator, terms: Mapping[str, float]) -> TrueArm:
         """Return the truth with errors of its beams."""
         warm = random.uniform(-1.0, 1.0)
-        drawn, links = object.__new__(TrueArm), []
+        links = []
         for link, known in zip(self._truth.links, self.model.chain.links, strict=True):
             beam = known.beam
             if beam is None:
@@ -198,5 +190,16 @@ class StatementTruth:
             error += random.normal(size=len(beam.thermal)) @ beam.thermal
             end = pin.SE3(pin.exp3(error[3:]) @ link.end.rotation, link.end.translation + error[:3])
             links.append(replace(link, end=end, start_gain=factor * link.start_gain, end_gain=factor * link.end_gain))
-        drawn.__dict__.update({**self._truth.__dict__, "links": tuple(links)})
-        return drawn
+        return self._truth.with_links(links)
+
+
+def surroundings_of(
+    calibration: Calibration, what: Literal["supply", "temperature"], count: int, random: np.random.Generator
+) -> FloatArray | None:
+    """Draw the supply voltage or temperature of probes that no scan measures, (count,); None: at the reference."""
+    spread = getattr(calibration.environment, what, None)
+    probes = [probe for sensor in calibration.sensors for probe in getattr(sensor, "probes", ())]
+    references = {getattr(probe, what).reference.number for probe in probes if getattr(probe, what) is not None}
+    if spread is None or len(references) != 1:
+        return None
+    return np.full(count, references.pop() + spread.spread.number * random.normal())

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,7 +19,7 @@ from posor_lab.independent.finite_elements import sag_gains
 from posor_lab.independent.true_joint import TrueJoint
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
 FloatArray = NDArray[np.float64]
 
@@ -147,6 +148,12 @@ class TrueArm:
                 seen[:, :3, :3], seen[:, :3, 3] = rotations[:, i], translations[:, i]
                 place = place @ seen
         return place[:, :3, :3], place[:, :3, 3]
+
+    def with_links(self, links: Sequence[TrueLink]) -> TrueArm:
+        """Return the same arm with other links."""
+        other = copy(self)
+        other.links = tuple(links)
+        return other
 
     def _field(self, line: FloatArray) -> FloatArray:
         """Return gravity in the axes of frames (n, 4, 4), (n, 3)."""

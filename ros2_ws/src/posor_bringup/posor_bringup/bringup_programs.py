@@ -9,6 +9,7 @@ from posor.lazy_program import LazyProgram
 arm = LazyProgram("arm", "posor_bringup.arm_files_command")
 bringup = LazyProgram("bringup", "posor_bringup.bringup")
 calibrate_arm = LazyProgram("calibrate_arm", "posor_bringup.calibrate_arm_command")
+health = LazyProgram("health", "posor_bringup.health_command")
 view = LazyProgram("view", "posor_bringup.view_command")
 statement = LazyProgram("statement", "posor_bringup.statement_command")
 iso9283 = LazyProgram("iso9283", "posor_bringup.iso9283_command")

@@ -46,6 +46,8 @@ from posor_calibration.calibration_certificate import certificate_of_arm
 from posor_design.arm_uncertainty import ArmUncertainty
 from posor_design.statement_poses import path_poses
 
+from posor_bringup.reference_options import check_names, named_numbers, numbers_of
+
 if TYPE_CHECKING:
     import argparse
     from collections.abc import Mapping, Sequence
@@ -102,52 +104,26 @@ def parse_options(arguments: Sequence[str] | None) -> argparse.Namespace:
             raise ParameterError(f"{value}", where=f"{WHERE}, --{name.replace('_', '-')}", expected=f"{least} or more")
     if options.hold_out == 1:
         raise ParameterError("no pose would be used", where=f"{WHERE}, --hold-out", expected="0, or 2 or more")
-    options.tool = _named("--tool", options.tool, (POINT, PLACE), positive=False)
-    options.tool_uncertainty = _numbers("--tool-uncertainty", options.tool_uncertainty, (2,), positive=True)
+    options.tool = named_numbers(f"{WHERE}, --tool", options.tool, (POINT, PLACE), positive=False)
+    options.tool_uncertainty = numbers_of(f"{WHERE}, --tool-uncertainty", options.tool_uncertainty, (2,), positive=True)
     options.uncertainty = {
         name: Uncertainty(*numbers)
-        for name, numbers in _named("--uncertainty", options.uncertainty, (1, 2, 3), positive=True).items()
+        for name, numbers in named_numbers(
+            f"{WHERE}, --uncertainty", options.uncertainty, (1, 2, 3), positive=True
+        ).items()
     }
     return options
-
-
-def _numbers(option: str, text: str, counts: Sequence[int], *, positive: bool) -> list[float]:
-    try:
-        numbers = [float(part) for part in text.split(",")]
-    except ValueError:
-        numbers = []
-    bad = not all(math.isfinite(number) and (number >= 0.0 or not positive) for number in numbers)
-    if len(numbers) not in counts or bad or (positive and not numbers[0] > 0.0):
-        expected = f"{' or '.join(map(str, counts))} numbers{' of 0 or more, the first above 0' if positive else ''}"
-        raise ParameterError(f"'{text}'", where=f"{WHERE}, {option}", expected=expected)
-    return numbers
-
-
-def _named(option: str, entries: Sequence[str], counts: Sequence[int], *, positive: bool) -> dict[str, list[float]]:
-    found: dict[str, list[float]] = {}
-    for entry in entries:
-        name, equals, text = entry.partition("=")
-        if not (name and equals) or name in found:
-            raise ParameterError(f"'{entry}'", where=f"{WHERE}, {option}", expected="NAME=..., each name once")
-        found[name] = _numbers(option, text, counts, positive=positive)
-    return found
 
 
 def _tools(options: argparse.Namespace, reflectors: Mapping[str, object]) -> dict[str, Tool]:
     """Return the tool of each reflector; one without ``--tool`` is at the endpoint."""
     given, (length, angle) = options.tool, options.tool_uncertainty
-    _check_names(given, reflectors, "--tool")
+    check_names(f"{WHERE}, --tool", given, reflectors)
     places = {name: np.array([*given.get(name, ()), *[0.0] * PLACE][:PLACE]) for name in reflectors}
     return {
         name: Tool(pin.SE3(pin.rpy.rpyToMatrix(place[POINT:]), place[:POINT]), (length, angle))
         for name, place in places.items()
     }
-
-
-def _check_names(given: Mapping[str, object], known: Mapping[str, object], option: str) -> None:
-    for name in given:
-        if name not in known:
-            raise ParameterError(f"'{name}'", where=f"{WHERE}, {option}", expected=f"one of {', '.join(known)}")
 
 
 @reports_errors
@@ -165,7 +141,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     check_output(folder, arm, force=options.force)
     table = load_readings(options.table, options.map, needs_joints=False)
     references = references_of(table, uncertainties, str(options.table))
-    _check_names(uncertainties, references.reflectors, "--uncertainty")
+    check_names(f"{WHERE}, --uncertainty", uncertainties, references.reflectors)
     tools = _tools(options, references.reflectors)
     chain = arm.chain()
     estimates = arm.estimate(options.bag)

@@ -19,7 +19,7 @@ from posor_calibration.calibration_programs import calibrate
 from posor_design.design_programs import budget, design
 from posor_drivers.driver_programs import import_table, instruments, record
 
-from posor_bringup.bringup_programs import arm, bringup, calibrate_arm, commission, iso9283, statement, view
+from posor_bringup.bringup_programs import arm, bringup, calibrate_arm, commission, health, iso9283, statement, view
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -104,6 +104,7 @@ SUBCOMMANDS = {
     "calibrate-arm": Subcommand(
         calibrate_arm, "calibrate POSORs, beams, base and tool of an arm from a laser tracker, ball bar or artefact"
     ),
+    "health": Subcommand(health, "find parts of an arm that have changed, by short tests at an artefact over years"),
     "check": Subcommand(calibrate, "check whether a calibration file still explains a bag", ("check",)),
     "statement": Subcommand(statement, "state the uncertainty of an arm's endpoint for a customer: page, PDF, JSON"),
     "dcc": Subcommand(dcc, "make the certificate file of a Digital Calibration Certificate, check a certificate"),

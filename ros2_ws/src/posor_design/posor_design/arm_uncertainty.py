@@ -130,7 +130,7 @@ class ArmUncertainty:
         ``deviation``: largest deviation of the beams from the temperature of the URDF [K]; None: as the beams file
         states. Raises PosorError: a file is invalid, or the files do not fit together.
         """
-        self.chain = _chain(arm, deviation)
+        self.chain = chain_at(arm, deviation)
         self.calibrations: dict[str, Calibration] = {
             joint.name: arm.calibration(joint.name) for joint in self.chain.joints
         }
@@ -205,8 +205,11 @@ def calibration_freedoms(calibration: Calibration) -> float:
     return min((float(each.freedoms) for each in residuals if each.freedoms), default=math.inf)
 
 
-def _chain(arm: ArmFile, deviation: float | None) -> Chain:
-    """Return the chain; its beams with a stated temperature deviate by at most ``deviation`` [K]; None: as stated."""
+def chain_at(arm: ArmFile, deviation: float | None) -> Chain:
+    """Return the chain; its beams with a stated temperature deviate by at most ``deviation`` [K]; None: as stated.
+
+    Raises PosorError: the URDF or the beams file is invalid.
+    """
     chain = arm.chain()
     if deviation is None or arm.beams is None:
         return chain

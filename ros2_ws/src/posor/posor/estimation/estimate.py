@@ -233,6 +233,11 @@ class Estimates:
         return sorted({*super().__dir__(), *_ATTRIBUTES})
 
     @property
+    def scans(self) -> Scans:
+        """The raw scans, n."""
+        return self._scans
+
+    @property
     def statuses(self) -> IntArray:
         """See the class."""
         return self._scans.statuses

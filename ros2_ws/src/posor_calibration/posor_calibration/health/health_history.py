@@ -1,0 +1,127 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""The history of an arm's health tests: a Parquet file with a row for each number, rewritten with each test."""
+
+from __future__ import annotations
+
+import json
+import os
+import tempfile
+from dataclasses import asdict, dataclass, replace
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pinocchio as pin
+from posor.chain.identity import ArmIdentity
+from posor.errors import DataFileError, OutputError, ParameterError
+
+from posor_calibration.health.health_test import HealthTest, Number, date_text
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+FORMAT, VERSION = "posor_health", 1
+SAME_POSTURE = 0.02  # largest difference of a joint's angle from that of the first test [rad]
+SAME_SEAT = 5e-4  # largest difference of a place or residual from that of the first test [m]
+COLUMNS = ("stamp_ns", *Number._fields)
+
+
+@dataclass(frozen=True)
+class HealthHistory:
+    """All tests of an arm, the oldest first."""
+
+    arm: str
+    identity: ArmIdentity  # of the files of all tests
+    T_artefact_base: pin.SE3  # of the first test
+    balls: Mapping[str, list[float]]  # place of each ball in the endpoint [m], x, y, z
+    tests: tuple[HealthTest, ...] = ()
+
+    def with_test(self, test: HealthTest, where: str) -> HealthHistory:
+        """Return the history with one more test.
+
+        Raises DataFileError: the test is older than the last one, has other dwells, readings or postures, or numbers
+        that no change of an arm explains.
+        """
+        if not (np.isfinite(test.values).all() and (test.sigmas > 0.0).all()):
+            what = f"the test of {date_text(test.stamp_ns)} has a number that is not finite, or no noise"
+            raise DataFileError(what, where=where)
+        if self.tests:
+            last, first = self.tests[-1], self.tests[0]
+            if test.stamp_ns <= last.stamp_ns:
+                expected = f"a test after the last one, {date_text(last.stamp_ns)}"
+                raise DataFileError(f"the test is of {date_text(test.stamp_ns)}", where=where, expected=expected)
+            if test.keys != first.keys:
+                other = next((key for key in test.keys if key not in set(first.keys)), None)
+                missing = next((key for key in first.keys if key not in set(test.keys)), None)
+                pose, part, quantity = other or missing or test.keys[0]
+                what = f"{quantity} of {part} at dwell {pose} is {'new' if other else 'missing'}"
+                raise DataFileError(what, where=where, expected="dwells, balls and readings of the first test")
+            shift = np.abs(test.angles - first.angles)
+            if shift.max() > SAME_POSTURE:
+                pose, joint = np.unravel_index(int(shift.argmax()), shift.shape)
+                name = list(self.identity.calibrations)[joint]
+                what = f"joint '{name}' is at {test.angles[pose, joint]:.3f} rad at dwell {pose + 1}"
+                expected = f"{first.angles[pose, joint]:.3f} within {SAME_POSTURE:g}, the posture of the first test"
+                raise DataFileError(what, where=where, expected=expected)
+            moved = np.abs(test.values - first.values)
+            if moved.max() > SAME_SEAT:
+                pose, part, quantity = test.keys[int(moved.argmax())]
+                what = f"{quantity} of {part} at dwell {pose} is {1e3 * moved.max():.3g} mm from the first test"
+                expected = f"at most {1e3 * SAME_SEAT:g} mm: did the ball rest in its seat?"
+                raise DataFileError(what, where=where, expected=expected)
+        return replace(self, tests=(*self.tests, test))
+
+
+def read_history(path: Path) -> HealthHistory:
+    """Return the history in a file. Raises DataFileError: it is not a whole history; ParameterError: no pyarrow."""
+    pyarrow, parquet = _pyarrow("pyarrow"), _pyarrow("pyarrow.parquet")
+    tests: dict[int, list[Number]] = {}
+    try:
+        table = parquet.read_table(path)
+        about: dict[str, Any] = json.loads(table.schema.metadata[FORMAT.encode()])
+        if about["version"] != VERSION:
+            what = f"has version {about['version']}"
+            raise DataFileError(what, where=str(path), expected=f"a history of version {VERSION}, made by posor health")
+        for stamp_ns, *number in zip(*(table.column(name).to_pylist() for name in COLUMNS), strict=True):
+            tests.setdefault(int(stamp_ns), []).append(Number(*number))
+        T = pin.XYZQUATToSE3(np.array(about["T_artefact_base"]))
+        history = HealthHistory(about["arm"], ArmIdentity(**about["identity"]), T, about["balls"])
+        for stamp_ns, numbers in tests.items():
+            history = history.with_test(HealthTest(stamp_ns, tuple(numbers)), str(path))
+    except (OSError, ValueError, KeyError, TypeError, IndexError, pyarrow.ArrowException) as error:
+        raise DataFileError("is not a whole history of health tests", where=str(path)) from error
+    return history
+
+
+def write_history(path: Path, history: HealthHistory) -> None:
+    """Replace a file by a history, atomically. Raises OutputError: it cannot be written; ParameterError: no pyarrow."""
+    pyarrow, parquet = _pyarrow("pyarrow"), _pyarrow("pyarrow.parquet")
+    about = {
+        "version": VERSION,
+        "arm": history.arm,
+        "identity": asdict(history.identity),
+        "T_artefact_base": pin.SE3ToXYZQUAT(history.T_artefact_base).tolist(),
+        "balls": dict(history.balls),
+    }
+    rows = [(test.stamp_ns, *number) for test in history.tests for number in test.numbers]
+    columns = dict(zip(COLUMNS, map(list, zip(*rows, strict=True)), strict=True))
+    table = pyarrow.table(columns).replace_schema_metadata({FORMAT: json.dumps(about)})
+    target = path.resolve()
+    try:
+        with tempfile.NamedTemporaryFile(dir=target.parent, prefix=f".{target.name}.", delete=False) as file:
+            parquet.write_table(table, file, compression="zstd")
+            file.flush()
+            os.fsync(file.fileno())
+        Path(file.name).replace(target)
+    except OSError as error:
+        raise OutputError(f"cannot be written: {error.strerror}", where=str(path)) from error
+
+
+def _pyarrow(name: str) -> Any:
+    try:
+        return import_module(name)
+    except ImportError:
+        what, expected = "the Python library 'pyarrow' is not installed", "pip install 'posor[tables]'"
+        raise ParameterError(what, where="health", expected=expected) from None
