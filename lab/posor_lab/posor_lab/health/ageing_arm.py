@@ -21,6 +21,8 @@ from posor.numerics.stamps import NS
 from posor.numerics.vector import thetas_of
 from posor.sensors.base import RowSensor
 from posor_calibration.arm.endpoint_references import EndpointReferences, Reading
+from posor_calibration.commissioning.file_checks import arm_identity
+from posor_calibration.health.health_history import HealthHistory
 from posor_calibration.health.health_model import HealthModel
 from posor_calibration.health.health_report import MONTH_NS
 from posor_calibration.health.health_test import HealthArm
@@ -30,7 +32,7 @@ from posor_lab.arm_study.statement_truth import SURROUNDINGS, THETA_SIGMA, surro
 from posor_lab.independent.true_arm import TrueArm
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Iterable, Iterator, Mapping
 
     from posor.numerics.array_types import FloatArray
     from posor_calibration.health.health_test import HealthTest
@@ -55,12 +57,18 @@ class Ageing:
 
 
 class AgeingArm:
-    """An arm at the dwells of its health tests."""
+    """An arm at the dwells of its health tests.
+
+    Attributes:
+        file: Its arm file.
+        health: The arm by its files.
+
+    """
 
     def __init__(self, name: str, poses: int, seed: int) -> None:
         """Read the files of an installed arm and draw the postures."""
-        arm = load_arm_file(name)
-        self.name, chain = arm.name, chain_at(arm, DEVIATION_K)
+        self.file = arm = load_arm_file(name)
+        chain = chain_at(arm, DEVIATION_K)
         calibrations = {joint.name: arm.calibration(joint.name) for joint in chain.path_joints}
         self.health = HealthArm(chain, calibrations, {BALL: PLACE})
         self._truth = TrueArm(arm.path)
@@ -73,6 +81,14 @@ class AgeingArm:
     def model(self, test: HealthTest) -> HealthModel:
         """Return the model of the tests."""
         return HealthModel(self.health, test, T_ARTEFACT_BASE)
+
+    def history(self, tests: Iterable[HealthTest]) -> HealthHistory:
+        """Return the history of tests."""
+        identity = arm_identity(self.file, self.health.calibrations)
+        history = HealthHistory(self.file.name, identity, T_ARTEFACT_BASE, {BALL: PLACE.tolist()})
+        for test in tests:
+            history = history.with_test(test, self.file.name)
+        return history
 
     def tests(self, seed: int, count: int, ageing: Ageing = Ageing()) -> Iterator[HealthTest]:
         """Yield the monthly tests of a drawn arm."""

@@ -20,6 +20,7 @@ from posor.reporting.program_errors import reports_errors
 from posor.reporting.report_console import report_console
 from posor.reporting.report_table import ReportTable
 from posor_calibration.health.health_chart import REFERENCE_TESTS, chart_tests
+from posor_calibration.health.health_history import write_history
 
 from posor_lab.health.ageing_arm import Ageing, AgeingArm
 from posor_lab.output_files import check_writable, write_json
@@ -106,7 +107,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--years", type=int, default=YEARS, help=text)
     parser.add_argument("--arm", action="append", choices=ARMS, help="only this arm; may be repeated")
     parser.add_argument("--output", type=Path, default=Path("build/health.json"))
+    text = "write a history in which a probe creeps, in place of the study: creep.parquet"
+    parser.add_argument("--files", type=Path, metavar="FOLDER", help=text)
     options: argparse.Namespace = parser.parse_args(arguments)
+    if options.files is not None:
+        name = (options.arm or ARMS)[0]
+        part, ageing = cases_of(name, SEED)[2]
+        options.files.mkdir(parents=True, exist_ok=True)
+        write_history(options.files / "creep.parquet", _arm(name).history(_arm(name).tests(SEED, TESTS, ageing)))
+        print(f"creep.parquet: {TESTS} tests of {name}, {part} creeps")
+        return 0
     if options.years < LIFE:
         raise ParameterError(f"{options.years} years", where="health", expected=f"at least {LIFE}")
     check_writable(options.output)

@@ -57,12 +57,12 @@ def parse_options(arguments: Sequence[str] | None) -> argparse.Namespace:
     text = "time of each dwell and place of its seat"
     parser.add_argument("--table", type=Path, metavar="FILE", help=text)
     parser.add_argument("--map", type=Path, metavar="MAP.yaml", help="map of the columns of the table")
-    text = "standard uncertainty with which a ball of the map rests in its seat again [m]; may be repeated"
-    parser.add_argument("--uncertainty", action="append", default=[], metavar="BALL=M", help=text)
+    text = "standard uncertainty with which a ball of the map rests in its seat again [m], per metre; may be repeated"
+    parser.add_argument("--uncertainty", action="append", default=[], metavar="BALL=M[,PER_METRE]", help=text)
     text = "ball in the endpoint [m]; default: at the endpoint; may be repeated"
     parser.add_argument("--tool", action="append", default=[], metavar="BALL=X,Y,Z", help=text)
     text = "scans this long before and after the time of a dwell are averaged [s] (default: %(default)g)"
-    parser.add_argument("--window", type=float, default=0.25, metavar="S", help=text)
+    parser.add_argument("--window", type=float, default=0.1, metavar="S", help=text)
     text = "the beams deviate by at most this from the temperature of the URDF (default: as the beams file states)"
     parser.add_argument("--temperature-deviation", type=float, metavar="K", help=text)
     text = "the mean of the first N tests is the reference (default: %(default)d)"
@@ -85,7 +85,7 @@ def parse_options(arguments: Sequence[str] | None) -> argparse.Namespace:
         if value is not None and not (least <= value <= most and math.isfinite(value)):
             expected = f"{least:g} or more" if most == math.inf else f"{least:g} to {most:g}"
             raise ParameterError(f"{value:g}", where=f"{WHERE}, --{name.replace('_', '-')}", expected=expected)
-    named = named_numbers(f"{WHERE}, --uncertainty", options.uncertainty, (1,), positive=True)
+    named = named_numbers(f"{WHERE}, --uncertainty", options.uncertainty, (1, 2), positive=True)
     options.uncertainty = {name: Uncertainty(*numbers) for name, numbers in named.items()}
     options.tool = named_numbers(f"{WHERE}, --tool", options.tool, (POINT,), positive=False)
     return options

@@ -134,23 +134,23 @@ class HealthModel:
             after = [each.name for each in model.elements[number:] if each.joint is not None]
             between = f"between {before[-1] if before else places[0]} and {after[0] if after else 'the endpoint'}"
             remedy = "calibrate the arm again (posor calibrate-arm), or its transform (beam_transform)"
-            columns = self._by_parameter[:, own]
+            columns = -self._by_parameter[:, own]  # the files lag behind the part
             yield Part(f"beam {element.name}, {between}", remedy, AXES, UNITS, columns, stated)
 
     def _mounting(self) -> Iterator[Part]:
         """Yield base, balls and seats; the balls move in the axes of the endpoint."""
         unknown = np.full(6, np.nan)
         remedy = "look for a loose foot or artefact, then begin a new history"
-        yield Part("base or artefact", remedy, AXES, UNITS, self._by_parameter[:, :6], unknown)
+        yield Part("base or artefact", remedy, AXES, UNITS, -self._by_parameter[:, :6], unknown)
         for ball in dict.fromkeys(name for _, name in self._seats):
             columns = np.zeros((len(self._by_parameter), PLACE))
             for s, ((_, name), rotation) in enumerate(zip(self._seats, self._rotations, strict=True)):
-                columns[PLACE * s : PLACE * s + PLACE] = rotation if name == ball else 0.0
+                columns[PLACE * s : PLACE * s + PLACE] = -rotation if name == ball else 0.0
             remedy = "clean or fasten the ball, then begin a new history"
             yield Part(f"ball {ball}", remedy, AXES[:PLACE], UNITS[:PLACE], columns, unknown[:PLACE])
         for s, (n, ball) in enumerate(self._seats):
             columns = np.zeros((len(self._by_parameter), PLACE))
-            columns[PLACE * s : PLACE * s + PLACE] = np.eye(PLACE)
+            columns[PLACE * s : PLACE * s + PLACE] = -np.eye(PLACE)
             remedy = "clean the seat and repeat the test"
             yield Part(
                 f"seat of {ball} at dwell {n + 1}", remedy, AXES[:PLACE], UNITS[:PLACE], columns, unknown[:PLACE]
