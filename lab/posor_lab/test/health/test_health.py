@@ -59,6 +59,23 @@ def test_a_sound_arm_gives_no_alarm() -> None:
     assert run_case(ARM, ("", Ageing()), 12, 5).alarms == 0
 
 
+def test_an_arm_anywhere_within_its_stated_uncertainties_gives_no_more_alarms_than_stated(
+    arm: AgeingArm, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Parameters are drawn anew in each test; a chart that knows the noise alone would give alarms."""
+    tests, random = [next(arm.tests(1, 1))] * 120, np.random.default_rng(4)
+    model = arm.model(tests[0])
+    root = np.hstack([np.linalg.cholesky(model.noise(tests[0])), model.stated])
+    alarms = {}
+    for name, stated in (("stated", model.stated), ("noise alone", 0.0 * model.stated)):
+        drawn = iter(random.normal(size=(len(tests), root.shape[1])) @ root.T)
+        monkeypatch.setattr(model, "observe", lambda _, drawn=drawn: next(drawn))
+        monkeypatch.setattr(model, "stated", stated)
+        alarms[name] = len(chart_tests(model, tests, false_alarm=0.05).alarms)
+    assert alarms["stated"] <= 0.05 * len(tests)
+    assert alarms["noise alone"] > 0.5 * len(tests)
+
+
 def test_the_change_of_a_beam_is_that_of_the_truth(arm: AgeingArm) -> None:
     tests = list(arm.tests(3, BEGIN + 1, CASES["beam upper_arm"]))
     chart = chart_tests(arm.model(tests[0]), tests)
