@@ -4,18 +4,17 @@
 
 from __future__ import annotations
 
+import copy
 from typing import TYPE_CHECKING, NamedTuple
 
 from posor.errors import ParameterError
-from posor.estimation.posor import Posor
 from posor.model.fault import State
 
 if TYPE_CHECKING:
-    from posor.calibration.calibration_file import Calibration
+    from posor.estimation.posor import Posor
     from posor.model.scan import Scan
 
 WHERE = "acknowledge"
-FALSE_ALARM = 1e-4  # probability that the residual test of the last scan refuses a release although it is sound
 
 
 class EncoderReading(NamedTuple):
@@ -51,17 +50,19 @@ class FaultRelease:
         self._last_s = now_s
 
 
-def check_plausible(calibration: Calibration, scan: Scan | None, encoder: EncoderReading | None) -> None:
+def check_plausible(posor: Posor, scan: Scan | None, encoder: EncoderReading | None) -> None:
     """Check that a scan gives a pose by itself, without earlier poses, and agrees with the encoder.
 
-    Raises ParameterError: it does not.
+    ``posor``: the estimator of the joint, which knows the ambient light; it does not change. Raises ParameterError: the
+    scan does not.
     """
     if scan is None:
-        raise ParameterError("no scan has arrived", where=WHERE, expected="sound scans at the release")
-    posor = Posor(calibration, false_alarm=FALSE_ALARM)
+        raise ParameterError("no lit scan has arrived", where=WHERE, expected="sound scans at the release")
+    alone = copy.deepcopy(posor)
+    alone.reset()
     if encoder is not None:
-        posor.confirm_theta(encoder.theta, encoder.sigma, encoder.stamp_ns)
-    estimate = posor.estimate(scan)
+        alone.confirm_theta(encoder.theta, encoder.sigma, encoder.stamp_ns)
+    estimate = alone.estimate(scan)
     if estimate.state is State.LOST:
         raise ParameterError(
             f"the last scan is not plausible: {estimate.reason.rstrip('.')}", where=WHERE, expected="sound readings"

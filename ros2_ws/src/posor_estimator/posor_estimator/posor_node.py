@@ -246,8 +246,8 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
                 return "there is no latched fault"
             now_s = time.monotonic()
             self._release.check(request.caller, request.reason, now_s)
-            last = None if self._stream is None else self._stream.last_scan()
-            check_plausible(self._calibration, None if last is None else scan_of(last.data), self._encoder)
+            last = None if self._stream is None else self._stream.last_lit_scan()
+            check_plausible(self._posor, last, self._encoder)
             self._posor.acknowledge()
             self._release.note(now_s)
         text = f"released by {request.caller}: {request.reason}"

@@ -24,7 +24,7 @@ from posor.messages.message_definitions import installed_schema
 from posor.messages.message_table import LEAD, MessageRows, TableLayout
 from posor.messages.raw_scan import raw_scan_layout, scan_of, unpack_scan
 from posor.model.fault import Fault, State
-from posor.model.scan import STATED_HOME
+from posor.model.scan import STATED_HOME, Scans
 from posor.numerics.compiled import bind, in_place, inlined, record_view
 from posor.numerics.stamps import NO_TIME, NS, accepted_in_kernel
 from posor.ros_names import JOINT_TRANSFORM, RAW_SCAN
@@ -34,6 +34,7 @@ if TYPE_CHECKING:
 
     from posor.estimation.posor import Posor
     from posor.estimation.workspace import Model
+    from posor.model.scan import Scan
     from posor.numerics.array_types import ByteArray, FloatArray, WordArray
 
 STATUS = np.dtype(  # status of a stream of scans
@@ -284,7 +285,7 @@ class RawScanStream:
         self._frame_bytes = example[STAMP.stop : STAMP.stop + 5 + len(self.frame.encode())]
         self._raw = row[0, LEAD : LEAD + raw.size].data
         self._transform = out[0, LEAD : LEAD + transform.size].data.tobytes
-        self._last = example
+        self._last = self._last_but_one = example
 
     def identity(self, data: bytes) -> tuple[int, int] | None:
         """Return stamp [ns], unchecked, and number of a raw scan; None if its frame or length differs."""
@@ -335,7 +336,7 @@ class RawScanStream:
         done, left = self._estimate_from(0, 1, now_ns)
         if not done and not self._estimator.finish_row(0, left):
             return None
-        self._last = data
+        self._last_but_one, self._last = self._last, data
         return self._transform()
 
     def stamp_and_change(self) -> tuple[int, int]:
@@ -363,6 +364,11 @@ class RawScanStream:
         if not status["readings_usable"]:
             refusal = f"comes from frame '{self.frame}'; expected '{self._parent}', as in the calibration"
         return EstimatedScan(self, self._last, int(status["stamp_ns"]), refusal, self._estimator.estimate[0].copy())
+
+    def last_lit_scan(self) -> Scan | None:
+        """Return the last scan or, if that is dark, the one before; None: that is dark, too."""
+        scans = map(scan_of, (self._last, self._last_but_one))
+        return next((scan for scan in scans if not Scans.of([scan]).dark[0]), None)
 
     def reason(self, scan: EstimatedScan) -> str:
         """Return the sentence on the fault of a scan, empty where it has none; may be called in any thread."""
