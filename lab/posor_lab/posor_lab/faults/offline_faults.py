@@ -83,9 +83,9 @@ def _probe_cases(
         scan = real.scans_at(stack, true.rotations, true.translations, np.zeros(1, dtype=np.int64), noise=random)
         reliability = joint_reliability(posor, scan[0], true[0])
         channel = int(random.integers(len(slopes)))
-        detectable = row.inject.get("detectable", 0.0) * reliability.biases[channel] / slopes[channel]
-        volts = scan.gap_voltages.copy()
-        volts[0, channel] += random.uniform(-detectable, detectable) if detectable else row.inject["volts"]
+        volts, share = scan.gap_voltages.copy(), row.inject.get("detectable")
+        detectable = 0.0 if share is None else share * reliability.biases[channel] / slopes[channel]
+        volts[0, channel] += row.inject["volts"] if share is None else random.uniform(-detectable, detectable)
         changed = scan.with_fields({"gap_voltages": volts})
         thetas = thetas_of(true.rotations) if posor.counts_bumps else None
         estimates = posor.estimate_each(changed, thetas, fault_effects=True)
