@@ -1,7 +1,7 @@
 # POSOR for ROS 2. Every target sets the workspace up first; this takes a fraction of a second if nothing has changed.
 
 .DEFAULT_GOAL := help
-.PHONY: help setup environment audit bounds demo arm calibrate-demo faults commissioning time mutations fuzz foreign-bags instruments shop soak health statement-truth calibration-truth test test-long test-noble coverage accuracy budgets thesis bench bench-core data docs lint words lines rooms wheels lock clean
+.PHONY: help setup environment audit bounds demo arm calibrate-demo faults commissioning time mutations fuzz foreign-bags instruments shop soak health statement-truth calibration-truth test test-long test-noble coverage accuracy budgets thesis bench bench-core scaling data docs lint words lines rooms wheels lock clean
 
 BAG ?= ymo
 CAL ?= printed
@@ -45,6 +45,7 @@ help:
 	@echo "make budgets                                           error budgets of the thesis, cell by cell from the model"
 	@echo "make thesis                                            numbers and figures of the thesis beside the computed ones"
 	@echo "make bench [BENCH='--quick ...']                       latency, lost ticks and cost of the graph, offline speed"
+	@echo "make scaling [SCALING='--arms 12 ...']                  figures of a cell of many arms, from those of one arm and a small cluster"
 	@echo "make bench-core                                        speed of the numerical core"
 	@echo "make lines                                             lines of source, tests and documentation of each package"
 	@echo "make rooms                                             draw the packages and the imports between them"
@@ -103,6 +104,9 @@ instruments:
 
 soak:
 	@./run posor_lab soak $(SOAK)
+
+scaling:
+	@./run posor_lab scaling $(SCALING)
 
 shop:
 	@./run posor_lab shop $(SHOP)

@@ -40,11 +40,16 @@ def fill_page(page: str, runs: Sequence[Mapping[str, Any]]) -> str:
     aims = aims_table(runs)
     if aims is not None:
         texts["aims"] = aims.to_markdown()
+    return replace_tables(page, texts, NAMES)
+
+
+def replace_tables(page: str, texts: Mapping[str, str], names: Sequence[str]) -> str:
+    """Return a page with new tables, ``texts`` by name. Raises ParameterError: a placeholder is none of ``names``."""
 
     def replacement(placeholder: re.Match[str]) -> str:
         name = placeholder["name"]
-        if name not in NAMES:
-            expected = f"one of {', '.join(NAMES)}"
+        if name not in names:
+            expected = f"one of {', '.join(names)}"
             raise ParameterError(f"unknown placeholder '<!-- {name} -->'", where="page", expected=expected)
         return f"<!-- {name} -->\n{texts[name]}<!-- end -->" if name in texts else placeholder[0]
 
