@@ -18,6 +18,7 @@ import pytest
 from posor.arm_names import find_arm
 from posor.bags.reprocess_command import main
 from posor.bags.result_folder import UNFINISHED
+from posor.lazy_program import EXIT_INTERRUPTED
 from posor_bringup.arms import load_checked_arm
 from posor_bringup.installed import bag_path, calibration_path
 from posor_lab.benchmark.offline_benchmark import repeat_bag
@@ -79,6 +80,22 @@ def test_the_results_are_whole_and_the_same_though_a_worker_is_killed(bags: Path
         assert client.process.wait(240) == 0, client.stderr
     assert sorted(path.name for path in (tmp_path / "cluster").iterdir()) == list(BAGS)
     assert dict(files(tmp_path / "cluster")) == dict(files(tmp_path / "alone"))
+
+
+@pytest.mark.long
+def test_an_interruption_is_one_line_and_leaves_no_results(bags: Path, tmp_path: Path) -> None:
+    with ExitStack() as stack:
+        scheduler = stack.enter_context(Program(part("scheduler", "--host", "127.0.0.1", "--port", "0"), LOCAL))
+        address = address_of(scheduler)
+        options = ["--nthreads", "1", "--no-nanny", "--local-directory", str(tmp_path / "spill")]
+        worker = stack.enter_context(Program(part("worker", address, *options), LOCAL))
+        worker.wait_for_line("Registered to:")
+        given = [*(str(bags / name) for name in BAGS), *ARM, "--output", str(tmp_path / "out"), "--scheduler", address]
+        client = stack.enter_context(Program([*installed("posor", "reprocess"), *given]))
+        wait_until(lambda: at_work(worker), "a worker at work", lambda: time.sleep(0.01))
+        assert client.end(signal.SIGINT) == EXIT_INTERRUPTED
+        assert client.errors[-1] == "reprocess: interrupted; what was not finished is not there."
+        assert not any("Traceback" in line for line in client.errors)
 
 
 @pytest.fixture

@@ -24,7 +24,7 @@ from posor.errors import ParameterError, PosorError, SystemRefusal
 from posor.lazy_program import interrupts_blocked
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Sequence
     from pathlib import Path
 
 CONNECT_WITHIN_S = 10  # time limit for the answer of a cluster
@@ -83,10 +83,17 @@ def run_tasks(
         if isinstance(executor, ProcessPoolExecutor):
             for process in multiprocessing.active_children():
                 process.kill()
-        executor.shutdown(wait=False, cancel_futures=True)
+        _cancel_all(executor, running)
         raise
     if first_error is not None:
         raise first_error
+
+
+def _cancel_all(executor: Executor, running: Iterable[Future[ResultT]]) -> None:
+    """Cancel tasks and shut an executor down; that of Dask has no ``cancel_futures``."""
+    for future in running:
+        future.cancel()
+    executor.shutdown(wait=False)
 
 
 @contextmanager
