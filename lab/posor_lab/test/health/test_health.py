@@ -24,7 +24,7 @@ from posor_calibration.health.health_report import HealthReport
 from posor_calibration.health.health_test import ANGLE, HealthTest
 from posor_lab.arm_study.tracker_recording import write_calibration_recording
 from posor_lab.health.ageing_arm import Ageing, AgeingArm
-from posor_lab.health.health_command import BEGIN, BUMP, CREEP, run_case
+from posor_lab.health.health_study_command import BEGIN, BUMP, CREEP, run_case
 
 ARM, POSES = "five_axis", 8
 SHIFT = BUMP * np.array([0.36, 0.48, 0.8])
