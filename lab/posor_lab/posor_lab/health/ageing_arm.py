@@ -34,7 +34,7 @@ from posor_lab.independent.true_arm import TrueArm
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
 
-    from posor.numerics.array_types import FloatArray
+    from posor.numerics.array_types import FloatArray, IntArray
     from posor_calibration.health.health_test import HealthTest
 
 REACH = 0.8  # joint angles are drawn within this of zero [rad]
@@ -142,12 +142,13 @@ class AgeingArm:
         return found
 
     def _scan(
-        self, joint: str, j: int, errors: Mapping[str, float], stamps_ns: FloatArray, random: np.random.Generator
+        self, joint: str, j: int, errors: Mapping[str, float], stamps_ns: IntArray, random: np.random.Generator
     ) -> Estimates:
         """Return the estimates of a joint at all dwells of a test."""
         posor = self.health.posors[joint]
-        around = [surroundings_of(posor.calibration, what, len(stamps_ns), random) for what in SURROUNDINGS]
-        true = self._truth.joint(joint, errors).readings(self._rotations[:, j], self._translations[:, j], *around)
+        supply, warmth = (surroundings_of(posor.calibration, what, len(stamps_ns), random) for what in SURROUNDINGS)
+        poses = self._rotations[:, j], self._translations[:, j]
+        true = self._truth.joint(joint, errors).readings(*poses, supply, warmth)
         every = (stamps_ns[:, None] + STEP_NS * (np.arange(SCANS) - SCANS // 2)).ravel()
         scans = empty_scans(every).with_fields({name: np.repeat(each, SCANS, axis=0) for name, each in true.items()})
         for sensor in posor.stack.sensors:

@@ -40,8 +40,6 @@ WHERE = "health"
 PAGE, NUMBERS = "report.html", "report.json"
 CHANGED = 3
 """Exit code of an arm that has changed."""
-NO_REJECTION = 1e-300
-"""Probability of a false alarm with which the residual test of single scans rejects none: the charts judge them."""
 POINT = 3
 
 
@@ -155,7 +153,7 @@ def _with_test(
         what = f"balls {balls}"
         raise ParameterError(what, where=f"{WHERE}, --tool", expected=f"those of the first test, {dict(history.balls)}")
     health_arm = HealthArm(chain, calibrations, {name: np.array(place) for name, place in balls.items()})
-    estimates = arm.estimate(options.bag, false_alarm=NO_REJECTION)
+    estimates = arm.estimate(options.bag, false_alarm=0.0)  # the charts judge the residuals
     first = None if history is None else history.T_artefact_base
     test, T = health_arm.measure(estimates, references, options.window, str(options.bag), first)
     history = history or HealthHistory(arm.name, arm_identity(arm, calibrations), T, balls)

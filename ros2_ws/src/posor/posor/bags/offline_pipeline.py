@@ -205,7 +205,8 @@ class Arm(ArmFile):
 
         Args:
             bag: Folder with metadata.yaml, or a single .mcap or .db3 file, with scans on topics ``.../<joint>/raw``.
-            false_alarm: Probability that the chi-square test rejects a correct scan; None: as the arm file states.
+            false_alarm: Probability that the chi-square test rejects a correct scan; None: as the arm file states; 0:
+                it rejects no scan.
 
         Raises:
             ParameterError: ``false_alarm`` is not a probability.

@@ -65,13 +65,14 @@ class Settings:
         return Settings(joints, chain_parameters(arm))
 
     def with_false_alarm(self, false_alarm: float | None) -> Settings:
-        """Return the settings with this probability for all joints; None: as they are.
+        """Return the settings with this probability for all joints; None: as they are; 0: no scan is rejected.
 
         Raises ParameterError: ``false_alarm`` is not a probability.
         """
         if false_alarm is None:
             return self
-        check_probability(false_alarm, "false_alarm")
+        if false_alarm != 0.0:
+            check_probability(false_alarm, "false_alarm")
         return replace(
             self, joints={name: replace(joint, false_alarm=false_alarm) for name, joint in self.joints.items()}
         )

@@ -60,10 +60,10 @@ class HealthHistory:
                 raise DataFileError(what, where=where, expected="dwells, balls and readings of the first test")
             shift = np.abs(test.angles - first.angles)
             if shift.max() > SAME_POSTURE:
-                pose, joint = np.unravel_index(int(shift.argmax()), shift.shape)
+                dwell, joint = divmod(int(shift.argmax()), shift.shape[1])
                 name = list(self.identity.calibrations)[joint]
-                what = f"joint '{name}' is at {test.angles[pose, joint]:.3f} rad at dwell {pose + 1}"
-                expected = f"{first.angles[pose, joint]:.3f} within {SAME_POSTURE:g}, the posture of the first test"
+                what = f"joint '{name}' is at {test.angles[dwell, joint]:.3f} rad at dwell {dwell + 1}"
+                expected = f"{first.angles[dwell, joint]:.3f} within {SAME_POSTURE:g}, the posture of the first test"
                 raise DataFileError(what, where=where, expected=expected)
             moved = np.abs(test.values - first.values)
             if moved.max() > SAME_SEAT:

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
     from posor.chain.measuring_beam import MeasuringBeam
     from posor.estimation.posor import Posor
-    from posor.numerics.array_types import FloatArray
+    from posor.numerics.array_types import FloatArray, IntArray
 
     from posor_calibration.health.health_test import HealthArm, HealthTest
 
@@ -107,13 +107,13 @@ class HealthModel:
     def noise(self, test: HealthTest) -> FloatArray:
         """Return the covariance of the observations by the noise of a test, (m, m)."""
         by_reading = self._by_reading * test.sigmas[~self._is_seat]
-        covariance = by_reading @ by_reading.T
+        covariance: FloatArray = by_reading @ by_reading.T
         seats = np.arange(self._is_seat.sum())
         covariance[seats, seats] += np.square(test.sigmas[self._is_seat])
         return covariance
 
     def _readings(
-        self, arm: HealthArm, of_joint: dict[str, FloatArray], effects: dict[str, FloatArray]
+        self, arm: HealthArm, of_joint: dict[str, IntArray], effects: dict[str, FloatArray]
     ) -> Iterator[Part]:
         for joint, posor in arm.posors.items():
             count = posor.stack.readings
@@ -157,7 +157,7 @@ class HealthModel:
             )
 
     def _all_stated(
-        self, arm: HealthArm, model: ArmModel, of_joint: dict[str, FloatArray], effects: dict[str, FloatArray]
+        self, arm: HealthArm, model: ArmModel, of_joint: dict[str, IntArray], effects: dict[str, FloatArray]
     ) -> FloatArray:
         columns: list[FloatArray] = []
         names = [parameter.name for parameter in model.parameters]
@@ -171,9 +171,9 @@ class HealthModel:
                 shared[f"shared: {term}"][seats:] += effect[seats:]  # the places of the balls have it already
         for number, element in enumerate(model.elements):
             if element.beam is not None:
-                own = slice(6 * number, 6 * number + 6)
-                root = np.hstack([np.linalg.cholesky(model.prior[own, own]), _thermal(element.beam)])
-                columns.append(self._by_parameter[:, own] @ root)
+                block = slice(6 * number, 6 * number + 6)
+                root = np.hstack([np.linalg.cholesky(model.prior[block, block]), _thermal(element.beam)])
+                columns.append(self._by_parameter[:, block] @ root)
         columns += [self._by_parameter[:, n : n + 1] * model.parameters[n].sigma for n in model.sags.values()]
         return np.hstack([*columns, *(effect[:, None] for effect in shared.values())])
 
