@@ -1,7 +1,7 @@
 # POSOR for ROS 2. Every target sets the workspace up first; this takes a fraction of a second if nothing has changed.
 
 .DEFAULT_GOAL := help
-.PHONY: help setup environment audit bounds demo arm calibrate-demo faults commissioning time mutations fuzz foreign-bags instruments shop soak health statement-truth calibration-truth test test-long test-noble coverage accuracy budgets thesis bench bench-core scaling data docs lint words lines rooms wheels lock clean
+.PHONY: help setup environment audit bounds demo arm calibrate-demo faults commissioning time mutations fuzz foreign-bags instruments shop soak health statement-truth calibration-truth correction test test-long test-noble coverage accuracy budgets thesis bench bench-core scaling data docs lint words lines rooms wheels lock clean
 
 BAG ?= ymo
 CAL ?= printed
@@ -34,6 +34,7 @@ help:
 	@echo "make health [HEALTH='--years 10 ...']                    monthly health tests of arms: sound, a probe that creeps, a beam bumped"
 	@echo "make statement-truth [STATEMENT='--draws 500 ...']     U of posor statement against drawn arms"
 	@echo "make calibration-truth [CALIBRATION_TRUTH='--arms 20 ...']   whole arms calibrated with a simulated tracker, against the truth"
+	@echo "make correction [CORRECTION='--robots 20 ...']         robots corrected by the measured endpoint, against the truth"
 	@echo "make soak [SOAK='--seconds 120 ...']                   run an arm for an hour, find losses and growth"
 	@echo "make test [TESTS='path ...']                           linters and all tests, or only the tests of TESTS"
 	@echo "make test DCC_SCHEMA=folder                            with the tests that need the schema files of DCC and D-SI"
@@ -116,6 +117,9 @@ health:
 
 calibration-truth:
 	@./run posor_lab calibration_truth $(CALIBRATION_TRUTH)
+
+correction:
+	@./run posor_lab correction $(CORRECTION)
 
 statement-truth:
 	@./run posor_lab statement_truth $(STATEMENT)

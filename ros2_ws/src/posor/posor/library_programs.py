@@ -9,3 +9,4 @@ from posor.lazy_program import LazyProgram
 reprocess = LazyProgram("reprocess", "posor.bags.reprocess_command")
 dcc = LazyProgram("dcc", "posor.certificates.dcc_command")
 recover = LazyProgram("recover", "posor.bags.recover_command")
+correct = LazyProgram("correct", "posor.correction.correct_command")

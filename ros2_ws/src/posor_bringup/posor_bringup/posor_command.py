@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from posor.errors import ParameterError, similar_name
 from posor.lazy_program import LazyProgram
 from posor.library_programs import dcc, recover, reprocess
+from posor.library_programs import correct, recover, reprocess
 from posor.reporting.program_errors import reports_errors
 from posor_calibration.calibration_programs import calibrate
 from posor_design.design_programs import budget, design
@@ -106,6 +107,7 @@ SUBCOMMANDS = {
     ),
     "health": Subcommand(health, "find parts of an arm that have changed, by short tests at an artefact over years"),
     "check": Subcommand(calibrate, "check whether a calibration file still explains a bag", ("check",)),
+    "correct": Subcommand(correct, "correct a recorded robot program by the endpoints measured while it ran"),
     "statement": Subcommand(statement, "state the uncertainty of an arm's endpoint for a customer: page, PDF, JSON"),
     "dcc": Subcommand(dcc, "make the certificate file of a Digital Calibration Certificate, check a certificate"),
     "iso9283": Subcommand(iso9283, "accuracy and repeatability of poses, distances and paths from a bag (ISO 9283)"),

@@ -1,0 +1,96 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Corrected robots: the begin of the path in CI, ``make correction`` runs all of it; and the program ``correct``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from posor.arm_names import find_arm
+from posor.bags.bag_writer import BagWriter
+from posor.chain.arm_file import load_arm_file
+from posor.correction.correct_command import main, read_joint_angles
+from posor.correction.joint_path import JointPath, read_path
+from posor.correction.nominal_robot import LeastSquares, NominalRobot
+from posor.errors import BagError
+from posor.messages.message_definitions import MessageTypes
+from posor.ros_names import JOINT_STATE
+from posor_drivers.simulator.arm_simulation import ArmSimulation
+from posor_lab.correction.correction_command import STOP_S, findings, least_gains, stop_times, study_robot
+from posor_lab.correction.correction_study import PathErrors
+from posor_lab.correction.simulated_robot import SimulatedRobot
+
+BAG = Path(__file__).resolve().parents[4] / "bags" / "five_axis"
+ROWS, ROWS_OF_STOPS = 750, 550
+
+
+@pytest.mark.timeout(600)
+def test_a_corrected_robot_is_near_its_path() -> None:
+    assert not findings(least_gains([study_robot(7, ROWS)]), {})
+
+
+@pytest.mark.timeout(600)
+def test_each_failure_stops_the_correction() -> None:
+    stops = stop_times(7, ROWS_OF_STOPS)
+    assert len(stops) == 3
+    assert max(stops.values()) < STOP_S
+
+
+def test_the_program_finds_gains_that_are_too_small_and_late_stops() -> None:
+    robot = {
+        "uncorrected": PathErrors(1.0, 1.0, 1.0),
+        "program after run 2": PathErrors(0.06, 0.3, 1.0),
+        "loop, dead time 0.03 s": PathErrors(0.1, 0.5, 1.0),
+    }
+    assert len(findings(least_gains([robot]), {"lost": 0.1})) == 2
+    assert len(findings(least_gains([robot]), {"lost": 0.3, "frozen": float("inf")})) == 4
+
+
+@pytest.fixture(scope="module")
+def planned() -> JointPath:
+    """Return the motion of the bag."""
+    robot = SimulatedRobot(load_arm_file("five_axis"), 200, 1985)
+    return JointPath(tuple(joint.name for joint in robot.chain.joints), np.arange(2000) / 200.0, robot.planned)
+
+
+def test_a_recorded_program_is_corrected_by_the_errors_of_the_true_arm(
+    planned: JointPath, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    program, output = tmp_path / "program.csv", tmp_path / "corrected.yaml"
+    program.write_text(planned.text(as_yaml=False), encoding="utf-8")
+    arguments = ["five_axis", str(program), "--bag", str(BAG), "--output", str(output), "--rotation-length", "0.01"]
+    assert main(arguments) == 0
+    corrected, printed = read_path(output), capsys.readouterr().out
+    assert " endpoints used; the first one " in printed
+    arm = load_arm_file(find_arm("five_axis"))
+    truth = ArmSimulation(arm).truth(np.arange(2000)).endpoint
+    robot = NominalRobot(arm.chain(), LeastSquares(rotation_length=0.01))
+    targets = [robot.endpoint(row).translation for row in planned.angles]
+    offsets = corrected.of_joints(robot.joints).angles - planned.angles
+    moved = [robot.jacobian(row)[:3] @ each for row, each in zip(planned.angles, offsets, strict=True)]
+    before = np.linalg.norm(truth.translations - targets, axis=1)
+    after = np.linalg.norm(truth.translations + moved - targets, axis=1)
+    assert np.median(after) < 0.05 * np.median(before)
+
+    assert main(arguments) == 2
+    assert "exists; expected a new file, or --force" in capsys.readouterr().err
+    assert main([*arguments, "--force", "--max-offset", "1e-5"]) == 1
+    assert "expected at most 1e-05 rad" in capsys.readouterr().err
+    program.write_text(planned.at_period(0.1).text(as_yaml=False).replace("elbow", "knee"), encoding="utf-8")
+    assert main([*arguments, "--force"]) == 1
+    assert "knee" in capsys.readouterr().err
+
+
+def test_joint_angles_of_a_bag_have_the_order_of_the_joints(tmp_path: Path) -> None:
+    types = MessageTypes()
+    with BagWriter(tmp_path / "bag") as writer:
+        writer.add_topic("/robot/joint_states", JOINT_STATE, types.definition(JOINT_STATE))
+        for n in range(3):
+            fields = {"header.stamp.sec": 1 + n, "name": ["b", "a"], "position": [1.0, 2.0 + n]}
+            writer.write("/robot/joint_states", n, types.schema(JOINT_STATE).encode(fields))
+    track = read_joint_angles(tmp_path / "bag", "/robot/joint_states", ("a", "b"))
+    np.testing.assert_array_equal(track.values, [[2.0, 1.0], [3.0, 1.0], [4.0, 1.0]])
+    with pytest.raises(BagError, match="no position of joint 'c'"):
+        read_joint_angles(tmp_path / "bag", "/robot/joint_states", ("a", "c"))

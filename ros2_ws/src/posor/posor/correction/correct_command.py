@@ -1,0 +1,157 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Program ``correct``: a recorded robot program, corrected by the endpoints measured while the robot ran it."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from posor.arm_names import describe_argument
+from posor.bags.bag_reader import checked_type, opened_bag
+from posor.bags.block_reader import read_messages
+from posor.bags.offline_pipeline import load_arm
+from posor.bags.recording import Track
+from posor.correction.joint_correction import CorrectionLimits
+from posor.correction.joint_path import YAML_SUFFIXES, read_path
+from posor.correction.nominal_robot import LeastSquares, NominalRobot
+from posor.correction.program_correction import MeasuredRun, begin_of_program, correct_path
+from posor.errors import BagError, OutputError, ParameterError, TopicError
+from posor.messages.message_definitions import schema_of_topic
+from posor.model.fault import State
+from posor.numerics.stamps import NS, time_ns
+from posor.reporting.command_line_parser import CommandLineParser
+from posor.reporting.program_errors import reports_errors
+from posor.ros_names import JOINT_STATE
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from posor.correction.joint_path import JointPath
+
+PROGRAM_LIMITS = CorrectionLimits(max_rate=0.1)
+"""A program may cross the backlash of a gear faster than an outer loop, whose noise its limit of the rate bounds."""
+
+
+def _positive(unit: str, least: float = 0.0) -> Callable[[str], float]:
+    def parse(text: str) -> float:
+        try:
+            number = float(text)
+        except ValueError:
+            number = math.nan
+        if not least <= number < math.inf:
+            raise argparse.ArgumentTypeError(f"'{text}' is not a number of {least:g} {unit} or more")
+        return number
+
+    return parse
+
+
+def parse_options(arguments: Sequence[str] | None) -> argparse.Namespace:
+    """Return the options. Raises ParameterError: an option is unknown or invalid."""
+    parser = CommandLineParser(
+        prog="posor correct", description="Correct a recorded robot program by endpoints measured while it ran."
+    )
+    parser.add_argument("arm", metavar="ARM", help=describe_argument())
+    parser.add_argument("program", type=Path, metavar="PROGRAM", help="joint angles over time, CSV or YAML")
+    parser.add_argument("--bag", type=Path, required=True, metavar="BAG", help="raw scans of the arm during the run")
+    parser.add_argument("--output", type=Path, required=True, metavar="FILE", help="corrected program, CSV or YAML")
+    text = "the program that ran in the bag, such as an earlier correction (default: PROGRAM)"
+    parser.add_argument("--ran", type=Path, metavar="FILE", help=text)
+    text = "topic of the robot's joint angles in the bag (sensor_msgs/JointState); default: the program that ran"
+    parser.add_argument("--encoders", metavar="TOPIC", help=text)
+    text = "time between the rows of the result [s] (default: the rows of PROGRAM)"
+    parser.add_argument("--period", type=_positive("s", 1e-4), metavar="S", help=text)
+    text = "standard deviation of the smoothing [s]; 0: none (default: %(default)g)"
+    parser.add_argument("--smoothing", type=_positive("s"), default=0.01, metavar="S", help=text)
+    for name, unit in (("max_offset", "rad"), ("max_rate", "rad/s")):
+        description = CorrectionLimits.model_fields[name].description
+        text = f"{description} (default: {getattr(PROGRAM_LIMITS, name):g})"
+        parser.add_argument(f"--{name.replace('_', '-')}", type=float, metavar=unit.upper(), help=text)
+    parser.add_argument("--rotation-length", type=float, metavar="M", help="as the parameter of correction_node")
+    parser.add_argument("--force", action="store_true", help="replace an existing file")
+    return parser.parse_args(arguments)
+
+
+def read_joint_angles(bag: Path, topic: str, joints: Sequence[str]) -> Track:
+    """Return the angles of joints on a topic of JointState, (n, j). Raises BagError: it does not hold them."""
+    where = f"{bag}, topic {topic}"
+    stamps, rows = [], []
+    with opened_bag(bag) as reader:
+        checked_type(reader.connections, topic, str(bag), None, (JOINT_STATE,), filled=True)
+        schema = schema_of_topic(reader.connections, topic, str(bag))
+        for _, logged_ns, data in read_messages(reader, [topic], str(bag)):
+            try:
+                values = schema.values(data)
+                angles = dict(zip(values["name"], values["position"], strict=True))
+                rows.append([angles[name] for name in joints])
+            except (TopicError, KeyError, ValueError) as error:
+                reason = f"no position of joint {error}" if isinstance(error, KeyError) else str(error).rstrip(".")
+                expected = f"positions of {', '.join(joints)}"
+                raise BagError(reason, where=f"{where}, logged at {logged_ns} ns", expected=expected) from error
+            stamps.append(time_ns(values["header.stamp.sec"], values["header.stamp.nanosec"]))
+    return Track(np.array(stamps), np.array(rows), np.zeros(len(joints)), where)
+
+
+def measured_run(options: argparse.Namespace, robot: NominalRobot, ran: JointPath) -> tuple[MeasuredRun, int, int]:
+    """Return the usable endpoints of the bag on the clock of the program, and how many there are and are not used."""
+    where = str(options.bag)
+    estimates = load_arm(options.arm).estimate(options.bag)
+    end = estimates.endpoint
+    not_ok = [joint.stamps_ns[joint.states != State.OK] for joint in estimates.joints.values()]
+    usable = np.isfinite(end.poses).all(axis=1) & ~np.isin(end.stamps_ns, np.concatenate(not_ok))
+    columns = [estimates.chain.index(name) for name in robot.joints]
+    stamps_ns, poses, angles = end.stamps_ns[usable], end.poses[usable], end.angles[usable][:, columns]
+    if options.encoders:
+        track = read_joint_angles(options.bag, options.encoders, robot.joints)
+        angles = track.interpolate(stamps_ns, round(PROGRAM_LIMITS.max_age * NS))
+        known = np.isfinite(angles).all(axis=1)
+        stamps_ns, poses, angles = stamps_ns[known], poses[known], angles[known]
+    if len(stamps_ns) < 2:  # noqa: PLR2004  a time between two
+        raise BagError("holds no usable endpoints", where=where, expected="raw scans while the robot ran the program")
+    times_s = (stamps_ns - stamps_ns[0]) / NS
+    times_s = times_s - begin_of_program(ran, times_s, angles)
+    if not options.encoders:  # where the robot was before and after is not known
+        during = (times_s >= ran.times_s[0]) & (times_s <= ran.times_s[-1])
+        times_s, poses = times_s[during], poses[during]
+        angles = ran.sampler()(times_s)
+    return MeasuredRun(times_s, angles, poses, where), len(end), len(stamps_ns)
+
+
+@reports_errors
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the program."""
+    options = parse_options(arguments)
+    for path in (options.program, options.ran):
+        if path is not None and path.resolve() == options.output.resolve():
+            raise ParameterError("is the program itself", where=f"--output {options.output}", expected="another file")
+    if options.output.exists() and not options.force:
+        raise ParameterError("exists", where=f"--output {options.output}", expected="a new file, or --force")
+    given = {name: getattr(options, name) for name in ("max_offset", "max_rate") if getattr(options, name) is not None}
+    limits = CorrectionLimits.model_validate({**PROGRAM_LIMITS.model_dump(), **given})
+    weights = {} if options.rotation_length is None else {"rotation_length": options.rotation_length}
+    chain = load_arm(options.arm).chain()
+    robot = NominalRobot(chain, LeastSquares.model_validate(weights))
+    planned = read_path(options.program).of_joints(robot.joints)
+    ran = planned if options.ran is None else read_path(options.ran).of_joints(robot.joints)
+    run, scans, used = measured_run(options, robot, ran)
+    path = planned if options.period is None else planned.at_period(options.period)
+    corrected = correct_path(path, run, robot, limits, options.smoothing)
+    try:
+        options.output.write_text(corrected.text(as_yaml=options.output.suffix in YAML_SUFFIXES), encoding="utf-8")
+    except OSError as error:
+        raise OutputError(f"cannot be written: {error.strerror}", where=str(options.output)) from error
+    offsets = np.abs(corrected.angles - path.angles).max(axis=0)
+    print(f"{used} of {scans} endpoints used; the first one {run.times_s[0]:.4f} s after the program began")
+    for name, largest in zip(robot.joints, offsets, strict=True):
+        print(f"  {name}: offsets up to {1e6 * largest:.0f} µrad")
+    print(f"corrected program written to {options.output}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
