@@ -112,4 +112,4 @@ def test_an_invalid_command_line_is_refused(tmp_path: Path, capfd: pytest.Captur
     assert main(["compose"]) == 2
     assert capfd.readouterr().err == "compose: 0 arguments; expected one, a composition file.\n"
     assert main(["compose", "--help"]) == 0
-    assert "one of chain_node, driver_node, posor_node" in capfd.readouterr().out
+    assert "one of chain_node, correction_node, driver_node, posor_node" in capfd.readouterr().out

@@ -42,6 +42,7 @@ from posor_drivers.driver_parameters import driver_parameters_for
 from posor_drivers.instruments.instruments_file import InstrumentsFile
 from posor_drivers.instruments.scpi_device import Dialect
 from posor_estimator.composition_file import Composition
+from posor_estimator.correction_node import CorrectionParameters
 from posor_ros.qos_overrides import PREFIX
 
 EXCERPT = "# excerpt"
@@ -67,6 +68,7 @@ PREFIXES = {"sudo"}
 NODES: dict[str, Callable[[dict[str, Any]], Any]] = {
     "chain_node": lambda _: ChainParameters,
     "compose": lambda _: PosorParameters,
+    "correction_node": lambda _: CorrectionParameters,
     "driver_node": driver_parameters_for,
     "posor_node": lambda _: PosorParameters,
 }

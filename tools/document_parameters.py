@@ -10,6 +10,7 @@ from environment import THIS
 from posor.node_parameters import ChainParameters, NodeParameters, PosorParameters
 from posor.parameter_model import ParameterSpec, parameter_specs
 from posor_drivers.driver_parameters import LiveDriverParameters, ReplayDriverParameters
+from posor_estimator.correction_node import CorrectionParameters
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -17,9 +18,10 @@ if TYPE_CHECKING:
 PAGE = THIS.root / "docs" / "reference" / "parameters.md"
 INTRODUCTION = """# Parameters of the nodes
 
-`make docs` writes this page from the declarations in `posor/node_parameters.py` and
-`posor_drivers/driver_parameters.py`. The same declarations produce `--help`, `ros2 param describe` and the error
-messages. An invalid value or an unknown name ends the start of a node with exit code 2 and one sentence.
+`make docs` writes this page from the declarations in `posor/node_parameters.py`,
+`posor_drivers/driver_parameters.py` and `posor_estimator/correction_node.py`. The same declarations produce `--help`,
+`ros2 param describe` and the error messages. An invalid value or an unknown name ends the start of a node with exit
+code 2 and one sentence.
 A parameter may be set while its node is unconfigured, or when its description says so.
 
 """
@@ -28,6 +30,7 @@ SECTIONS: dict[str, type[NodeParameters]] = {
     COMMON_SECTION: NodeParameters,
     "posor_node": PosorParameters,
     "chain_node": ChainParameters,
+    "correction_node": CorrectionParameters,
     "driver_node with a live source": LiveDriverParameters,
     "driver_node with a recorded source": ReplayDriverParameters,
 }

@@ -8,4 +8,5 @@ from posor.lazy_program import LazyProgram
 
 posor_node = LazyProgram("posor_node", "posor_estimator.posor_node")
 chain_node = LazyProgram("chain_node", "posor_estimator.chain_node")
+correction_node = LazyProgram("correction_node", "posor_estimator.correction_node")
 compose = LazyProgram("compose", "posor_estimator.compose_command")

@@ -1,0 +1,218 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""correction_node between a planner and a robot whose joints are beyond their encoders, over DDS."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from posor.chain.arm_file import load_arm_file
+from posor.correction.nominal_robot import NominalRobot
+from posor.numerics.array_types import FloatArray
+from posor_lab.harness.graph import Graph, values_of
+from posor_lab.harness.program import Program, installed
+from posor_msgs.msg import EndpointState
+from posor_ros.qos import RELIABLE_QOS
+from posor_ros.ros_arguments import ros_arguments
+from sensor_msgs.msg import JointState
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+pytestmark = pytest.mark.usefixtures("ros_domain")
+
+ARM = load_arm_file("six_axis")
+START = np.array([0.3, -0.6, 0.9, 0.4, 0.7, 0.5])  # not singular
+WRONG = 1e-4 * np.array([3.0, -2.0, 4.0, 5.0, -1.0, 2.0])  # errors of the joints [rad]
+STATUS = "/correction_node: correction"
+SPEED = 0.05  # [rad/s]
+SLOW_S = 60.0
+STILL_S, PERIOD_S = 0.3, 0.004
+
+
+class Robot:
+    """A robot that is where it was commanded, and its planner; the endpoint is where its joints really are."""
+
+    def __init__(self, graph: Graph) -> None:
+        self.graph, self.nominal = graph, NominalRobot(ARM.chain())
+        graph.watch_diagnostics()
+        self.commands: list[tuple[float, FloatArray]] = []
+        self.planner = graph.publisher(JointTrajectory, "trajectory", RELIABLE_QOS)
+        self.states = graph.publisher(EndpointState, "endpoint/state", RELIABLE_QOS)
+        self.encoders = graph.publisher(JointState, "encoders", RELIABLE_QOS)
+        graph.node.create_subscription(JointTrajectory, "trajectory/corrected", self._on_command, RELIABLE_QOS)
+        self.angles = self.read = START  # where its motors are, and what their encoders read
+        self.reset()
+
+    def reset(self) -> None:
+        """End all faults."""
+        self.state: dict[str, Any] = {
+            "state": EndpointState.STATE_OK,
+            "identity": "a" * 64,
+            "child_frame_id": ARM.endpoint_frame,
+        }
+        self.moved = np.zeros(3)  # what the POSORs see beyond the truth
+        self.frozen, self.reads = False, True
+
+    def _on_command(self, message: Any) -> None:
+        self.angles = np.array(message.points[0].positions)
+        self.commands.append((time.monotonic(), self.angles))
+
+    def report(self) -> None:
+        """Publish encoders and endpoint."""
+        sec, nanosec = divmod(time.time_ns(), 1_000_000_000)
+        self.read = self.read if self.frozen else self.angles
+        read = JointState(name=list(self.nominal.joints), position=self.read.tolist())
+        pose = self.nominal.endpoint(self.angles + WRONG)
+        state = EndpointState(**self.state)
+        state.header.frame_id = self.nominal.base_frame
+        x, y, z, qx, qy, qz, qw = pin.SE3ToXYZQUAT(pin.SE3(pose.rotation, pose.translation + self.moved)).tolist()
+        state.pose.position.x, state.pose.position.y, state.pose.position.z = x, y, z
+        state.pose.orientation.x, state.pose.orientation.y = qx, qy
+        state.pose.orientation.z, state.pose.orientation.w = qz, qw
+        for message, publisher in ((read, self.encoders), (state, self.states))[not self.reads :]:
+            message.header.stamp.sec, message.header.stamp.nanosec = sec, nanosec
+            publisher.publish(message)
+
+    def plan(self, *rows: FloatArray, duration_s: float = SLOW_S, **fields: Any) -> None:
+        """Send a trajectory through some angles."""
+        message = JointTrajectory(**{"joint_names": list(self.nominal.joints), **fields})
+        for n, row in enumerate(rows):
+            point = JointTrajectoryPoint(positions=row.tolist())
+            point.time_from_start.sec = round(n * duration_s / max(1, len(rows) - 1))
+            message.points.append(point)
+        self.planner.publish(message)
+
+    def run_until(self, condition: Callable[[], bool], what: str) -> None:
+        """Report until a condition holds."""
+        self.graph.wait_until(condition, what, self.report)
+
+    def follow(self, *rows: FloatArray) -> None:
+        """Begin a new plan where the robot stands, and run it until its offsets are there."""
+        self.commands.clear()
+        self.plan(*rows)
+        self.run_until(lambda: bool(self.commands), "a command")
+
+    def distance(self, angles: FloatArray) -> float:
+        """Return the largest distance of a joint from some angles [rad]."""
+        return float(np.abs(self.angles - angles).max())
+
+    def wait_for_level(self, level: bytes, report: Callable[[], None] | None = None) -> Any:
+        """Return the next status of the correction with a level."""
+        self.graph.diagnostics.clear()
+
+        def found() -> list[Any]:
+            return [each for each in self.graph.diagnostics if each.name == STATUS and each.level == level]
+
+        self.graph.wait_until(lambda: bool(found()), f"level {level!r}", report or self.report)
+        return found()[0]
+
+    def wait_for_standstill(self) -> float:
+        """Return when the last command came (steady clock) [s]; there is no other for ``STILL_S``."""
+        still = lambda: time.monotonic() - self.commands[-1][0] > STILL_S  # noqa: E731
+        self.graph.wait_until(still, "standstill", self.report)
+        return self.commands[-1][0]
+
+
+@contextmanager
+def running_node(on_stop: str) -> Iterator[Robot]:
+    """Run a correction_node and its robot."""
+    parameters = {"urdf": str(ARM.urdf), "endpoint_frame": ARM.endpoint_frame, "on_stop": on_stop}
+    command = [*installed("posor_estimator", "correction_node"), *ros_arguments(parameters)]
+    with Program(command) as node, Graph() as graph:
+        yield Robot(graph)
+        assert node.end() == 0
+
+
+@pytest.fixture(scope="module")
+def robot() -> Iterator[Robot]:
+    with running_node("stop") as robot:
+        yield robot
+
+
+def position_error(robot: Robot) -> float:
+    """Return the distance of the true endpoint from the plan, while it stands at START [m]."""
+    true = robot.nominal.endpoint(robot.angles + WRONG).translation
+    return float(np.linalg.norm(true - robot.nominal.endpoint(START).translation))
+
+
+def test_the_endpoint_comes_onto_the_plan(robot: Robot) -> None:
+    uncorrected = position_error(robot)
+    robot.follow(START, START)
+    robot.run_until(lambda: position_error(robot) < 0.05 * uncorrected, "the corrected endpoint")
+    assert robot.wait_for_level(b"\x00").message == "following"
+
+
+FAULTS: dict[str, tuple[dict[str, Any], str]] = {
+    "lost": ({"state": EndpointState.STATE_LOST, "reason": "elbow is lost"}, ": elbow is lost"),
+    "degraded": ({"state": EndpointState.STATE_DEGRADED, "reason": "degraded: elbow"}, ": degraded: elbow"),
+    "changed arm": ({"identity": "b" * 64}, "the arm has changed: identity aaaaaaaa became bbbbbbbb"),
+    "uncertain": ({"covariance_random": np.eye(6).ravel() * 1e-6}, "uncertain by 0.001 m; expected at most 0.0001 m"),
+    "other frame": ({"child_frame_id": "tool"}, "that of tool in base; expected endpoint in base"),
+    "no endpoint": ({}, "no usable endpoint for 0."),
+    "no encoders": ({}, ": no angles on encoders as new as the endpoint"),
+    "frozen encoders": ({}, "needs an offset of "),
+    "moved endpoint": ({}, "needs an offset of "),
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+@pytest.mark.parametrize("max_s", [5.0, pytest.param(0.35, marks=pytest.mark.long)])
+def test_a_fault_in_motion_stops_the_robot_on_its_path(robot: Robot, fault: str, max_s: float) -> None:
+    """On a quiet machine the offsets stand after 0.1 s, and the robot 0.1 s later."""
+    robot.reset()
+    begin = robot.angles
+    robot.follow(begin, begin + SPEED * SLOW_S * np.eye(6)[0])
+    robot.run_until(lambda: robot.distance(begin) > 0.005, "motion")
+    begin_s, (change, text) = time.monotonic(), FAULTS[fault]
+    robot.state = {**robot.state, **change}
+    robot.reads = fault != "no encoders"
+    robot.frozen = fault == "frozen encoders"
+    robot.moved = np.array([0.0, 0.02, 0.0]) * (fault == "moved endpoint")
+    status = robot.wait_for_level(b"\x02", lambda: None if fault == "no endpoint" else robot.report())
+    assert status.message.startswith("stopped, the robot slows down and stands: ")
+    assert text in status.message
+    robot.reset()
+    arrivals = robot.wait_for_standstill()
+    print(f"{fault}: the robot stood after {arrivals - begin_s:.2f} s")
+    assert arrivals - begin_s < max_s
+    first, last = (row for _, row in robot.commands[-2:])
+    assert np.abs(last - first).max() < 0.5 * SPEED * PERIOD_S + 1e-6  # it has slowed down
+
+
+def test_a_robot_that_may_go_on_keeps_its_offsets() -> None:
+    with running_node("hold") as robot:
+        robot.follow(START, START)
+        robot.run_until(lambda: robot.distance(START) > 1e-4, "offsets")
+        assert robot.wait_for_level(b"\x02", lambda: None).message.startswith("stopped, the offsets stay: ")
+        held, count = robot.angles, len(robot.commands)
+        robot.run_until(lambda: len(robot.commands) > count + 5, "more commands")
+        assert robot.distance(held) == 0.0
+
+
+def test_trajectories_that_cannot_be_corrected_are_refused(robot: Robot) -> None:
+    robot.reset()
+    robot.follow(robot.angles, robot.angles)
+    here, names = robot.angles, list(robot.nominal.joints)
+    for rows, fields in (
+        ((here + 0.1, here), {}),
+        ((here, here), {"joint_names": [*names[1:], "knee"]}),
+        ((here[1:], here[1:]), {}),
+        ((here, here), {"duration_s": 0.0}),
+        ((np.full(6, np.nan), here), {}),
+    ):
+        robot.plan(*rows, **fields)
+
+    def refused() -> set[str | None]:
+        return {values_of(each).get("trajectories_refused") for each in robot.graph.diagnostics if each.name == STATUS}
+
+    robot.run_until(lambda: "5" in refused(), "5 refused trajectories")
+    count = len(robot.commands)
+    robot.run_until(lambda: len(robot.commands) > count, "a command of the first trajectory")
+    robot.planner.publish(JointTrajectory())
+    assert robot.wait_for_level(b"\x00").message == "the planner has ended its trajectory"
+    robot.wait_for_standstill()
