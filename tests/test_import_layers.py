@@ -30,7 +30,6 @@ LAYERS_OF_POSOR = (  # lowest first; parts of one line may import each other
     ("uncertainty",),
     ("messages",),
     ("bags", "tables", "certificates", "kernel_build", "kernel_examples"),
-    ("bags", "tables", "kernel_build", "kernel_examples"),
     ("correction",),
     ("",),  # posor itself: the public Python API
 )

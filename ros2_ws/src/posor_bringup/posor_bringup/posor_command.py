@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from posor.errors import ParameterError, similar_name
 from posor.lazy_program import LazyProgram
-from posor.library_programs import dcc, recover, reprocess
-from posor.library_programs import correct, recover, reprocess
+from posor.library_programs import correct, dcc, recover, reprocess
 from posor.reporting.program_errors import reports_errors
 from posor_calibration.calibration_programs import calibrate
 from posor_design.design_programs import budget, design
