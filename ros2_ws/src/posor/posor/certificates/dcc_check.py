@@ -40,7 +40,9 @@ _OF_TYPE = {
     "dateTime": "date and time, such as 2026-11-26T16:30:00Z",
     "boolean": "true or false",
     "double": "a number",
+    "ID": "an id that no other element has",
 }
+MOST_DEPTH = 100
 MOST_BYTES = 256 << 20  # of a certificate, whose data may be embedded
 _UNITS = {
     f"{{{SI}}}{name}" for name in ("unit", "listUnit", "unitPhase", "listUnitPhase", "unitXMLList", "unitPhaseXMLList")
@@ -55,6 +57,7 @@ class LocatedTree:
     path: Path
     root: ET.Element
     lines: Mapping[ET.Element, int]
+    prefixes: Mapping[str, str]  # namespaces by prefix, for names in values such as those of xsi:type
 
     def error(self, element: ET.Element, what: str, expected: str) -> CertificateError:
         """Return an error of an element."""
@@ -74,6 +77,10 @@ def read_xml(path: Path, expected: str) -> LocatedTree:
     builder, parser = ET.TreeBuilder(), expat.ParserCreate(namespace_separator="}")
 
     def start(tag: str, attributes: dict[str, str]) -> None:
+        depth.append(tag)
+        if len(depth) > MOST_DEPTH:
+            what = f"has elements nested deeper than {MOST_DEPTH}"
+            raise CertificateError(what, where=f"{path}, line {parser.CurrentLineNumber}", expected=expected)
         named = {_clark(name): value for name, value in attributes.items()}
         lines[builder.start(_clark(tag), named)] = parser.CurrentLineNumber
 
@@ -83,18 +90,26 @@ def read_xml(path: Path, expected: str) -> LocatedTree:
             what, where=f"{path}, line {parser.CurrentLineNumber}", expected=f"{expected} without one"
         )
 
+    def end(tag: str) -> None:
+        depth.pop()
+        builder.end(_clark(tag))
+
+    depth, prefixes = list[str](), dict[str, str]()
+    parser.StartNamespaceDeclHandler = lambda prefix, uri: prefixes.setdefault(prefix or "", uri or "")
     parser.StartElementHandler = start
-    parser.EndElementHandler = lambda tag: builder.end(_clark(tag))
+    parser.EndElementHandler = end
     parser.CharacterDataHandler = builder.data
     parser.StartDoctypeDeclHandler = refuse
     try:
         parser.Parse(read_input_bytes(path, MOST_BYTES), True)  # noqa: FBT003  positional only
     except OSError as error:
         raise CertificateError(f"cannot be read: {error.strerror}", where=str(path), expected=expected) from error
+    except LookupError as error:  # an unknown encoding
+        raise CertificateError(f"is not XML: {clause_of(error)}", where=str(path), expected=expected) from error
     except expat.ExpatError as error:
         problem = f"is not XML: {expat.ErrorString(error.code)}, column {error.offset + 1}"
         raise CertificateError(problem, where=f"{path}, line {error.lineno}", expected=expected) from error
-    return LocatedTree(path, builder.close(), lines)
+    return LocatedTree(path, builder.close(), lines, prefixes)
 
 
 def _clark(name: str) -> str:
@@ -113,9 +128,14 @@ def check_dcc(path: Path, schema_folder: Path) -> None:
     if tree.root.tag != ROOT:
         expected = f"digitalCalibrationCertificate in the namespace {DCC}"
         raise tree.error(tree.root, f"is the root, {tree.root.tag}", expected)
-    schema = _load_schema(schema_folder, tree, optional_library("xmlschema", "dcc", path))
+    xmlschema = optional_library("xmlschema", "dcc", path)
+    schema = _load_schema(schema_folder, tree, xmlschema)
+    try:
+        problems = list(schema.iter_errors(tree.root, namespaces=dict(tree.prefixes)))
+    except xmlschema.XMLSchemaException as error:  # the file names a type that there is not
+        raise CertificateError(clause_of(error), where=str(path), expected="types of the schema") from error
     errors: dict[str, CertificateError] = {}
-    for found in (*(_explain(tree, error) for error in schema.iter_errors(tree.root)), *_unit_errors(tree)):
+    for found in (*(_explain(tree, error) for error in problems), *_unit_errors(tree)):
         errors.setdefault(found.where, found)
     if errors:
         raise sum_up(list(errors.values()))
@@ -190,6 +210,9 @@ def _explain(tree: LocatedTree, error: Any) -> CertificateError:
         expected = f"one of {', '.join(map(str, validator.enumeration))}"
     elif getattr(validator, "local_name", None):
         expected = _OF_TYPE.get(validator.local_name, f"a value of the type {validator.local_name}")
+    if reference := re.match(r"IDREF '(\S+)' not found", reason):
+        element = next(each for each in tree.root.iter() if reference[1] in each.get("refId", "").split())
+        return tree.error(element, f"refId '{reference[1]}'", "the id of an element")
     if not (expected and isinstance(error.obj, str)):
         return tree.error(error.elem, reason, "an element as the schema states it")
     attribute = re.match(r"attribute (\S+?)=", reason)

@@ -83,6 +83,11 @@ def test_each_wrong_field_is_one_sentence(old: str, new: str, message: str, dcc:
         (b"", ", line 1: is not XML: no element found"),
         (b"%PDF-1.7", ", line 1: is not XML: unclosed token, column 1"),
         (b"<!DOCTYPE a [<!ENTITY b 'c'>]>\n<a/>", ", line 1: has a document type definition; expected"),
+        (
+            b"<?xml version='1.0' encoding='klingon'?><a/>",
+            ": is not XML: unknown encoding: klingon; expected a Digital",
+        ),
+        (b"<a>" * 101, ", line 1: has elements nested deeper than 100; expected a Digital"),
         (b"<digitalCalibrationCertificate/>", ", line 1, digitalCalibrationCertificate: is the root, digital"),
         (None, ": cannot be read: No such file or directory; expected a Digital Calibration Certificate (XML)."),
     ],
