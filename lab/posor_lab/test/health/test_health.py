@@ -49,7 +49,7 @@ def creeping(arm: AgeingArm) -> HealthHistory:
 
 @pytest.mark.parametrize("part", CASES)
 def test_a_change_is_found_with_the_next_test_and_its_part_is_named(part: str) -> None:
-    found = run_case(ARM, (part, CASES[part]), BEGIN + 2, 11)
+    found = run_case(ARM, (part, CASES[part]), BEGIN + 1, 11)
     assert found.right
     assert found.named[0].startswith(part)
     assert found.months == 1
@@ -93,6 +93,13 @@ def test_the_creep_is_stated_with_its_rate_and_remedy(arm: AgeingArm, creeping: 
     assert change.rate == pytest.approx(-CREEP, abs=5.0 * change.rate_sigma)  # a nearer tip reads a smaller gap
     assert change.rate_sigma < 0.1 * CREEP
     assert report.advice == "calibrate the joint elbow again."
+
+
+def test_a_slow_creep_gives_no_alarm_but_a_date(arm: AgeingArm) -> None:
+    tests = list(arm.tests(9, 15, Ageing(3, creeps={("elbow", 1): 5e-8})))
+    report = HealthReport(ARM, chart_tests(arm.model(tests[0]), tests))
+    assert not report.suspects
+    assert re.match(r"calibrate before 2027-\S+: gap gap_2 of elbow then leaves", report.advice)
 
 
 def test_a_history_is_read_as_it_was_written(creeping: HealthHistory, tmp_path: Path) -> None:

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
 
 MONTH_NS = 365.25 / 12.0 * 86400e9
 LEAST_TESTS = 4  # after the reference, from which a step and a creep are told apart
-CHANCE = 1e-5  # probability below which the creep of any part is no chance, and is extrapolated
+CHANCE = 1e-4  # probability below which the creep of any part is no chance, and is extrapolated
 COLOURS = (ORANGE, BLUE, GREEN, LIGHT_BLUE, GREY)
 MICRO = 1e6
 
@@ -124,16 +125,12 @@ class HealthReport:
         if self.chart.suspects:
             return f"{self.chart.parts[self.chart.suspects[0]].remedy}."
         limit = CHANCE / len(self.changes)
-        due = [(self._months_left(each), each) for each in self.changes if each.chance < limit]
-        if not due:
+        first = next((each for each in self.changes if each.chance < limit), None)
+        if first is None:
             return "no creep is seen: no calibration is due before the next test."
-        months, first = min(due)
+        months = max(0.0, (2.0 * first.sigma - abs(first.drift)) / abs(first.rate))  # until the drift is its U
         date = date_text(int(self.chart.stamps_ns[-1] + months * MONTH_NS))
         return f"calibrate before {date}: {first.part} then leaves its stated uncertainty, {first.describe()}."
-
-    def _months_left(self, change: Change) -> float:
-        """Return after how many months a creep is as large as its expanded uncertainty (k = 2)."""
-        return max(0.0, (2.0 * change.sigma - abs(change.drift)) / abs(change.rate))
 
     def to_json(self) -> str:
         """Return all results as JSON."""
@@ -143,9 +140,15 @@ class HealthReport:
             "verdict": self.sentence,
             "advice": self.advice,
             "suspects": [each.part for each in self.suspects],
-            "changes": [each._asdict() for each in self.changes],
+            "changes": [
+                {
+                    key: value if isinstance(value, str | int) or math.isfinite(value) else None
+                    for key, value in each._asdict().items()
+                }
+                for each in self.changes
+            ],
         }
-        return json.dumps(content, indent=1).replace("NaN", "null").replace("Infinity", "null") + "\n"
+        return json.dumps(content, indent=1, allow_nan=False) + "\n"
 
     def to_page(self) -> str:
         """Return all results as a page."""
