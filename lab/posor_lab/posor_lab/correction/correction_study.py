@@ -17,7 +17,7 @@ from posor.correction.program_correction import MeasuredRun, correct_path
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from posor.numerics.array_types import BoolArray, FloatArray
+    from posor.numerics.array_types import BoolArray, FloatArray, IntArray
 
     from posor_lab.correction.simulated_robot import Motion, SimulatedRobot
 
@@ -39,12 +39,12 @@ class PathErrors(NamedTuple):
 
 def near_reversals(angles: FloatArray, rate: int) -> BoolArray:
     """Return which rows of planned angles (n, j) are near a change of a joint's direction, (n,)."""
-    moves = np.gradient(angles, axis=0) * rate
+    moves: FloatArray = np.asarray(np.gradient(angles, axis=0)) * rate
     found = np.zeros(len(angles), dtype=bool)
     for column in moves.T:
-        moving = np.flatnonzero(np.abs(column) > MOVES)
+        moving: IntArray = np.flatnonzero(np.abs(column) > MOVES)
         turns = np.flatnonzero(np.diff(np.sign(column[moving])))
-        for first, last in zip(moving[turns], moving[turns + 1], strict=True):
+        for first, last in zip(moving[turns].tolist(), moving[turns + 1].tolist(), strict=True):
             found[max(0, first - round(REVERSAL_S * rate)) : last + round(REVERSAL_S * rate) + 1] = True
     return found
 
@@ -155,6 +155,7 @@ def failures(tick: int) -> dict[str, Callable[[int, Motion], Motion]]:
 
 
 def stop_after(run: LoopRun, tick: int, rate: int) -> float:
-    """Return the time from a failure to the last change of an offset [s]; infinite: the correction did not stop."""
+    """Return the time from a failure to the stop, after which no offset changes [s]; infinite: there is no stop."""
     changes = np.flatnonzero(np.any(np.abs(np.diff(run.offsets, axis=0)) > ROUNDING, axis=1)) + 1
-    return max(0.0, (int(changes[-1]) - tick) / rate) if run.stopped[-1] else np.inf
+    first = next((n for n, reason in enumerate(run.stopped) if reason), None)
+    return np.inf if first is None else (max(first, int(changes[-1])) - tick) / rate

@@ -42,7 +42,7 @@ def test_the_program_finds_gains_that_are_too_small_and_late_stops() -> None:
     robot = {
         "uncorrected": PathErrors(1.0, 1.0, 1.0),
         "program after run 2": PathErrors(0.06, 0.3, 1.0),
-        "loop, dead time 0.03 s": PathErrors(0.1, 0.5, 1.0),
+        "loop, dead time 0.12 s": PathErrors(0.1, 0.1, 1.0),
     }
     assert len(findings(least_gains([robot]), {"lost": 0.1})) == 2
     assert len(findings(least_gains([robot]), {"lost": 0.3, "frozen": float("inf")})) == 4
@@ -61,7 +61,7 @@ def test_a_recorded_program_is_corrected_by_the_errors_of_the_true_arm(
     program, output = tmp_path / "program.csv", tmp_path / "corrected.yaml"
     program.write_text(planned.text(as_yaml=False), encoding="utf-8")
     arguments = ["five_axis", str(program), "--bag", str(BAG), "--output", str(output), "--rotation-length", "0.01"]
-    assert main(arguments) == 0
+    assert main([*arguments, "--encoders", "/five_axis/encoders"]) == 0
     corrected, printed = read_path(output), capsys.readouterr().out
     assert " endpoints used; the first one " in printed
     arm = load_arm_file(find_arm("five_axis"))
@@ -78,6 +78,8 @@ def test_a_recorded_program_is_corrected_by_the_errors_of_the_true_arm(
     assert "exists; expected a new file, or --force" in capsys.readouterr().err
     assert main([*arguments, "--force", "--max-offset", "1e-5"]) == 1
     assert "expected at most 1e-05 rad" in capsys.readouterr().err
+    assert main([*arguments, "--force", "--max-rate", "-1"]) == 2
+    assert "'-1' is wrong; expected a number greater than 0" in capsys.readouterr().err
     program.write_text(planned.at_period(0.1).text(as_yaml=False).replace("elbow", "knee"), encoding="utf-8")
     assert main([*arguments, "--force"]) == 1
     assert "knee" in capsys.readouterr().err

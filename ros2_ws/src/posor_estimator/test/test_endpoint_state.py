@@ -134,7 +134,7 @@ def test_the_throttled_topic_has_every_change_and_the_first_scan_of_each_period(
     degraded = transform_of(1)
     degraded.state, degraded.faults = JointTransform.STATE_DEGRADED, JointTransform.FAULT_FLAGGED
     rig.states.clear()
-    begin_ns, due = stamp_ns(rig.state_of(transform_of(1))), []
+    begin_ns, due = stamp_ns(rig.state_of(transform_of(1))), list[tuple[int, int, str]]()
     while len(due) < 6 or len(rig.states) < 2 * len(due):
         rig.state_of(degraded if len(due) == 2 else transform_of(1))
         keys = [(stamp_ns(each), each.state, each.reason) for each in rig.states]

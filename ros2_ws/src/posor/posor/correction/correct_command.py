@@ -25,6 +25,7 @@ from posor.errors import BagError, OutputError, ParameterError, TopicError
 from posor.messages.message_definitions import schema_of_topic
 from posor.model.fault import State
 from posor.numerics.stamps import NS, time_ns
+from posor.parameter_model import parameter_specs
 from posor.reporting.command_line_parser import CommandLineParser
 from posor.reporting.program_errors import reports_errors
 from posor.ros_names import JOINT_STATE
@@ -33,9 +34,12 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from posor.correction.joint_path import JointPath
+    from posor.parameter_model import ParameterGroup, ParameterSpec
 
 PROGRAM_LIMITS = CorrectionLimits(max_rate=0.1)
 """A program may cross the backlash of a gear faster than an outer loop, whose noise its limit of the rate bounds."""
+FROM_PARAMETERS = {"max_offset": "RAD", "max_rate": "RAD/S", "rotation_length": "M", "least_lever": "M"}
+"""Options that are parameters of correction_node, and their units."""
 
 
 def _positive(unit: str, least: float = 0.0) -> Callable[[str], float]:
@@ -47,6 +51,18 @@ def _positive(unit: str, least: float = 0.0) -> Callable[[str], float]:
         if not least <= number < math.inf:
             raise argparse.ArgumentTypeError(f"'{text}' is not a number of {least:g} {unit} or more")
         return number
+
+    return parse
+
+
+def _setting(model: type[ParameterGroup], spec: ParameterSpec) -> Callable[[str], float]:
+    """Return the parser of an option with the limits of a parameter of correction_node."""
+
+    def parse(text: str) -> float:
+        try:
+            return float(getattr(model.model_validate({spec.name: float(text)}), spec.name))
+        except ValueError:  # of pydantic, too
+            raise argparse.ArgumentTypeError(f"'{text}' is wrong; expected {spec.constraint}") from None
 
     return parse
 
@@ -68,11 +84,14 @@ def parse_options(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--period", type=_positive("s", 1e-4), metavar="S", help=text)
     text = "standard deviation of the smoothing [s]; 0: none (default: %(default)g)"
     parser.add_argument("--smoothing", type=_positive("s"), default=0.01, metavar="S", help=text)
-    for name, unit in (("max_offset", "rad"), ("max_rate", "rad/s")):
-        description = CorrectionLimits.model_fields[name].description
-        text = f"{description} (default: {getattr(PROGRAM_LIMITS, name):g})"
-        parser.add_argument(f"--{name.replace('_', '-')}", type=float, metavar=unit.upper(), help=text)
-    parser.add_argument("--rotation-length", type=float, metavar="M", help="as the parameter of correction_node")
+    for model, settings in ((CorrectionLimits, PROGRAM_LIMITS), (LeastSquares, LeastSquares())):
+        for spec in parameter_specs(model):
+            if spec.name in FROM_PARAMETERS:
+                option, default = f"--{spec.name.replace('_', '-')}", getattr(settings, spec.name)
+                text = f"{spec.field.description} (default: {default:g})"
+                parser.add_argument(
+                    option, type=_setting(model, spec), default=default, metavar=FROM_PARAMETERS[spec.name], help=text
+                )
     parser.add_argument("--force", action="store_true", help="replace an existing file")
     return parser.parse_args(arguments)
 
@@ -131,11 +150,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
             raise ParameterError("is the program itself", where=f"--output {options.output}", expected="another file")
     if options.output.exists() and not options.force:
         raise ParameterError("exists", where=f"--output {options.output}", expected="a new file, or --force")
-    given = {name: getattr(options, name) for name in ("max_offset", "max_rate") if getattr(options, name) is not None}
-    limits = CorrectionLimits.model_validate({**PROGRAM_LIMITS.model_dump(), **given})
-    weights = {} if options.rotation_length is None else {"rotation_length": options.rotation_length}
-    chain = load_arm(options.arm).chain()
-    robot = NominalRobot(chain, LeastSquares.model_validate(weights))
+    limits = PROGRAM_LIMITS.model_copy(update={name: getattr(options, name) for name in ("max_offset", "max_rate")})
+    weights = LeastSquares(rotation_length=options.rotation_length, least_lever=options.least_lever)
+    robot = NominalRobot(load_arm(options.arm).chain(), weights)
     planned = read_path(options.program).of_joints(robot.joints)
     ran = planned if options.ran is None else read_path(options.ran).of_joints(robot.joints)
     run, scans, used = measured_run(options, robot, ran)

@@ -107,7 +107,7 @@ def test_a_refused_size_and_missing_endpoints_stop_the_correction_with_one_sente
     assert law.stopped.endswith("; limit 0.0003")
     law.start(1.0)
     assert not law.step(1.09).any()
-    assert not law.stopped
+    assert len(law.stopped) == 0
     law.refuse_endpoint("elbow is lost")
     law.step(1.11)
     assert law.stopped == "no usable endpoint for 0.11 s: elbow is lost"
