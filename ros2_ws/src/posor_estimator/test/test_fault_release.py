@@ -46,7 +46,7 @@ class Joint:
         )
         if not dark:
             return scan
-        sources = np.full_like(scan.lit_sources, NO_SOURCE)
+        sources = (NO_SOURCE,) * len(scan.lit_sources)
         return replace(scan, lit_sources=sources, diode_currents=scan.diode_currents - currents)
 
     def receive(self, scan: Scan) -> RawScanStream:

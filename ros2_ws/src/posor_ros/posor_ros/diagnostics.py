@@ -252,10 +252,11 @@ class Diagnostics:
         """Run the first piece of work; the executor handles the messages that have come meanwhile before the next."""
         first, *others = works
         run_when_idle(first)
-        executor = self._node.executor
-        if others and executor is None:
+        if not others:
+            return
+        if (executor := self._node.executor) is None:
             self._run_first_of(others)
-        elif others:
+        else:
             executor.create_task(self._run_first_of, others)
 
     def _publish(self) -> None:
