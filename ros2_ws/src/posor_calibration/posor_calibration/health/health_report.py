@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from posor_calibration.health.health_chart import HealthChart
 
 MONTH_NS = 365.25 / 12.0 * 86400e9
-LEAST_TESTS = 4  # after the reference, from which a step and a creep are told apart
+LEAST_TESTS = 4  # after the reference, from which a step and a creep are distinguished
 CHANCE = 1e-4  # probability below which the creep of any part is no chance, and is extrapolated
 COLOURS = (ORANGE, BLUE, GREEN, LIGHT_BLUE, GREY)
 MICRO = 1e6
@@ -39,7 +39,7 @@ class Change(NamedTuple):
     drift: float  # by the last test, from the reference tests
     sigma: float  # its standard uncertainty; the arm may be anywhere within its stated uncertainties
     stated: float  # standard uncertainty that the files state; NaN: none
-    kind: str  # "step", "creep", or empty: not told apart
+    kind: str  # "step", "creep", or empty: not distinguished
     since_ns: int  # a step: the first test after it; a creep: its begin
     rate: float  # [unit / month] of a creep since its begin
     rate_sigma: float
