@@ -51,7 +51,7 @@ from posor_ros.lifecycle_node import PosorNode
 from posor_ros.message_classes import schema_of_class
 from posor_ros.node_program import run_node
 from posor_ros.qos import input_qos, result_qos
-from posor_ros.throttled_publisher import ThrottledPublisher
+from posor_ros.throttled_publisher import ThrottledPublisher, may_be_due_next
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from sensor_msgs.msg import JointState, Temperature
@@ -301,11 +301,17 @@ class ChainNode(PosorNode[ChainParameters]):
             if not self._inputs.silent:
                 self._report_refused_scan(verdict)
 
-    def _read_effects(self, *, read: bool) -> None:
-        """Read the fault effects of transforms from now on, or not: only the endpoint's state needs them."""
-        self._reads_effects = read
-        for subscription in self._transforms:
-            subscription.reads_whole = read
+    def _expect_effects(self, stamp_ns: int, last_ns: int) -> bool:
+        """Read the fault effects of the next scan, or not: only a published state needs them.
+
+        ``stamp_ns``: of this scan; ``last_ns``: of the one before it. Return whether states have a subscription.
+        """
+        reads_all, reads_some = self._endpoint_state.has_subscriptions, self._throttle.has_subscriptions
+        if (read := reads_all or (reads_some and may_be_due_next(stamp_ns, last_ns))) != self._reads_effects:
+            self._reads_effects = read
+            for subscription in self._transforms:
+                subscription.reads_whole = read
+        return reads_all or reads_some
 
     def _fill_rows(self, scan: dict[str, JointMessage]) -> bytes:
         """Copy the transforms of a scan into the estimator; return the bytes of its stamp."""
@@ -335,10 +341,9 @@ class ChainNode(PosorNode[ChainParameters]):
 
     def _publish_endpoint(self, scan: dict[str, JointMessage], stamp_ns: int) -> None:
         estimator, identity = self._estimator, self._identity
-        state_is_read = self._endpoint_state.has_subscriptions or self._throttle.has_subscriptions
-        if state_is_read != self._reads_effects:
-            self._read_effects(read=state_is_read)
-        stamp = self._last_stamp = self._fill_rows(scan)
+        last_ns, stamp = stamp_ns_of(self._last_stamp), self._fill_rows(scan)
+        self._last_stamp = stamp
+        state_is_read = self._expect_effects(stamp_ns, last_ns)
         if not self._inputs.accepts(stamp_ns) and (refusal := self._inputs.refusal(stamp_ns)):
             self._refuse_scan(stamp, stamp_ns, EndpointVerdict(EndpointState.STATE_LOST, 0, "", refusal))
             return

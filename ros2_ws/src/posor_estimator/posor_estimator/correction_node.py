@@ -134,7 +134,7 @@ class CorrectionNode(PosorNode[CorrectionParameters]):
         )
         self._law = JointCorrection(self._robot, parameters.offsets)
         self._encoders, self._commands = AngleHistory(), AngleHistory()
-        self._plan, self._pending, self._identity = None, None, ""
+        self._plan, self._pending, self._identity, self._newest_ns = None, None, "", 0
         self._refused = self._used = 0
         self._status.report(Level.STALE, "no trajectory received yet")
         self._output = IntraProcessPublisher(self, JointTrajectory, CORRECTED_TOPIC, result_qos(parameters))
@@ -176,7 +176,7 @@ class CorrectionNode(PosorNode[CorrectionParameters]):
                 self._refused += 1
                 self.get_logger().error(f"trajectory refused: {error}")
                 return
-            self._step_s, self._is_reported = time.monotonic(), False
+            self._newest_ns, self._step_s, self._is_reported = 0, time.monotonic(), False
             self._law.start(self._step_s)
             self._status.report(Level.OK, "following", self._counts())
 
@@ -253,7 +253,7 @@ class CorrectionNode(PosorNode[CorrectionParameters]):
             if reason := self._reason_to_refuse(values):
                 self._law.refuse_endpoint(reason)
                 return
-            stamp_ns = time_ns(values["header.stamp.sec"], values["header.stamp.nanosec"])
+            stamp_ns = self._newest_ns = time_ns(values["header.stamp.sec"], values["header.stamp.nanosec"])
             self._pending = stamp_ns, pin.XYZQUATToSE3(np.array([values[name] for name in _POSE]))
             self._use_pending()
 
@@ -270,7 +270,12 @@ class CorrectionNode(PosorNode[CorrectionParameters]):
         sigma = float(np.sqrt(np.max(np.diag(total)[:3])))
         if not (sigma <= self.parameters.max_uncertainty and np.isfinite([values[name] for name in _POSE]).all()):
             return f"the endpoint is uncertain by {sigma:.3g} m; expected at most {self.parameters.max_uncertainty:g} m"
-        return self._inputs.refusal(time_ns(values["header.stamp.sec"], values["header.stamp.nanosec"]))
+        stamp_ns = time_ns(values["header.stamp.sec"], values["header.stamp.nanosec"])
+        if (age_s := (self.timing.now_ns() - stamp_ns) / NS) > self.parameters.offsets.max_age:
+            return f"the endpoint is {age_s:.2f} s old; expected at most {self.parameters.offsets.max_age:g} s"
+        if stamp_ns <= self._newest_ns:
+            return "the stamp of the endpoint does not advance"
+        return self._inputs.refusal(stamp_ns)
 
     def _use_pending(self) -> None:
         """Use the newest endpoint once it is known where the controller had the robot then."""

@@ -24,6 +24,7 @@ from posor_estimator.chain_node import ChainNode
 from posor_estimator.posor_node import PosorEstimatorNode
 from posor_lab.harness.graph import Graph, values_of
 from posor_lab.harness.in_process_nodes import NodeProcess
+from posor_lab.harness.message_conversion import stamp_ns
 from posor_lab.harness.program import HAND_FED, wait_until
 from posor_msgs.msg import EndpointState, JointTransform, RawScan
 from posor_ros import diagnostics
@@ -32,6 +33,7 @@ from posor_ros.intra_process import IntraProcessPublisher, IntraProcessSubscript
 from posor_ros.lifecycle_node import PosorNode
 from posor_ros.message_classes import schema_of_class
 from posor_ros.qos import KEEP_ALL_QOS
+from posor_ros.throttled_publisher import PERIOD_NS
 from rclpy.serialization import deserialize_message
 from rosbags.rosbag2 import Reader
 from sensor_msgs.msg import JointState
@@ -156,6 +158,21 @@ def test_effects_of_faults_are_computed_while_they_are_read(scans: list[bytes], 
     first = 1 if kind is EndpointState else 0  # the transform of the first scan was made before the state was read
     assert np.isnan(later[:first]).all()
     assert later[first:] == always[3 + first :]
+
+
+def test_throttled_states_have_levels_although_most_scans_have_no_effects(scans: list[bytes]) -> None:
+    with NodeProcess() as process, Graph() as graph:
+        arm = Arm([process])
+        received = graph.collect(EndpointState, "/endpoint/state_throttle")
+        graph.wait_until(lambda: arm.chain._throttle.has_subscriptions, "a subscription", arm.spin_once)
+        read = []
+        for n in range(1, 601):  # at 2 kHz
+            read.append(arm.posor._publisher.is_read_whole)
+            arm.raw.publish(ScanTemplate(scans[0]).at(n * PERIOD_NS // 100, n))
+        graph.wait_until(lambda: len(received) == 7, "a state of each period", arm.spin_once)
+    assert [stamp_ns(each) // PERIOD_NS for each in received] == list(range(7))
+    assert not np.isnan([each.protection_level for each in received[1:]]).any()
+    assert 0 < sum(read[100:]) < 0.3 * len(read[100:])
 
 
 def test_services_may_be_called_while_scans_come_in_another_thread(scans: list[bytes]) -> None:

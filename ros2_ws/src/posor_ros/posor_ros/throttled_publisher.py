@@ -16,6 +16,12 @@ if TYPE_CHECKING:
     from posor_ros.lifecycle_node import PosorNode
 
 PERIOD_NS = NS // 20
+LEAD_NS = NS // 100  # before the end of a period, in which the next scan may be the first of another one
+
+
+def may_be_due_next(stamp_ns: int, last_ns: int) -> bool:
+    """Return whether the scan after this one may be due, by the stamps of this scan and of the one before it [ns]."""
+    return not 0 < stamp_ns - last_ns < LEAD_NS // 2 or stamp_ns % PERIOD_NS >= PERIOD_NS - LEAD_NS
 
 
 class ThrottledPublisher(IntraProcessPublisher):
