@@ -46,7 +46,7 @@ START_S = 1_767_225_600
 JOINTS = ("base_swivel", "shoulder", "elbow", "wrist_roll", "wrist_yaw")
 EVERY = 25  # scans, of which one is kept
 FAULTS = (  # joint, kind, channel, begin and end [s], volts; of all joints: a supply voltage above its range
-    ("elbow", "nan", "gap_1", 2.0, 3.5, None),
+    ("elbow", "nan", "gap_1", 2.0, 3.4, None),
     ("wrist_roll", "off", None, 6.0, 7.0, None),
     *((joint, "supply", None, 8.0, 10.0, 16.0) for joint in JOINTS),
 )
