@@ -26,6 +26,7 @@ from typing import Any, NamedTuple
 from posor.errors import SystemRefusal
 
 ENTRIES = {
+    "chain.encoder_filter": ("predict_endpoints", "use_transform", "use_transform_row"),
     "chain.fault_bounds": ("bound_endpoints",),
     "chain.forward_kinematics": ("estimate_endpoint_of_rows", "estimate_endpoints", "write_relative"),
     "estimation.estimate_scan": ("begin_scan_estimate", "estimate_scans", "solve_and_check", "write_lost"),

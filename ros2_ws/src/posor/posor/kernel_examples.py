@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, get_args
 import numpy as np
 
 from posor.calibration.designs import DesignName, design
+from posor.chain.endpoint_predictor import EndpointPredictor
 from posor.chain.joint_measurements import JointRowLayout
 from posor.chain.kinematic_chain import Chain
 from posor.estimation.estimate_scan import begin_scan_estimate, solve_and_check, write_lost
@@ -23,6 +24,7 @@ from posor.messages.message_table import MessageRows
 from posor.messages.raw_scan import RAW_SCAN_LAYOUT, unpack_rows
 from posor.model.fault import State
 from posor.model.reading_rows import differentiate_rows, evaluate_poses, prepare_rows, turn_rows
+from posor.node_parameters import EncodersParameters
 from posor.numerics.compiled import record_view
 from posor.numerics.summary_statistics import FIGURES, figures_of
 
@@ -134,7 +136,8 @@ def _use_chain() -> None:
         state=21,
         size=ROW_BYTES,
     )
-    estimator = Chain(ARM, "endpoint").estimator(row_layouts=[layout])
+    chain = Chain(ARM, "endpoint")
+    estimator = chain.estimator(row_layouts=[layout])
     if not estimator.estimate():
         message = "an arm of one joint has no endpoint"
         raise AssertionError(message)
@@ -144,3 +147,7 @@ def _use_chain() -> None:
     rows.view(np.float64)[0, 10] = 1.0  # w of the quaternion
     estimator.rows[0] = rows[0]
     estimator.estimate_rows(0)
+    predictor = EndpointPredictor(chain, EncodersParameters(sigma=(1e-6,)), [layout])
+    predictor.read(1, np.zeros(1))
+    predictor.use_transform(0, 1)
+    predictor.use_row(0, 1)

@@ -179,6 +179,71 @@ class PosorParameters(AlarmParameters):
         return home
 
 
+class EncodersParameters(ParameterGroup):
+    """Encoders of the joints (sensor_msgs/JointState), which predict the endpoint between scans."""
+
+    topic: str = Field(
+        default="",
+        description="topic of the readings, relative to the node's namespace; empty: no prediction of the endpoint",
+    )
+    names: tuple[str, ...] = Field(
+        default=(), description="the joints' names in the readings, in the order of the chain; empty: as in the URDF"
+    )
+    sigma: tuple[float, ...] = Field(
+        default=(),
+        description="standard uncertainty of a reading against its neighbours [rad]: noise, and step/sqrt(12); one for "
+        "all joints, or one for each",
+    )
+    backlash: tuple[float, ...] = Field(
+        default=(0.0,),
+        description="angle by which an encoder may turn while its joint stands still [rad]; one for all joints, or one "
+        "for each",
+    )
+    slope: Annotated[float, Field(ge=0.0, le=1.0)] = Field(
+        default=1e-4,
+        description="change of the slow errors of a reading per turned angle, rms: eccentricity, gears [rad/rad]",
+    )
+    stamp_sigma: Annotated[float, Field(ge=0.0, le=0.1)] = Field(
+        default=1e-4, description="standard uncertainty of the stamps of the readings against those of the scans [s]"
+    )
+    max_offset: Annotated[float, Field(gt=0.0, allow_inf_nan=True)] = Field(
+        default=0.005, description="largest difference of encoder and POSOR [rad]; .inf: any"
+    )
+    max_rate: Annotated[float, Field(gt=0.0, le=1000.0)] = Field(
+        default=10.0, description="largest rate of a joint [rad/s]; a faster change of a reading is refused"
+    )
+    max_jerk: Annotated[float, Field(gt=0.0, le=1e6)] = Field(
+        default=10.0, description="standard deviation of the jerk of a joint in motion [rad/s^3]"
+    )
+    lead_time: Annotated[float, Field(ge=0.0, le=1.0)] = Field(
+        default=0.0, description="the endpoint is also predicted for this time after each reading [s]; 0: it is not"
+    )
+    gap: Annotated[float, Field(gt=0.0, le=1.0)] = Field(
+        default=0.02, description="time without a transform of a joint after which the prediction is DEGRADED [s]"
+    )
+    max_holdover: Annotated[float, Field(gt=0.0, le=10.0)] = Field(
+        default=0.1, description="longest time for which encoders carry a joint on without a transform [s]"
+    )
+
+    @field_validator("sigma", "backlash")
+    @classmethod
+    def _check_angles(cls, angles: tuple[float, ...]) -> tuple[float, ...]:
+        if not all(0.0 <= angle <= 1.0 for angle in angles):
+            message = f"{list(angles)} is wrong; expected angles of 0 to 1 rad"
+            raise ValueError(message)
+        return angles
+
+    @model_validator(mode="after")
+    def _check_times(self) -> EncodersParameters:
+        if self.gap > self.max_holdover:
+            text = f"'gap' of {self.gap:g} s is longer than 'max_holdover' of {self.max_holdover:g} s"
+            raise ValueError(text)
+        if self.topic and not (self.sigma and all(self.sigma)):
+            text = "'topic' without 'sigma'; expected the standard uncertainty of a reading, such as step/sqrt(12)"
+            raise ValueError(text)
+        return self
+
+
 class ChainParameters(AlarmParameters):
     """Parameters of chain_node."""
 

@@ -154,6 +154,19 @@ class EndpointEstimator:
         for k, name in enumerate(self.shared_terms):
             self._arm.beam_effects[k, index] = beam.shared_effects.get(name, 0.0)
 
+    def use_arm_of(self, other: EndpointEstimator) -> None:
+        """Take shared terms, beams at their temperatures and accelerations of another estimator of the same arm."""
+        self.use_terms(other._joint_terms)
+        self._beams = other._beams
+        self.accelerations[:] = other.accelerations
+        self._arm.beams[:] = other._arm.beams
+        self._arm.beam_effects[:] = other._arm.beam_effects
+
+    @property
+    def workspace(self) -> tuple[ArmGeometry, BeamHistory, JointMeasurements, Endpoints]:
+        """The arrays of the kernels; other ones after shared terms or causes have changed."""
+        return self._arm, self._history, self._measurements, self._endpoints
+
     def use_causes(self, of_joints: list[JointCauses]) -> None:
         """Take the causes of each joint's faults, in the order of its effects, from the next scan on."""
         if of_joints != self._joint_causes:

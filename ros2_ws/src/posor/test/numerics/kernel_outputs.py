@@ -19,17 +19,20 @@ from posor import load_arm, load_calibration, read_scans
 from posor.calibration.designs import DesignName, design
 from posor.chain.arm_geometry import BEAM, ELEMENT, ArmGeometry
 from posor.chain.beam_acceleration import BeamHistory
+from posor.chain.endpoint_predictor import EndpointPredictor
 from posor.chain.fault_bounds import ArmCauses, EndpointBounds, bound_endpoints
 from posor.chain.forward_kinematics import Endpoints, estimate_endpoints
 from posor.chain.joint_measurements import JointMeasurements
+from posor.chain.kinematic_chain import Chain
 from posor.estimation import solver
 from posor.estimation.fault_model import ALWAYS, EFFECT, SECOND, SHARED, JointCauses
 from posor.estimation.posor import Posor
 from posor.estimation.workspace import WORKSPACE
-from posor.kernel_examples import example_stream
+from posor.kernel_examples import ARM, example_stream
 from posor.messages.message_stream import MessageEstimator
 from posor.model.reading_rows import GAP, RING, SPOT_X, SPOT_Y, differentiate_rows, evaluate_rows
 from posor.model.scan import Scans
+from posor.node_parameters import EncodersParameters
 from posor.numerics import compiled, vector
 from posor.numerics import matrix as matrices
 from posor.numerics.array_types import FloatArray
@@ -159,6 +162,27 @@ def arm(rng: np.random.Generator) -> list[float]:
     return [number for each in outputs for number in each.ravel().tolist()]
 
 
+def prediction(rng: np.random.Generator) -> FloatArray:
+    """Return endpoints of an arm of one joint at the readings of its encoder, which turns back once."""
+    parameters = EncodersParameters(sigma=(1e-6,), backlash=(1e-5,), lead_time=0.01)
+    predictor, outputs = EndpointPredictor(Chain(ARM, "endpoint"), parameters), []
+    measured, root = predictor.measurements, 1e-6 * rng.normal(size=(6, 6))
+    measured.covariances_random[0, 0], measured.covariances_systematic[0, 0] = (
+        np.diag(np.diag(root) ** 2),
+        root @ root.T,
+    )
+    measured.thetas[0, 0] = math.nan
+    for ms in range(1, 60):
+        angle = 0.02 * math.sin(0.1 * ms)
+        predictor.read(ms * 1_000_000, np.array([angle + 1e-6 * rng.normal()]))
+        outputs += [*predictor.present.pose, *predictor.present.covariance().ravel()]
+        outputs += [*predictor.ahead.pose, *predictor.ahead.covariance().ravel(), *predictor.twist_ahead.twist]
+        if ms % 5 == 0:
+            measured.poses[0, 0] = *1e-6 * rng.normal(size=3), 0.0, 0.0, math.sin(0.5 * angle), math.cos(0.5 * angle)
+            predictor.use_transform(0, ms * 1_000_000)
+    return np.array(outputs)
+
+
 def raw_scans(name: DesignName) -> FloatArray:
     """Return all that is made of noisy raw scans of a design, from voltages and currents to covariances."""
     posor = Posor(design(name, motion=True))
@@ -240,6 +264,7 @@ def all_outputs() -> dict[str, FloatArray]:
     outputs = {
         "rows": [kernel_values(rng) for _ in range(CASES)],
         "scans": [solved_scan(rng) for _ in range(CASES)],
+        "prediction": prediction(np.random.default_rng(44)),
         "arms": [arm(rng) for _ in range(CASES)],
         "raw": np.concatenate([raw_scans(name).ravel() for name in get_args(DesignName)]),
         "messages": [messages(name) for name in get_args(DesignName)],
