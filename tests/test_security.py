@@ -40,8 +40,12 @@ CLASSES: dict[str, type[PosorNode[Any]]] = {
     "posor_node": PosorEstimatorNode,
     "driver_node": DriverNode,
 }
-WITH_ALL_TOPICS = {"encoder.sigma": 0.01, "home_pose": [1e-3, 0.0, 0.0]}
-"""Parameters of posor_node with which it opens everything that it can."""
+WITH_ALL_TOPICS: dict[str, dict[str, object]] = {
+    "posor_node": {"encoder.sigma": 0.01, "home_pose": [1e-3, 0.0, 0.0]},
+    "chain_node": {"encoders.topic": "encoders", "encoders.sigma": [1e-6]},
+    "driver_node": {},
+}
+"""Parameters with which nodes open everything that they can."""
 READING_SERVICES = (
     "describe_parameters",
     "get_parameter_types",
@@ -139,7 +143,7 @@ def opened_by_nodes(**changes: object) -> dict[str, set[Entity]]:
         for program in arm_programs(load_checked_arm("five_axis")):
             if program.name not in ("chain_node", f"{JOINT}/posor_node", f"{JOINT}/driver_node"):
                 continue
-            own = WITH_ALL_TOPICS if program.executable == "posor_node" else {}
+            own = WITH_ALL_TOPICS[program.executable]
             process = stack.enter_context(NodeProcess())
             parameters = {**program.parameters, **own, **changes}
             node = process.start(CLASSES[program.executable], program.namespace, parameters)

@@ -147,7 +147,8 @@ def _use_chain() -> None:
     rows.view(np.float64)[0, 10] = 1.0  # w of the quaternion
     estimator.rows[0] = rows[0]
     estimator.estimate_rows(0)
-    predictor = EndpointPredictor(chain, EncodersParameters(sigma=(1e-6,)), [layout])
+    predictor = EndpointPredictor(chain, EncodersParameters(sigma=(1e-6,)))
+    predictor.use_row_layout(0, layout)
     predictor.read(1, np.zeros(1))
     predictor.use_transform(0, 1)
     predictor.use_row(0, 1)

@@ -282,6 +282,7 @@ class ChainParameters(AlarmParameters):
         description="name before those of the thermometers of the beams file in their topics, relative to the node's "
         "namespace: 'temperature/upper_arm'",
     )
+    encoders: EncodersParameters = EncodersParameters()
     tf_rate: Annotated[float, Field(ge=0.0, allow_inf_nan=True)] = Field(
         default=math.inf, description="how often /tf is published at most [1/s]; .inf: with each pose; 0: not at all"
     )

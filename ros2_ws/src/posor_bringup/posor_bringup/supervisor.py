@@ -36,7 +36,7 @@ EXIT_CODES_AFTER_SIGINT = (0, EXIT_INTERRUPTED, -signal.SIGINT)
 
 _ROS_LOG_PREFIX = re.compile(r"^\[\w+\] \[[\d.]+\] \[[^\]]+\]: ")
 
-Parameter = bool | int | float | str | list[str]
+Parameter = bool | int | float | str | list[str] | list[float]
 
 
 class ProcessError(PosorError):

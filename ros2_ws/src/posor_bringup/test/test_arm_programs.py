@@ -128,6 +128,13 @@ def test_placeholders_are_filled_in_for_every_joint(rig_copy: Path) -> None:
         arm_programs(load_arm_file(rig_copy / "arm.yaml"))
 
 
+def test_chain_node_takes_lists_of_numbers(rig_copy: Path) -> None:
+    change(rig_copy, "^joints:", "chain:\n  parameters: {encoders.topic: drive, encoders.sigma: [1.0e-6]}\njoints:")
+    assert arm_programs(load_arm_file(rig_copy / "arm.yaml"))[0].parameters["encoders.sigma"] == [1e-6]
+    change(rig_copy, r"\[1.0e-6\]", "[1.0e-6, a]")
+    assert "a list of texts or one of numbers" in str(refusal(CalibrationError, load_arm_file, rig_copy / "arm.yaml"))
+
+
 def test_unknown_parameter_of_chain_node_is_reported_with_its_line(rig_copy: Path) -> None:
     path = rig_copy / "arm.yaml"
     change(rig_copy, "^joints:", "chain:\n  parameters:\n    aceleration_window: 0.1\njoints:")

@@ -5,7 +5,8 @@
 Subscribes to ``<joint>/transform`` (posor_msgs/JointTransform) for every floating joint of the URDF. Publishes
 ``endpoint/pose``, ``endpoint/pose_with_covariance`` and ``joint_states``, the angles about the joints' nominal axes.
 /tf has the frames of the arm with the stamp of each pose; /tf_static and ``robot_description`` have what is fixed.
-It also subscribes to the thermometers of the beams file, and keeps the beams at their temperatures.
+It also subscribes to the thermometers of the beams file, and keeps the beams at their temperatures. With the parameter
+``encoders.topic`` it predicts the endpoint between scans, see ``endpoint_prediction``.
 Transforms are joined by equal stamps. Without a usable transform of every joint in time there is no pose.
 ``endpoint/state`` (posor_msgs/EndpointState) is published for every scan, for every transform that is refused, and
 every 0.08 s during a silence of the input; it and the diagnostics name the joint and the reason. Those who watch have
@@ -20,7 +21,7 @@ import time
 from functools import partial
 from pathlib import Path
 from threading import RLock
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any
 
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 from posor.chain.arm_file import CHAIN_NODE
@@ -57,6 +58,7 @@ from rclpy.clock_type import ClockType
 from sensor_msgs.msg import JointState, Temperature
 
 from posor_estimator.alarm_rate import AlarmRate
+from posor_estimator.endpoint_prediction import EndpointPrediction, JointMessage
 from posor_estimator.endpoint_verdict import (
     SOUND,
     JointStatus,
@@ -71,11 +73,10 @@ if TYPE_CHECKING:
     from posor.chain.endpoint_estimator import EndpointEstimator
     from posor.chain.robot_model import FreeJoint
     from posor.numerics.array_types import FloatArray
-    from posor_ros.diagnostics import Value
+    from posor_ros.diagnostics import Status, Value
     from std_srvs.srv import Trigger
 
 
-JointMessage: TypeAlias = tuple[JointTransformFormat, bytes]
 OK = int(State.OK)
 _STAMP = struct.Struct("<iI")
 LATE_CHECK_S = 0.5
@@ -103,6 +104,8 @@ class ChainNode(PosorNode[ChainParameters]):
     _pose_stamp: bytes  # of the last complete scan; empty: it has no pose
     _reported: object
     _alarms: AlarmRate
+    _prediction: EndpointPrediction | None
+    _prediction_status: Status | None
 
     def __init__(self, **options: Any) -> None:
         super().__init__(**options)
@@ -111,7 +114,7 @@ class ChainNode(PosorNode[ChainParameters]):
         self._inputs = InputMonitor(self, self._on_inputs_checked)
         self._poses = self._scans_refused = self._scans_incomplete = self._transforms_refused = 0
         self._refusals: dict[str, tuple[float, str]] = {}  # by joint: monotonic time [s] and reason of the latest
-        self._reported = None
+        self._reported = self._prediction = self._prediction_status = None
         self._last_stamp = bytes(8)
         self._published_verdict = SOUND
         self._state_published = self._has_alarm = False
@@ -156,10 +159,15 @@ class ChainNode(PosorNode[ChainParameters]):
         qos = result_qos(self.parameters)
         self._endpoint_state = IntraProcessPublisher(self, EndpointState, ENDPOINT_STATE_TOPIC, qos)
         self._throttle = ThrottledPublisher(self, EndpointState, ENDPOINT_STATE_THROTTLE_TOPIC, qos)
+        self._prediction = None
+        if self.parameters.encoders.topic:
+            frames = self.parameters.frame_prefix + chain.base_frame, endpoint
+            status = self._prediction_status = self._prediction_status or self.diagnostics.add_status("prediction")
+            self._prediction = EndpointPrediction(self, chain, frames, self._lock, self._with_arm, status)
         self.add_cleanup(self._inputs.clear)
         self._joint_of_topic: dict[str, str] = {}
-        for joint in chain.joints:
-            self._subscribe(joint)
+        for number, joint in enumerate(chain.joints):
+            self._subscribe(number, joint)
         for name in self._temperatures.names:
             topic, callback = f"{self.parameters.temperature_topic}/{name}", partial(self._on_temperature, name)
             subscription = self.create_subscription(Temperature, topic, callback, input_qos(self.parameters))
@@ -172,9 +180,9 @@ class ChainNode(PosorNode[ChainParameters]):
     def _create_publisher(self, message_type: type[Any], topic: str) -> IntraProcessPublisher:
         return IntraProcessPublisher(self, message_type, topic, result_qos(self.parameters), count_listeners=True)
 
-    def _subscribe(self, joint: FreeJoint) -> None:
+    def _subscribe(self, number: int, joint: FreeJoint) -> None:
         topic, qos = f"{joint.name}/{TRANSFORM_TOPIC}", input_qos(self.parameters)
-        callback = partial(self._on_transform, joint)
+        callback = partial(self._on_transform, number, joint)
         subscription = IntraProcessSubscription(self, JointTransform, topic, qos, callback)
         self._inputs.add(subscription)
         self._transforms.append(subscription)
@@ -182,9 +190,11 @@ class ChainNode(PosorNode[ChainParameters]):
 
     def activate(self) -> None:
         """Expect transforms with present stamps, and new readings of the thermometers, from now on."""
+        self._inputs.start()
         with self._lock:
             self._temperatures.restart()
-        self._inputs.start()
+            if self._prediction is not None:
+                self._prediction.restart(self._inputs.stamp_limits)
 
     def deactivate(self) -> None:
         """Expect no transforms; the arm may move before the next."""
@@ -195,6 +205,14 @@ class ChainNode(PosorNode[ChainParameters]):
     def _refresh_status(self) -> None:
         with self._lock:
             self._status.update(self._counts())
+            if self._prediction is not None:
+                self._prediction.refresh()
+
+    def _with_arm(self, verdict: EndpointVerdict) -> EndpointVerdict:
+        """Return the verdict on a pose, with what concerns the whole arm."""
+        if self._identity.refuses:
+            return self._identity.verdict
+        return without_thermometers(self._identity.degraded(verdict), self._temperatures.reason)
 
     def _on_inputs_checked(self, is_new: bool) -> None:  # noqa: FBT001  a callback
         """Report that no transform arrives, and publish the state while there is no scan."""
@@ -208,6 +226,8 @@ class ChainNode(PosorNode[ChainParameters]):
                 verdict = EndpointVerdict(EndpointState.STATE_STALE, 0, joint, silent)
                 self._publish_state(self._last_stamp, stamp_ns_of(self._last_stamp), verdict)
             self._state_published = False
+            if self._prediction is not None:
+                self._prediction.check(time.monotonic())
 
     def _publish_state(self, stamp: bytes, stamp_ns: int, verdict: EndpointVerdict) -> None:
         """Publish the state of a scan; a stamp of zero: there is no scan yet."""
@@ -223,7 +243,7 @@ class ChainNode(PosorNode[ChainParameters]):
             if is_due:
                 self._throttle.publish(message)
 
-    def _on_transform(self, joint: FreeJoint, data: bytes) -> None:
+    def _on_transform(self, number: int, joint: FreeJoint, data: bytes) -> None:
         """Add a transform of one joint to its scan; publish the endpoint once the scan is complete."""
         with self._lock:
             if not self.may_publish:
@@ -236,6 +256,8 @@ class ChainNode(PosorNode[ChainParameters]):
                 self._refuse_transform(joint, reason, data[STAMP])
                 return
             message = self._formats[joint.name], data
+            if self._prediction is not None and not self._inputs.refusal(stamp_ns):
+                self._prediction.add_transform(number, stamp_ns, message)
             scan = self._synchroniser.add(joint.name, stamp_ns, message, time.monotonic())
             if self._synchroniser.incomplete:
                 self._report_incomplete_scans()
@@ -354,6 +376,8 @@ class ChainNode(PosorNode[ChainParameters]):
             verdict = unusable_verdict(self._joints_of(scan)) if worst < 0 else identity.verdict
             self._refuse_scan(stamp, stamp_ns, verdict)
             return
+        if self._prediction is not None:
+            self._prediction.use_scan(estimator, identity.sha256)
         self._publish_pose(stamp)
         is_sound = worst == OK and identity.verdict is SOUND and not self._temperatures.reason
         verdict = SOUND if is_sound else self._verdict_of_pose(scan, worst)
@@ -385,8 +409,7 @@ class ChainNode(PosorNode[ChainParameters]):
 
     def _verdict_of_pose(self, scan: dict[str, JointMessage], worst: int) -> EndpointVerdict:
         """Return the verdict on a scan with a pose; ``worst``: state of its joints."""
-        verdict = SOUND if worst == OK else degraded_verdict(self._joints_of(scan))
-        return without_thermometers(self._identity.degraded(verdict), self._temperatures.reason)
+        return self._with_arm(SOUND if worst == OK else degraded_verdict(self._joints_of(scan)))
 
     def _refuse_scan(self, stamp: bytes, stamp_ns: int, verdict: EndpointVerdict) -> None:
         self._scans_refused += 1

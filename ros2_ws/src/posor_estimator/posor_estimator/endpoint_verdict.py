@@ -63,12 +63,12 @@ def unusable_verdict(joints: Sequence[JointStatus]) -> EndpointVerdict:
     names: dict[str, list[str]] = {}  # of the joints with the same reason: the text has to fit into the message
     for joint in unusable:
         names.setdefault(_reason(joint), []).append(joint.name)
-    reason = "; ".join(f"{_listed(each)} {text}" for text, each in names.items())
+    reason = "; ".join(f"{listed(each)} {text}" for text, each in names.items())
     is_waiting = all(waits_to_be_counted(joint.state, joint.faults) and not joint.code for joint in unusable)
     return EndpointVerdict(state, _all_faults(joints), (lost or unusable)[0].name, reason, is_waiting)
 
 
-def _listed(names: Sequence[str]) -> str:
+def listed(names: Sequence[str]) -> str:
     """Return names as the subject of a singular verb."""
     return names[0] if len(names) == 1 else f"each of {', '.join(names)}"
 

@@ -39,13 +39,18 @@ _PLACEHOLDER = re.compile(r"\{(\w+)\}")
 
 def _check_parameter_value(value: object) -> object:
     if isinstance(value, bool | int | float | str) or (
-        isinstance(value, list) and all(isinstance(entry, str) for entry in value)
+        isinstance(value, list)
+        and (
+            all(isinstance(entry, str) for entry in value)
+            or all(isinstance(entry, int | float) and not isinstance(entry, bool) for entry in value)
+        )
     ):
         return value
-    raise EntryError(format_value(value), expected="true, false, a number, a text or a list of texts")
+    expected = "true, false, a number, a text, a list of texts or one of numbers"
+    raise EntryError(format_value(value), expected=expected)
 
 
-ParameterValue = bool | int | float | str | list[str]
+ParameterValue = bool | int | float | str | list[str] | list[float]
 Filled = dict[str, ParameterValue]
 
 ParameterValues = dict[str, Annotated[ParameterValue, BeforeValidator(_check_parameter_value)]]
@@ -161,7 +166,7 @@ class ArmFile:
         for name, value in values.items():
             place = places.get(name, f"{self.path}, parameter {name}")
             if isinstance(value, list):
-                filled[name] = [fill(entry, place) for entry in value]
+                filled[name] = [fill(entry, place) if isinstance(entry, str) else entry for entry in value]  # type: ignore[assignment]
             else:
                 filled[name] = fill(value, place) if isinstance(value, str) else value
         return filled

@@ -11,7 +11,7 @@ import numpy as np
 
 from posor.chain import encoder_filter
 from posor.chain.encoder_filter import EncoderFilter, Twists, predict_endpoints, use_transform, use_transform_row
-from posor.chain.joint_measurements import JointMeasurements, JointRows
+from posor.chain.joint_measurements import JointMeasurements, JointRowLayout, JointRows
 from posor.errors import ParameterError
 from posor.numerics.compiled import bind
 from posor.numerics.stamps import NS
@@ -21,11 +21,11 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from posor.chain.endpoint_estimator import EndpointEstimator
-    from posor.chain.joint_measurements import JointRowLayout
     from posor.chain.kinematic_chain import Chain
     from posor.node_parameters import EncodersParameters
-    from posor.numerics.array_types import FloatArray
+    from posor.numerics.array_types import ByteArray, FloatArray
 
+NO_LAYOUT = JointRowLayout(*[0] * 9)
 LEAST_TURN = 5e-5  # of a joint or of its encoder, from which the cause of a disagreement is searched [rad]
 SAME = 0.1  # largest difference of two motions that are taken for the same, relative
 KNOWN_SLOPES = {-1.0: "turns against its POSOR: wrong sign", 180.0 / math.pi: "reads degrees; expected rad"}
@@ -55,17 +55,12 @@ class EndpointPredictor:
         faults: Of the joints at the last reading, (j,): zero, or why there is no endpoint (``chain.encoder_filter``).
         held: Which joints had no transform for longer than ``gap``, (j,).
         measurements: Where ``use_transform`` reads the measurement of a joint.
+        rows: Where ``use_row`` reads its serialised transform, (j, bytes), see ``use_row_layout``.
 
     """
 
-    def __init__(
-        self, chain: Chain, parameters: EncodersParameters, row_layouts: Sequence[JointRowLayout] = ()
-    ) -> None:
-        """Begin without readings.
-
-        ``row_layouts``: of serialised transforms, for ``use_row``. Raises ParameterError: a parameter has neither one
-        value nor one for each joint.
-        """
+    def __init__(self, chain: Chain, parameters: EncodersParameters) -> None:
+        """Begin without readings. Raises ParameterError: a parameter has neither one value nor one for each joint."""
         self.joints = tuple(joint.name for joint in chain.joints)
         self.names = parameters.names or self.joints
         if len(self.names) != len(self.joints) or len(set(self.names)) != len(self.names):
@@ -84,8 +79,8 @@ class EndpointPredictor:
         settings["stamp_sigma"] = parameters.stamp_sigma
         settings["holdover_ns"], settings["gap_ns"] = round(parameters.max_holdover * NS), round(parameters.gap * NS)
         settings["lead_ns"] = round(parameters.lead_time * NS)
-        self._rows = JointRows.allocate(row_layouts)
-        self.rows = self._rows.octets
+        self._row_layouts = [NO_LAYOUT] * len(self.joints)
+        self._rows = JointRows.allocate(self._row_layouts)
         self._prepare_arguments()
 
     def _prepare_arguments(self) -> None:
@@ -108,6 +103,17 @@ class EndpointPredictor:
     def use_transform(self, joint: int, stamp_ns: int) -> int:
         """Use the measurement of a joint in ``measurements``; return ``USED`` or why not, see ``encoder_filter``."""
         return self._after(joint, self._use(joint, stamp_ns))
+
+    @property
+    def rows(self) -> ByteArray:
+        """See the class."""
+        return self._rows.octets
+
+    def use_row_layout(self, joint: int, layout: JointRowLayout) -> None:
+        """Take serialised transforms of a joint with this layout from now on; ``rows`` is then another array."""
+        self._row_layouts[joint] = layout
+        self._rows = JointRows.allocate(self._row_layouts)
+        self._prepare_arguments()
 
     def use_row(self, joint: int, stamp_ns: int) -> int:
         """Use the transform of a joint in ``rows``, likewise."""
