@@ -74,7 +74,7 @@ def filter_runs(arm: ArmFile, arms: int, poses: int, scans: int, seed: int = 0) 
         drawn, random = scenario.model_copy(update={"seed": own_seed}), np.random.default_rng(own_seed)
         truth = true_cycle(drawn, chain, nominal, commanded, DRAWN, geometry)
         readings = {
-            joint: _noisy_scans(posor, truth.T_parent_child[joint], random).with_fields({"stamps_ns": stamps_ns})
+            joint: noisy_scans(posor, truth.T_parent_child[joint], random).with_fields({"stamps_ns": stamps_ns})
             for joint, posor in posors.items()
         }
         for n in range(2 * poses):
@@ -94,6 +94,7 @@ def filter_runs(arm: ArmFile, arms: int, poses: int, scans: int, seed: int = 0) 
             yield FilterRun(n % 2 == 1, times_s, endpoints, truth.endpoint.translations[part])
 
 
-def _noisy_scans(posor: Posor, seen: PoseArray, random: np.random.Generator) -> Scans:
+def noisy_scans(posor: Posor, seen: PoseArray, random: np.random.Generator) -> Scans:
+    """Return scans without stamps of a POSOR drawn within its calibration, at poses of its target plate."""
     rotations, translations = np.ascontiguousarray(seen.rotations), np.ascontiguousarray(seen.translations)
     return DrawnPosors(posor, random).scans(rotations, translations, random)
