@@ -20,6 +20,7 @@ from posor_design.design_programs import budget, design
 from posor_drivers.driver_programs import import_table, instruments, record
 
 from posor_bringup.bringup_programs import arm, bringup, calibrate_arm, commission, health, iso9283, statement, view
+from posor_bringup.bringup_programs import arm, bringup, calibrate_arm, commission, encoders, iso9283, statement, view
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -110,6 +111,7 @@ SUBCOMMANDS = {
     "statement": Subcommand(statement, "state the uncertainty of an arm's endpoint for a customer: page, PDF, JSON"),
     "dcc": Subcommand(dcc, "make the certificate file of a Digital Calibration Certificate, check a certificate"),
     "iso9283": Subcommand(iso9283, "accuracy and repeatability of poses, distances and paths from a bag (ISO 9283)"),
+    "encoders": Subcommand(encoders, "encoder minus POSOR of each joint by angle and direction, from a bag"),
     "budget": Subcommand(budget, "compute the error budget of a calibration file ('statement': of an arm's endpoint)"),
     "design": Subcommand(design, "compute a part of a POSOR or of its structure from dimensions"),
     "completion": Subcommand(

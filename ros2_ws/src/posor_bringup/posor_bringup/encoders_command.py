@@ -1,0 +1,112 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Program ``encoders``: encoder minus POSOR of each joint of a recorded arm, by angle and direction of motion."""
+
+from __future__ import annotations
+
+import csv
+import math
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from posor.arm_names import describe_argument
+from posor.bags.offline_pipeline import load_arm
+from posor.bags.recorded_encoders import read_encoders
+from posor.bags.result_folder import writing
+from posor.errors import ParameterError
+from posor.reporting.command_line_parser import CommandLineParser
+from posor.reporting.program_errors import reports_errors
+from posor.reporting.report_console import report_console
+from posor.reporting.report_table import ReportTable
+from posor_calibration.encoder_errors import encoder_errors
+
+if TYPE_CHECKING:
+    import argparse
+    from collections.abc import Mapping, Sequence
+
+    from posor_calibration.encoder_errors import EncoderErrors
+
+HEADER = ("joint", "direction", "angle_rad", "encoder_minus_posor_rad", "standard_deviation_rad", "readings")
+
+
+def parse_options(arguments: Sequence[str] | None) -> argparse.Namespace:
+    """Return the options. Raises ParameterError: an option is unknown or invalid."""
+    parser = CommandLineParser(
+        prog="posor encoders", description="Encoder minus POSOR of each joint: backlash, windup, eccentricity."
+    )
+    parser.add_argument("arm", metavar="ARM", help=describe_argument())
+    parser.add_argument(
+        "--bag", type=Path, required=True, help="raw scans of the arm, and the readings of its encoders"
+    )
+    parser.add_argument("--topic", required=True, help="topic of the readings (sensor_msgs/JointState)")
+    text = "names of the joints in the readings, in the order of the chain (default: those of the URDF)"
+    parser.add_argument("--names", metavar="A,B,...", default="", help=text)
+    text = "bins of each direction over the angles of a joint (default: %(default)s)"
+    parser.add_argument("--bins", type=int, default=36, metavar="N", help=text)
+    parser.add_argument("--output", type=Path, metavar="FILE.csv", help="default: build/encoders/<name of the bag>.csv")
+    options = parser.parse_args(arguments)
+    if options.bins < 1:
+        raise ParameterError(f"{options.bins} bins", where="posor encoders, --bins", expected="at least 1")
+    options.output = options.output or Path("build/encoders") / f"{options.bag.stem}.csv"
+    return options
+
+
+def find_errors(options: argparse.Namespace) -> dict[str, EncoderErrors]:
+    """Return the errors of each encoder, by joint. Raises PosorError: an input cannot be used."""
+    arm = load_arm(options.arm)
+    joints = tuple(joint.name for joint in arm.chain().joints)
+    names = tuple(options.names.split(",")) if options.names else joints
+    if len(names) != len(joints):
+        what, expected = f"{len(names)} names", f"one for each of {', '.join(joints)}"
+        raise ParameterError(what, where="posor encoders, --names", expected=expected)
+    encoders, end = read_encoders(options.bag, options.topic, names), arm.estimate(options.bag).endpoint
+    found = {}
+    for j, joint in enumerate(joints):
+        readings, efforts = encoders.at(j, end.stamps_ns).T
+        found[joint] = encoder_errors(end.angles[:, j], readings, efforts, options.bins)
+    if not any(each.readings for each in found.values()):
+        what, expected = "no joint moves while its encoder is read", "scans and readings of one motion and one clock"
+        raise ParameterError(what, where=f"{options.bag}, topic {options.topic}", expected=expected)
+    return found
+
+
+def write_table(path: Path, found: Mapping[str, EncoderErrors]) -> None:
+    """Write all bins. Raises OutputError: the file cannot be written."""
+    with writing(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with path.open("w", encoding="utf-8", newline="") as file:
+            writer = csv.writer(file)
+            writer.writerow(HEADER)
+            for joint, each in found.items():
+                writer.writerows((joint, *row) for row in each.table)
+
+
+def _cell(value: float, factor: float = 1e6) -> str:
+    return f"{factor * value:.2f}" if math.isfinite(value) else "-"
+
+
+@reports_errors
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the program; exit code 0: the table has been written."""
+    options = parse_options(arguments)
+    found = find_errors(options)
+    write_table(options.output, found)
+    header = (
+        *("joint", "readings", "range [rad]", "offset [µrad]", "backlash [µrad]", "slope [µrad/rad]"),
+        *("once per turn [µrad]", "windup [µrad/(N m)]", "rest, rms [µrad]"),
+    )
+    rows = [
+        [joint, str(each.readings), _cell(each.range_rad, 1.0), *map(_cell, each[2:-1])]
+        for joint, each in found.items()
+    ]
+    console = report_console(160)
+    ReportTable("Encoder minus POSOR", header, rows).print(console)
+    if still := [joint for joint, each in found.items() if not each.readings]:
+        console.print(f"No motion: {', '.join(still)}.", markup=False)
+    console.print(f"by angle and direction: {options.output}", soft_wrap=True, markup=False)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

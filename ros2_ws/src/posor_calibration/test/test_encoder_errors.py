@@ -1,0 +1,48 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Errors of encoders with known backlash, eccentricity, slope and windup."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from posor_calibration.encoder_errors import directions, encoder_errors
+
+BACKLASH, ECCENTRICITY, SLOPE, WINDUP = 4e-5, 2e-5, 3e-6, 5e-7
+
+
+def test_backlash_slope_eccentricity_and_windup_are_found_in_noise() -> None:
+    random = np.random.default_rng(3)
+    angles = 2.5 * np.sin(np.linspace(0.0, 9.0 * math.pi, 9000))
+    efforts = 8.0 * random.normal(size=len(angles))
+    side = np.where(np.gradient(angles) > 0.0, 0.5, -0.5)
+    readings = angles + 1e-3 + 2.0 * math.pi + BACKLASH * side + ECCENTRICITY * np.cos(angles - 0.7) + SLOPE * angles
+    readings += WINDUP * efforts + 1e-6 * random.normal(size=len(angles))
+    found = encoder_errors(angles, readings, efforts)
+    assert found.offset == pytest.approx(1e-3, abs=2e-6)  # at the mean angle
+    assert found.backlash == pytest.approx(BACKLASH, abs=3e-7)
+    assert found.eccentricity == pytest.approx(ECCENTRICITY, abs=3e-7)
+    assert found.slope == pytest.approx(SLOPE, abs=3e-7)
+    assert found.windup == pytest.approx(WINDUP, rel=0.02)
+    assert found.rest == pytest.approx(1e-6, rel=0.1)
+    assert len(found.table) == 72
+    forward, backward = ({row[1]: row[2] for row in found.table if row[0] == sign} for sign in (1, -1))
+    middle = min(forward, key=abs)
+    assert forward[middle] - backward[middle] == pytest.approx(BACKLASH, abs=2e-6)
+
+
+def test_what_the_motion_does_not_determine_is_not_stated() -> None:
+    angles = np.linspace(0.0, 0.05, 200)
+    found = encoder_errors(angles, angles + 1e-4)
+    assert found.offset == pytest.approx(1e-4)
+    assert np.isnan([found.backlash, found.slope, found.eccentricity, found.windup]).all()
+    still = encoder_errors(np.zeros(50), 1e-6 * np.ones(50))
+    assert (still.readings, still.table) == (0, [])
+    assert math.isnan(still.offset)
+
+
+def test_a_direction_is_known_from_some_way_after_a_reversal() -> None:
+    found = directions(np.array([0.0, 0.4, 1.0, 2.0, 1.9, 2.1, 1.5, 1.0, 0.5]), settled=1.0)
+    assert found.tolist() == [0, 0, 1, 1, 0, 1, 0, -1, -1]

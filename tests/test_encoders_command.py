@@ -1,0 +1,57 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""posor encoders: the backlash of the simulated arm in its bag, and inputs that are refused."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import pytest
+from posor.arm_names import find_arm
+from posor.bags.recorded_encoders import read_encoders
+from posor.chain.arm_file import load_arm_file
+from posor_bringup.encoders_command import HEADER, find_errors, main, parse_options
+from posor_drivers.simulator.scenario import load_scenario
+
+BAG = Path(__file__).resolve().parents[1] / "bags" / "five_axis"
+OPTIONS = ["five_axis", "--bag", str(BAG), "--topic", "/five_axis/encoders"]
+
+
+def test_the_backlash_of_the_recorded_arm_is_found(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    scenario = load_scenario(load_arm_file(find_arm("five_axis")).scenario or Path())
+    output = tmp_path / "new" / "encoders.csv"
+    assert main([*OPTIONS, "--output", str(output), "--bins", "12"]) == 0
+    text = capsys.readouterr().out
+    assert all(joint in text for joint in scenario.joints)
+    header, *rows = csv.reader(output.open(encoding="utf-8"))
+    assert tuple(header) == HEADER
+    assert {row[0] for row in rows} == set(scenario.joints)
+    assert {row[1] for row in rows} == {"1", "-1"}
+    found = find_errors(parse_options(OPTIONS))
+    for name, joint in scenario.joints.items():
+        assert joint.gear is not None
+        assert found[name].backlash == pytest.approx(joint.gear.backlash.number, rel=0.2)  # links twist
+        assert found[name].rest < 1e-5
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        (["--topic", "/five_axis/target/endpoint"], "is of type geometry_msgs/msg/PoseStamped"),
+        (["--names", "a,b"], "2 names"),
+        (["--names", "a,b,c,d,e"], "no reading of a, b, c, d, e"),
+        (["--bins", "0"], "0 bins"),
+    ],
+)
+def test_an_input_that_cannot_be_used_is_one_sentence(
+    options: list[str], sentence: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([*OPTIONS, *options]) != 0
+    assert sentence in capsys.readouterr().err
+
+
+def test_readings_are_found_by_name() -> None:
+    both, one = (read_encoders(BAG, OPTIONS[-1], names) for names in (("elbow", "shoulder"), ("shoulder",)))
+    assert (both.positions[:, 1] == one.positions[:, 0]).all()
+    assert (both.positions[:, 0] != both.positions[:, 1]).any()
