@@ -121,6 +121,7 @@ calibration-truth:
 
 correction:
 	@./run posor_lab correction $(CORRECTION)
+
 prediction:
 	@./run posor_lab prediction_truth $(PREDICTION)
 

@@ -19,8 +19,17 @@ from posor_calibration.calibration_programs import calibrate
 from posor_design.design_programs import budget, design
 from posor_drivers.driver_programs import import_table, instruments, record
 
-from posor_bringup.bringup_programs import arm, bringup, calibrate_arm, commission, health, iso9283, statement, view
-from posor_bringup.bringup_programs import arm, bringup, calibrate_arm, commission, encoders, iso9283, statement, view
+from posor_bringup.bringup_programs import (
+    arm,
+    bringup,
+    calibrate_arm,
+    commission,
+    encoders,
+    health,
+    iso9283,
+    statement,
+    view,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
