@@ -21,9 +21,10 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 ROOT = f"{{{DCC}}}digitalCalibrationCertificate"
+XSD = "http://www.w3.org/2001/XMLSchema"
 SIGNATURES = "http://www.w3.org/2000/09/xmldsig#"
 """Namespace whose schema ``xmlschema`` brings."""
-_IMPORT, *_INCLUDES = (f"{{http://www.w3.org/2001/XMLSchema}}{name}" for name in ("import", "include", "redefine"))
+_IMPORT, *_INCLUDES = (f"{{{XSD}}}{name}" for name in ("import", "include", "redefine"))
 _IMPORTS = (_IMPORT, *_INCLUDES)
 _OF_PATTERN = {
     r"[^\s]+(\s+[^\s]+)*": "text, without blanks at its ends",
@@ -47,7 +48,7 @@ MOST_BYTES = 256 << 20  # of a certificate, whose data may be embedded
 _UNITS = {
     f"{{{SI}}}{name}" for name in ("unit", "listUnit", "unitPhase", "listUnitPhase", "unitXMLList", "unitPhaseXMLList")
 }
-_PREFIXES = {DCC: "dcc:", SI: "si:", SIGNATURES: "ds:"}
+_PREFIXES = {DCC: "dcc:", SI: "si:", SIGNATURES: "ds:", XSD: "xs:"}
 
 
 @dataclass(frozen=True)
@@ -71,7 +72,7 @@ def short(tag: str) -> str:
     return f"{_PREFIXES.get(namespace, f'{{{namespace}}}' if namespace else '')}{name}"
 
 
-def read_xml(path: Path, expected: str) -> LocatedTree:
+def read_xml(path: Path, expected: str, *, may_have_dtd: bool = False) -> LocatedTree:
     """Read an XML file; ``expected``: its kind. Raises CertificateError: it cannot be read, is no XML, or has a DTD."""
     lines: dict[ET.Element, int] = {}
     builder, parser = ET.TreeBuilder(), expat.ParserCreate(namespace_separator="}")
@@ -99,7 +100,8 @@ def read_xml(path: Path, expected: str) -> LocatedTree:
     parser.StartElementHandler = start
     parser.EndElementHandler = end
     parser.CharacterDataHandler = builder.data
-    parser.StartDoctypeDeclHandler = refuse
+    if not may_have_dtd:
+        parser.StartDoctypeDeclHandler = refuse
     try:
         parser.Parse(read_input_bytes(path, MOST_BYTES), True)  # noqa: FBT003  positional only
     except OSError as error:
@@ -152,7 +154,7 @@ def _unit_errors(tree: LocatedTree) -> Iterator[CertificateError]:
 
 def _load_schema(folder: Path, tree: LocatedTree, xmlschema: Any) -> Any:
     """Return the schema of a certificate's version, with every import from the folder."""
-    found = [read_xml(path, "an XML schema") for path in sorted(folder.glob("*.xsd"))]
+    found = [read_xml(path, "an XML schema", may_have_dtd=True) for path in sorted(folder.glob("*.xsd"))]
     of_dcc = {str(each.root.get("version")): each for each in found if each.root.get("targetNamespace") == DCC}
     if not of_dcc:
         expected = f"the schema file of {DCC} in this folder, such as dcc-3.2.1.xsd of PTB"
@@ -169,7 +171,7 @@ def _load_schema(folder: Path, tree: LocatedTree, xmlschema: Any) -> Any:
             if each.tag not in _IMPORTS or each.get("namespace") == SIGNATURES:
                 continue
             chosen = _choose_import(schema, each, found, folder)
-            local[each.get("schemaLocation", "")] = chosen.path.as_uri()
+            local[each.get("schemaLocation", "")] = chosen.path.resolve().as_uri()
             if chosen.path not in known:
                 known.add(chosen.path)
                 waiting.append(chosen)

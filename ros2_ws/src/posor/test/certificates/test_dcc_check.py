@@ -19,6 +19,7 @@ from posor_lab.harness.case_tables import refusal
 from posor_lab.harness.certificates import CERTIFICATE, SCHEMA, needs_schema
 
 MISTAKES = yaml.safe_load(Path(__file__).with_name("dcc_mistakes.yaml").read_text(encoding="utf-8"))
+XSD = '<xs:schema xmlns:xs="http://www.w3.org/2001/XMLSchema" targetNamespace="{}" version="3.2.1">\n{}</xs:schema>'
 LENGTH = Quantity("length", 1.5e-6, "m", 2e-7, 2.0, 0.9545)
 
 
@@ -66,6 +67,18 @@ def test_certificates_are_valid(quantities: list[Quantity], sentences: tuple[str
 
 
 @needs_schema
+def test_a_relative_folder_may_hold_other_schemas(dcc: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = dcc.parent / "xsd"
+    folder.mkdir()
+    for path in SCHEMA.glob("*.xsd"):
+        (folder / path.name).write_bytes(path.read_bytes())
+    text = f"<!DOCTYPE xs:schema [<!ENTITY a 'b'>]>\n{XSD.format('http://www.w3.org/2000/09/xmldsig#', '')}"
+    (folder / "xmldsig-core-schema.xsd").write_text(text, encoding="utf-8")
+    monkeypatch.chdir(dcc.parent)
+    assert main(["check", dcc.name, "--schema", "xsd"]) == 0
+
+
+@needs_schema
 @pytest.mark.parametrize(("old", "new", "message"), MISTAKES)
 def test_each_wrong_field_is_one_sentence(old: str, new: str, message: str, dcc: Path) -> None:
     text = dcc.read_text(encoding="utf-8")
@@ -99,9 +112,8 @@ def test_files_that_are_no_certificates(content: bytes | None, message: str, tmp
     assert str(error).startswith(f"{tmp_path / 'a.xml'}{message}")
 
 
-XSD = '<xs:schema xmlns:xs="http://www.w3.org/2001/XMLSchema" targetNamespace="{}" version="3.2.1">\n{}</xs:schema>'
 IMPORT = '<xs:import namespace="https://ptb.de/si" schemaLocation="https://ptb.de/si/v2.1.0/SI_Format.xsd"/>'
-NETWORK = "line 2, {http://www.w3.org/2001/XMLSchema}import: asks for https://ptb.de/si from https://ptb.de/si/v2.1.0/"
+NETWORK = "line 2, xs:import: asks for https://ptb.de/si from https://ptb.de/si/v2.1.0/"
 
 
 @pytest.mark.parametrize(
