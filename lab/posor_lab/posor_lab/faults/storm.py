@@ -204,10 +204,10 @@ def estimate_storm(posor: Posor, storm: Storm, encoder: np.random.Generator | No
     scans, begin, thetas = storm.scans._records.copy(), 0, thetas_of(storm.truth.rotations)
     for end in [*storm.acknowledgements.tolist(), len(scans)]:
         posor.estimate_records(scans[begin:end], records[begin:end], effects[begin:end])
-        if end < len(scans) and posor.has_latch:
+        if end < len(scans):
             posor.acknowledge()
-            if posor.counts_bumps and encoder is not None:
-                posor.confirm_theta(thetas[end] + ENCODER_SIGMA * encoder.normal(), ENCODER_SIGMA)
+        if end < len(scans) and posor.counts_bumps and encoder is not None:
+            posor.confirm_theta(thetas[end] + ENCODER_SIGMA * encoder.normal(), ENCODER_SIGMA)
         begin = end
     return Estimates(records, storm.scans, posor.reason, fault_effects=effects)
 
