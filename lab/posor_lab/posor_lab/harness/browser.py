@@ -13,6 +13,7 @@ from posor.errors import PosorError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+    from pathlib import Path
 
     from playwright.sync_api import Page
 
@@ -28,8 +29,10 @@ def missing_for_pages() -> str:
 
 
 @contextmanager
-def opened_browser(width: int, height: int, scale: float = 1.0) -> Iterator[Page]:
+def opened_browser(width: int, height: int, scale: float = 1.0, executable: Path | None = None) -> Iterator[Page]:
     """Open an empty page for a ``with`` block; size in CSS pixels, ``scale``: pixels of each.
+
+    ``executable``: starts the browser; None: the installed one.
 
     Raises PosorError: a program or package is missing.
     """
@@ -38,7 +41,7 @@ def opened_browser(width: int, height: int, scale: float = 1.0) -> Iterator[Page
     from playwright.sync_api import sync_playwright  # noqa: PLC0415  not among the packages of Jazzy
 
     with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=shutil.which(BROWSER), args=ARGUMENTS)
+        browser = playwright.chromium.launch(executable_path=executable or shutil.which(BROWSER), args=ARGUMENTS)
         try:
             page = browser.new_page(viewport={"width": width, "height": height}, device_scale_factor=scale)
             page.set_default_timeout(PATIENCE_MS)
