@@ -9,14 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from posor.arm_names import find_arm
-from posor.bags.bag_writer import BagWriter
 from posor.chain.arm_file import load_arm_file
-from posor.correction.correct_command import main, read_joint_angles
+from posor.correction.correct_command import main
 from posor.correction.joint_path import JointPath, read_path
 from posor.correction.nominal_robot import LeastSquares, NominalRobot
-from posor.errors import BagError
-from posor.messages.message_definitions import MessageTypes
-from posor.ros_names import JOINT_STATE
 from posor_drivers.simulator.arm_simulation import ArmSimulation
 from posor_lab.correction.correction_command import STOP_S, findings, least_gains, stop_times, study_robot
 from posor_lab.correction.correction_study import PathErrors
@@ -83,16 +79,3 @@ def test_a_recorded_program_is_corrected_by_the_errors_of_the_true_arm(
     program.write_text(planned.at_period(0.1).text(as_yaml=False).replace("elbow", "knee"), encoding="utf-8")
     assert main([*arguments, "--force"]) == 1
     assert "knee" in capsys.readouterr().err
-
-
-def test_joint_angles_of_a_bag_have_the_order_of_the_joints(tmp_path: Path) -> None:
-    types = MessageTypes()
-    with BagWriter(tmp_path / "bag") as writer:
-        writer.add_topic("/robot/joint_states", JOINT_STATE, types.definition(JOINT_STATE))
-        for n in range(3):
-            fields = {"header.stamp.sec": 1 + n, "name": ["b", "a"], "position": [1.0, 2.0 + n]}
-            writer.write("/robot/joint_states", n, types.schema(JOINT_STATE).encode(fields))
-    track = read_joint_angles(tmp_path / "bag", "/robot/joint_states", ("a", "b"))
-    np.testing.assert_array_equal(track.values, [[2.0, 1.0], [3.0, 1.0], [4.0, 1.0]])
-    with pytest.raises(BagError, match="no position of joint 'c'"):
-        read_joint_angles(tmp_path / "bag", "/robot/joint_states", ("a", "c"))

@@ -22,6 +22,7 @@ from posor.correction.joint_correction import AngleHistory, CorrectionLimits, Jo
 from posor.correction.joint_path import JointPath
 from posor.correction.nominal_robot import LeastSquares, NominalRobot
 from posor.errors import PosorError, TopicError
+from posor.messages.joint_transform import stamp_ns_of
 from posor.node_parameters import NodeParameters
 from posor.numerics.stamps import NS, time_ns
 from posor.ros_names import ENDPOINT_STATE_TOPIC
@@ -38,6 +39,8 @@ from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+from posor_estimator.position_reader import PositionReader
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -133,6 +136,7 @@ class CorrectionNode(PosorNode[CorrectionParameters]):
             load_chain(Path(parameters.urdf), parameters.endpoint_frame), parameters.least_squares
         )
         self._law = JointCorrection(self._robot, parameters.offsets)
+        self._reader = PositionReader(self._robot.joints)
         self._encoders, self._commands = AngleHistory(), AngleHistory()
         self._plan, self._pending, self._identity, self._newest_ns = None, None, "", 0
         self._refused = self._used = 0
@@ -221,21 +225,19 @@ class CorrectionNode(PosorNode[CorrectionParameters]):
         return None if self._plan is None else self._plan.angles()
 
     def _on_encoders(self, data: bytes) -> None:
-        schema, fault = schema_of_class(JointState), ""
         try:
-            values = schema.values(schema.normal(data))
+            stamp, angles = self._reader.read(data)
         except TopicError as error:
             self._inputs.note("encoders", f"{self.parameters.encoders}: {error}")
             return
-        read = dict(zip(values["name"], values["position"], strict=False))
-        stamp_ns = time_ns(values["header.stamp.sec"], values["header.stamp.nanosec"])
-        if missing := [name for name in self._robot.joints if not np.isfinite(read.get(name, np.nan))]:
-            fault = f"no position of joint {missing[0]}"
-        if fault := fault or self._inputs.stamp_limits.fault(stamp_ns):
+        stamp_ns = stamp_ns_of(stamp)
+        missing = [name for name, angle in zip(self._robot.joints, angles, strict=True) if np.isnan(angle)]
+        fault = f"no position of joint {missing[0]}" if missing else self._inputs.stamp_limits.fault(stamp_ns)
+        if fault:
             self._inputs.note("encoders", f"{self.parameters.encoders}: {fault}")
             return
         with self._lock:
-            self._encoders.add(stamp_ns, np.array([read[name] for name in self._robot.joints]))
+            self._encoders.add(stamp_ns, angles)
             self._use_pending()
 
     def _on_state(self, data: bytes) -> None:

@@ -15,7 +15,6 @@ from posor.chain.encoder_filter import DISAGREES, USED, WAITS
 from posor.chain.endpoint_predictor import EndpointPredictor
 from posor.chain.joint_measurements import FAULT_TEXTS
 from posor.errors import TopicError
-from posor.messages.cdr_schema import STAMP
 from posor.messages.endpoint_messages import COVARIANCE_POSE, EndpointStateWriter, EndpointVerdict, MessageWriter
 from posor.messages.joint_transform import JointTransformFormat, stamp_ns_of
 from posor.messages.message_table import LEAD
@@ -25,14 +24,14 @@ from posor.ros_names import ODOMETRY, PREDICTED_AHEAD_TOPIC, PREDICTED_STATE_TOP
 from posor_msgs.msg import EndpointState
 from posor_ros.diagnostics import Level
 from posor_ros.intra_process import IntraProcessPublisher, IntraProcessSubscription
-from posor_ros.message_classes import schema_of_class
 from posor_ros.qos import input_qos, result_qos
 from sensor_msgs.msg import JointState
 
 from posor_estimator.endpoint_verdict import SOUND, JointStatus, degraded_verdict, listed
+from posor_estimator.position_reader import PositionReader
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable
     from threading import RLock
 
     from posor.chain.encoder_filter import Twists
@@ -47,46 +46,6 @@ if TYPE_CHECKING:
 JointMessage: TypeAlias = tuple[JointTransformFormat, bytes]
 MOST_WAITING = 256  # transforms of a joint that wait for readings of its encoder; then the oldest are dropped
 UNUSABLE_STATES = {int(each): f" (the newest is {each.name})" for each in State if each not in USABLE_STATES}
-AFTER_STAMP = STAMP.stop  # where the names of a JointState, and what is before them, begin
-
-
-class PositionReader:
-    """Reads the positions of joints from serialised JointState messages."""
-
-    def __init__(self, names: Sequence[str]) -> None:
-        """Read joints of these names."""
-        self._names, self._schema, self._known = tuple(names), schema_of_class(JointState), b""
-        self._end = self._offset = self._count = 0
-        self._columns, self._rows = np.zeros((2, 0), dtype=np.int64)
-
-    def read(self, data: bytes) -> FloatArray:
-        """Return the angles of the joints [rad]; NaN: not in this message.
-
-        Raises TopicError: invalid bytes, no position of a joint, or one that is not finite; none of the joints.
-        """
-        if not self._known or data[AFTER_STAMP : self._end] != self._known:
-            data = self._schema.normal(data)
-            self._learn(data)
-        angles = np.full(len(self._names), np.nan)
-        angles[self._columns] = np.frombuffer(data, "<f8", self._count, self._offset)[self._rows]
-        if not np.isfinite(angles[self._columns]).all():
-            wrong = [self._names[j] for j in self._columns if not math.isfinite(angles[j])]
-            raise TopicError(f"the position of {', '.join(wrong)} is not a number", expected="an angle [rad]")
-        return angles
-
-    def _learn(self, data: bytes) -> None:
-        """Learn the names of a message and where its positions are."""
-        names, layout = list(self._schema.values(data)["name"]), self._schema.layout(data)
-        found = [(j, names.index(name)) for j, name in enumerate(self._names) if name in names]
-        if not found:
-            raise TopicError(f"names {', '.join(names) or 'are empty'}", expected=f"{', '.join(self._names)}")
-        count = layout["position"].length
-        if missing := [names[row] for _, row in found if row >= count]:
-            raise TopicError(f"no position of {', '.join(missing)}", expected=f"{len(names)} positions")
-        self._columns, self._rows = np.array(found).T
-        self._offset, self._count = layout["position"].offset, count
-        self._end = layout.lengths["position"] + 4
-        self._known = bytes(data[AFTER_STAMP : self._end])
 
 
 class EndpointPrediction:
@@ -188,18 +147,19 @@ class EndpointPrediction:
         with self._lock:
             if not self._node.may_publish or self._limits is None:
                 return
-            stamp_ns, angles = stamp_ns_of(data[STAMP]), None
-            fault = f"the stamp of a reading {NO_TIME}" if stamp_ns == 0 else self._limits.fault(stamp_ns)
             try:
-                angles = self._reader.read(data)
+                stamp, angles = self._reader.read(data)
             except TopicError as error:
-                fault = str(error)
-            if angles is None or fault:
+                self._refuse("readings_refused", f"{self._subscription.topic_name}: {error}")
+                return
+            stamp_ns = stamp_ns_of(stamp)
+            fault = f"the stamp of a reading {NO_TIME}" if stamp_ns == 0 else self._limits.fault(stamp_ns)
+            if fault:
                 self._refuse("readings_refused", f"{self._subscription.topic_name}: {fault}")
                 return
             for joint in range(len(self._waiting)):
                 self._use_waiting(joint)
-            self._publish(data[STAMP], stamp_ns, usable=self._predictor.read(stamp_ns, angles))
+            self._publish(stamp, stamp_ns, usable=self._predictor.read(stamp_ns, angles))
 
     def _publish(self, stamp: bytes, stamp_ns: int, *, usable: bool) -> None:
         self._stamp = stamp

@@ -12,12 +12,9 @@ import pinocchio as pin
 import pytest
 from nav_msgs.msg import Odometry
 from posor.chain.kinematic_chain import load_chain
-from posor.errors import TopicError
 from posor.numerics.stamps import time_ns
-from posor_estimator.endpoint_prediction import PositionReader
 from posor_lab.harness.graph import Graph, set_stamp
 from posor_msgs.msg import EndpointState, JointTransform
-from posor_ros.message_classes import schema_of_class
 from sensor_msgs.msg import JointState
 
 from .chain_program import LOSSLESS, ChainRig, chain_node, lost_transform, transform_of
@@ -104,19 +101,3 @@ def test_wrong_parameters_of_the_encoders_end_the_node() -> None:
     with chain_node(urdf=str(URDF), **wrong, **LOSSLESS) as node:
         assert node.wait() == 2
         assert any("parameter 'encoders.sigma': 2 values" in line for line in node.errors)
-
-
-def test_positions_are_read_by_name_whatever_the_layout() -> None:
-    schema, reader = schema_of_class(JointState), PositionReader(("a", "b"))
-
-    def read(names: list[str], positions: list[float], frame: str = "") -> Any:
-        message = JointState(name=names, position=positions, velocity=[0.5])
-        message.header.frame_id = frame
-        return reader.read(schema.serialize(message))
-
-    np.testing.assert_array_equal(read(["b", "x", "a"], [1.0, 2.0, 3.0]), [3.0, 1.0])
-    np.testing.assert_array_equal(read(["b", "x", "a"], [4.0, 2.0, 3.0]), [3.0, 4.0])
-    np.testing.assert_array_equal(read(["x", "b", "a"], [1.0, 2.0, 3.0], "base"), [3.0, 2.0])
-    np.testing.assert_array_equal(read(["a"], [1.0]), [1.0, np.nan])
-    with pytest.raises(TopicError, match="no position of b"):
-        read(["a", "b"], [1.0])

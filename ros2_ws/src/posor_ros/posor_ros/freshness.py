@@ -188,7 +188,8 @@ class InputMonitor:
     def accepts(self, stamp_ns: int) -> bool:
         """Return whether ``refusal`` of a stamp [ns] is certainly empty; takes a fraction of its time."""
         limits = self.stamp_limits
-        return not self.several and limits.youngest_ns <= limits.now_ns() - stamp_ns <= limits.oldest_ns
+        age_ns = limits.now_ns() - stamp_ns
+        return not self.several and is_accepted_age(age_ns, limits.youngest_ns, limits.oldest_ns)
 
     def refusal(self, stamp_ns: int) -> str:
         """Return why a message with a stamp [ns] must not be used: several publishers, or the stamp; else empty."""

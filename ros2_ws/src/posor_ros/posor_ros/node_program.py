@@ -195,7 +195,7 @@ class NodeGroup:
             unchecked: deque[PosorNode[Any]] = deque()
             while self._locations and not stop():
                 executor.spin_once(timeout_sec=0.0 if unchecked else INPUT_CHECK_S)
-                if (now_s := monotonic()) >= next_check_s:
+                if not unchecked and (now_s := monotonic()) >= next_check_s:
                     next_check_s, unchecked = now_s + INPUT_CHECK_S, deque(self._locations)
                 if unchecked:  # one at a time: messages do not wait for the checks of all nodes
                     run_when_idle(unchecked.popleft().run_checks)

@@ -16,10 +16,6 @@ and those of both ends of the play: it is taken in the middle, with a rectangula
 A transform is fused with T' by the Kalman gain of the random covariances (error state in the axes of the parent, turn
 on the parent's side). All transforms have the same systematic error: it is a consider state (S. F. Schmidt, 1966),
 which no gain lowers, so the systematic covariance stays whole. The filter forgets over MEMORY_S.
-
-An encoder is tracked with constant acceleration and white jerk (Y. Bar-Shalom, X. R. Li, T. Kirubarajan, Estimation
-with Applications to Tracking and Navigation, 2001, 6.2.3). The uncertainty of an angle that lies ahead is the root mean
-square of the last errors of this prediction, each found when its time has come.
 """
 
 from __future__ import annotations
@@ -29,6 +25,18 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from posor.chain.encoder_track import (
+    GATE,
+    HISTORY,
+    SEEN,
+    Angle,
+    EncoderFilter,
+    add_reading,
+    angle_at,
+    extrapolated,
+    extrapolated_variances,
+    within_play,
+)
 from posor.chain.forward_kinematics import (
     ZERO_COVARIANCE,
     Blocks,
@@ -40,7 +48,7 @@ from posor.chain.forward_kinematics import (
     write_covariance,
     write_nan,
 )
-from posor.chain.joint_measurements import measurement_fault, read_row, shared_fault
+from posor.chain.joint_measurements import measurement_fault, read_joint, shared_fault
 from posor.numerics.compiled import in_place, inlined
 from posor.numerics.matrix import cholesky_factorise, solve_lower_triangular
 from posor.numerics.vector import (
@@ -71,109 +79,17 @@ if TYPE_CHECKING:
     from posor.chain.arm_geometry import ArmGeometry
     from posor.chain.beam_acceleration import BeamHistory
     from posor.chain.forward_kinematics import Endpoints
-    from posor.chain.joint_measurements import JointMeasurements, JointRows, RecordArray
-    from posor.numerics.array_types import FloatArray, IntArray
+    from posor.chain.joint_measurements import JointMeasurements, JointRows
+    from posor.numerics.array_types import FloatArray
 
-HISTORY = 1024  # readings of an encoder that are kept, for transforms that arrive late
-SEEN = 64  # angles at transforms that are kept, to name the cause of a disagreement
 RADIAL_SLOPE = 5e-5  # standard uncertainty of a place on the plate per turned angle [m/rad]
 TILT_SLOPE = 5e-5  # of an angle per turned angle [rad/rad]
 MEMORY_S = 0.5  # time after which the random variance of an estimate has doubled, without a transform [s]
-JERK_S = 0.01  # correlation time of the jerk [s]
-LEAD_MEMORY_S = 0.1  # over which the errors of predicted angles are averaged [s]
-GATE = 8.0  # standard deviations by which the change of an encoder may differ from that of its POSOR
 STEP_GATE = 60.0  # squared norm of six standard normal numbers, above which a transform is a new beginning
 TRUSTED_TURN = 0.01  # over which an encoder must follow its POSOR again after a disagreement [rad]
 USED, WAITS, TOO_OLD = 0, -1, -2
 """Results for a transform besides faults of its measurement: used, later than the encoder's readings, before them."""
 NO_READING, READING_OLD, NO_TRANSFORM, HELD_TOO_LONG, JUMPED, DISAGREES, OFFSET, NOT_FINITE = range(1, 9)
-
-SETTINGS = np.dtype(
-    [
-        ("variance", float),  # of a reading [rad^2]
-        ("half_backlash", float),  # [rad]
-        ("slope", float),  # of the reading's slow errors per turned angle [rad/rad]
-        ("max_rate", float),  # [rad/s]
-        ("jerk_density", float),  # of the white jerk [rad^2/s^5]
-        ("max_offset", float),  # largest angle between encoder and POSOR [rad]
-        ("stamp_sigma", float),  # standard uncertainty of the encoder's stamps [s]
-        ("holdover_ns", np.int64),  # longest time that a joint is carried on
-        ("gap_ns", np.int64),  # time without a transform after which a joint counts as carried on
-        ("lead_ns", np.int64),
-    ]
-)
-STATE = np.dtype(
-    [
-        ("readings", np.int64),  # in the history, without interruption
-        ("read_ns", np.int64),  # stamp of the newest
-        ("used_ns", np.int64),  # stamp of the last transform; 0: none
-        ("used_angle", float),  # of the encoder at that time [rad]
-        ("used_low", float),  # least and largest angle of the joint within the play then [rad]
-        ("used_high", float),
-        ("used_rate", float),  # [rad/s]
-        ("seen", np.int64),  # number of transforms
-        ("error", float),  # estimated, of the reading at that time [rad]
-        ("offset", float),  # encoder minus POSOR at the last one [rad]
-        ("jumped", np.int64),  # whether a reading was faster than possible since the last transform
-        ("disagrees", np.int64),  # whether the encoder does not follow its POSOR
-        ("agreed", float),  # angle over which it followed since [rad]
-        ("due", np.int64),  # number of readings whose predicted angle has been compared
-        ("compared", np.int64),  # number of comparisons
-        ("lead_variance", float),  # of an angle that lies ahead [rad^2]
-    ]
-)
-
-
-class Angle(NamedTuple):
-    """Angle of a joint by its encoder at one time."""
-
-    angle: float  # [rad]
-    low: float  # least and largest angle of the joint within the play [rad]
-    high: float
-    rate: float  # [rad/s]
-    variance: float  # of both angles, beside that of the reading [rad^2]
-    same: bool  # whether the reading is that at the last transform, so that it has the same error
-
-
-class EncoderFilter(NamedTuple):
-    """Estimates of j joints, and the readings of their encoders."""
-
-    settings: RecordArray  # (j,) of ``SETTINGS``
-    states: RecordArray  # (j,) of ``STATE``
-    readings: FloatArray  # new readings [rad], (j,); NaN: none
-    stamps_ns: IntArray  # of the history, (j, HISTORY), reading n in column n modulo HISTORY
-    # Reading, least and largest angle of the joint [rad]; tracked angle, rate and acceleration, (j, HISTORY, 6)
-    history: FloatArray
-    tracks: FloatArray  # covariances of the tracked angle, rate and acceleration, (j, 3, 3)
-    # At the last transform: plate if the reading has no error, (j, 7), and covariance of both, (j, 7, 7)
-    poses: FloatArray
-    random: FloatArray
-    seen: FloatArray  # angle of the POSOR and of the encoder at transforms [rad], (j, SEEN, 2), as the history
-    faults: IntArray  # of the joints in the last prediction, (j,): zero, or why there is no endpoint
-    held: IntArray  # which joints have no transform for longer than ``gap_ns``, (j,)
-    rates: FloatArray  # now and ahead [rad/s], (2, j)
-    rate_variances: FloatArray  # (2, j)
-    scratch: FloatArray  # (4, 7, 7)
-
-    @classmethod
-    def allocate(cls, joints: int) -> EncoderFilter:
-        """Return a filter that has seen nothing; ``settings`` are to be filled."""
-        return cls(
-            np.zeros(joints, dtype=SETTINGS),
-            np.zeros(joints, dtype=STATE),
-            np.full(joints, np.nan),
-            np.zeros((joints, HISTORY), dtype=np.int64),
-            np.zeros((joints, HISTORY, 6)),
-            np.zeros((joints, 3, 3)),
-            np.zeros((joints, 7)),
-            np.zeros((joints, 7, 7)),
-            np.zeros((joints, SEEN, 2)),
-            np.zeros(joints, dtype=np.int64),
-            np.zeros(joints, dtype=np.int64),
-            np.zeros((2, joints)),
-            np.zeros((2, joints)),
-            np.zeros((4, 7, 7)),
-        )
 
 
 class Twists(NamedTuple):
@@ -186,143 +102,6 @@ class Twists(NamedTuple):
     def allocate(cls) -> Twists:
         """Return zeros."""
         return cls(np.zeros(6), np.zeros((6, 6)))
-
-
-@inlined
-def _within(joint: float, angle: float, half: float) -> float:
-    """Return the angle of a joint that follows its encoder at most ``half`` behind [rad]."""
-    return min(max(joint, angle - half), angle + half)
-
-
-@inlined
-def _extrapolated(row: FloatArray, seconds: float) -> float:
-    """Return the angle of a row of the history after a time [s]."""
-    return float(row[3] + seconds * (row[4] + 0.5 * seconds * row[5]))
-
-
-@inlined
-def _extrapolated_variances(track: FloatArray, density: float, seconds: float) -> tuple[float, float]:
-    """Return the variances of angle and rate after a time [s]."""
-    s, q = seconds, density * seconds
-    rate = track[1, 1] + 2.0 * s * track[1, 2] + s * s * track[2, 2] + q * s * s / 3.0
-    angle = track[0, 0] + s * (
-        2.0 * track[0, 1] + s * (track[1, 1] + track[0, 2] + s * (track[1, 2] + 0.25 * s * track[2, 2]))
-    )
-    return angle + q * s * s * s * s / 20.0, rate
-
-
-@inlined
-def _propagate(track: FloatArray, density: float, s: float) -> None:
-    """Advance the covariance of a track by a time [s]."""
-    for k in range(3):  # F P
-        track[0, k] += s * (track[1, k] + 0.5 * s * track[2, k])
-        track[1, k] += s * track[2, k]
-    for k in range(3):  # (F P) F'
-        track[k, 0] += s * (track[k, 1] + 0.5 * s * track[k, 2])
-        track[k, 1] += s * track[k, 2]
-    q = density * s
-    track[0, 0] += q * s * s * s * s / 20.0
-    track[0, 1] += q * s * s * s / 8.0
-    track[0, 2] += q * s * s / 6.0
-    track[1, 1] += q * s * s / 3.0
-    track[1, 2] += q * s / 2.0
-    track[2, 2] += q
-    track[1, 0], track[2, 0], track[2, 1] = track[0, 1], track[0, 2], track[1, 2]
-
-
-@inlined
-def _begin_track(encoders: EncoderFilter, j: int, angle: float, low: float, high: float) -> None:
-    """Begin the history of an encoder with a reading."""
-    settings, row, track = encoders.settings[j], encoders.history[j, 0], encoders.tracks[j]
-    encoders.states[j]["readings"] = encoders.states[j]["due"] = encoders.states[j]["compared"] = 0
-    row[0], row[1], row[2], row[3], row[4], row[5] = angle, low, high, angle, 0.0, 0.0
-    for i in range(3):
-        for k in range(3):
-            track[i, k] = 0.0
-    track[0, 0], track[1, 1] = settings["variance"], square(settings["max_rate"])
-    track[2, 2] = square(settings["max_rate"] / JERK_S)
-
-
-@inlined
-def _compare_predicted(encoders: EncoderFilter, j: int, stamp_ns: int, angle: float) -> None:
-    """Compare a reading with what was predicted ``lead_ns`` before."""
-    settings, state = encoders.settings[j], encoders.states[j]
-    lead_ns, n, end, found = settings["lead_ns"], state["due"], state["readings"], False
-    if end - n >= HISTORY:
-        n = end - HISTORY + 1
-    while n < end and encoders.stamps_ns[j, n % HISTORY] + lead_ns <= stamp_ns:
-        n += 1
-        found = True
-    if found:
-        before_ns = encoders.stamps_ns[j, (n - 1) % HISTORY]
-        error = angle - _extrapolated(encoders.history[j, (n - 1) % HISTORY], (stamp_ns - before_ns) * 1e-9)
-        state["compared"] += 1
-        weight = min(1.0, max((stamp_ns - state["read_ns"]) * 1e-9 / LEAD_MEMORY_S, 1.0 / state["compared"]))
-        state["lead_variance"] += weight * (square(error) - state["lead_variance"])
-    state["due"] = n
-
-
-@inlined
-def _read(encoders: EncoderFilter, j: int, stamp_ns: int, angle: float) -> None:
-    """Add a reading of an encoder; stamps that go back begin anew, a repeated stamp is ignored."""
-    settings, state, track = encoders.settings[j], encoders.states[j], encoders.tracks[j]
-    count, elapsed = state["readings"], (stamp_ns - state["read_ns"]) * 1e-9
-    if count > 0 and elapsed == 0.0:
-        return
-    half = settings["half_backlash"]
-    if count == 0 or elapsed < 0.0:
-        if count > 0:
-            state["used_ns"] = state["jumped"] = state["disagrees"] = state["seen"] = 0
-        _begin_track(encoders, j, angle, angle - half, angle + half)
-    else:
-        last = encoders.history[j, (count - 1) % HISTORY]
-        low, high = _within(last[1], angle, half), _within(last[2], angle, half)
-        allowed = settings["max_rate"] * elapsed + GATE * math.sqrt(2.0 * settings["variance"])
-        if abs(angle - last[0]) > allowed:
-            state["jumped"] = 1
-            _begin_track(encoders, j, angle, low, high)
-        elif stamp_ns - state["read_ns"] > settings["holdover_ns"]:
-            _begin_track(encoders, j, angle, low, high)
-        else:
-            if settings["lead_ns"] > 0:
-                _compare_predicted(encoders, j, stamp_ns, angle)
-            _propagate(track, settings["jerk_density"], elapsed)
-            total = track[0, 0] + settings["variance"]
-            deviation = angle - _extrapolated(last, elapsed)
-            row = encoders.history[j, count % HISTORY]
-            gains = track[0, 0] / total, track[0, 1] / total, track[0, 2] / total
-            row[0], row[1], row[2] = angle, low, high
-            row[3] = _extrapolated(last, elapsed) + gains[0] * deviation
-            row[4] = last[4] + elapsed * last[5] + gains[1] * deviation
-            row[5] = last[5] + gains[2] * deviation
-            for i in range(3):
-                for k in range(3):
-                    track[i, k] -= gains[i] * gains[k] * total
-    count = state["readings"]
-    encoders.stamps_ns[j, count % HISTORY] = stamp_ns
-    state["readings"], state["read_ns"] = count + 1, stamp_ns
-
-
-@inlined
-def _angle_at(encoders: EncoderFilter, j: int, stamp_ns: int) -> Angle:
-    """Return the angle at a time between readings, by a cubic with their rates; NaN: before the history."""
-    stamps, n, used = encoders.stamps_ns[j], encoders.states[j]["readings"] - 1, encoders.states[j]["used_angle"]
-    first = max(0, n - HISTORY + 1)
-    while n > first and stamps[n % HISTORY] > stamp_ns:
-        n -= 1
-    here = encoders.history[j, n % HISTORY]
-    if stamps[n % HISTORY] == stamp_ns:
-        return Angle(here[0], here[1], here[2], here[4], 0.0, here[0] == used)
-    if stamps[n % HISTORY] > stamp_ns:
-        return Angle(math.nan, math.nan, math.nan, math.nan, math.nan, False)  # noqa: FBT003  kernels take no keywords
-    after = encoders.history[j, (n + 1) % HISTORY]
-    step = (stamps[(n + 1) % HISTORY] - stamps[n % HISTORY]) * 1e-9
-    s = (stamp_ns - stamps[n % HISTORY]) * 1e-9 / step
-    change = after[0] - here[0]
-    bend = s * (1.0 - s) * ((1.0 - s) * (step * here[4] - change) + s * (change - step * after[4]))
-    angle, rate = here[0] + s * change + bend, here[4] + s * (after[4] - here[4])
-    half = encoders.settings[j]["half_backlash"]
-    return Angle(angle, _within(here[1], angle, half), _within(here[2], angle, half), rate, 0.0, angle == used)
 
 
 @inlined
@@ -415,7 +194,7 @@ def _use(encoders: EncoderFilter, arm: ArmGeometry, measurements: JointMeasureme
         return fault
     if state["readings"] == 0 or stamp_ns > state["read_ns"]:
         return WAITS
-    to = _angle_at(encoders, j, stamp_ns)
+    to = angle_at(encoders, j, stamp_ns)
     if math.isnan(to.angle) or stamp_ns <= state["used_ns"]:
         return TOO_OLD
     angle = joint_angle(pose, arm.joint_origins[j], math.nan)
@@ -519,14 +298,7 @@ def use_transform_row(
     encoders: EncoderFilter, arm: ArmGeometry, measurements: JointMeasurements, rows: JointRows, j: int, stamp_ns: int
 ) -> int:
     """Read the measurement of a joint from its serialised row and use it, see ``use_transform``."""
-    random, systematic = measurements.covariances_random[0, j], measurements.covariances_systematic[0, j]
-    measurements.thetas[0, j] = read_row(
-        rows.layouts, j, rows.numbers[j], measurements.poses[0, j], random, systematic, measurements.stamp_shifts[0, j]
-    )
-    shared, first = measurements.shared_effects[0, j], rows.layouts[j]["shared"]
-    for t in range(shared.shape[0]):
-        for i in range(6):
-            shared[t, i] = rows.numbers[j, first + 6 * t + i] if arm.joint_terms[j, t] >= 0 else 0.0
+    read_joint(measurements, rows, j, arm.joint_terms)
     return _use(encoders, arm, measurements, j, stamp_ns)
 
 
@@ -561,16 +333,16 @@ def _predict(
     row = encoders.history[j, (state["readings"] - 1) % HISTORY]
     ahead = (stamp_ns + lead_ns - state["read_ns"]) * 1e-9
     rate, n = row[4] + ahead * row[5], 1 if lead_ns > 0 else 0
-    variance, of_rate = _extrapolated_variances(track, settings["jerk_density"], ahead)
+    variance, of_rate = extrapolated_variances(track, settings["jerk_density"], ahead)
     if lead_ns > 0 and state["compared"] > 0:
         of_rate *= max(1.0, state["lead_variance"] / variance)
         found = max(0.0, state["lead_variance"] - 2.0 * settings["variance"])  # those of both readings
         variance = found if stamp_ns == state["read_ns"] else max(found, variance)
-    angle, half = _extrapolated(row, ahead), settings["half_backlash"]
+    angle, half = extrapolated(row, ahead), settings["half_backlash"]
     if ahead == 0.0:
         angle, variance = row[0], 0.0
     same = row[0] == state["used_angle"]
-    to = Angle(angle, _within(row[1], angle, half), _within(row[2], angle, half), rate, variance, same)
+    to = Angle(angle, within_play(row[1], angle, half), within_play(row[2], angle, half), rate, variance, same)
     encoders.rates[n, j], encoders.rate_variances[n, j] = rate, of_rate
     seconds, prior = (stamp_ns + lead_ns - state["used_ns"]) * 1e-9, encoders.scratch[2]
     rotation, translation, shift, axis, error = _carry(encoders, arm, j, to, seconds, prior)
@@ -660,7 +432,7 @@ def predict_endpoints(
     usable = True
     for j in range(encoders.faults.shape[0]):
         if not math.isnan(encoders.readings[j]):
-            _read(encoders, j, stamp_ns, encoders.readings[j])
+            add_reading(encoders, j, stamp_ns, encoders.readings[j])
         encoders.faults[j] = _fault(encoders, j, stamp_ns)
         encoders.held[j] = stamp_ns - encoders.states[j]["used_ns"] > encoders.settings[j]["gap_ns"]
         usable &= encoders.faults[j] == 0

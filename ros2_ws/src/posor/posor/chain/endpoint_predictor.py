@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from posor.chain import encoder_filter
-from posor.chain.encoder_filter import EncoderFilter, Twists, predict_endpoints, use_transform, use_transform_row
+from posor.chain.encoder_filter import Twists, predict_endpoints, use_transform, use_transform_row
+from posor.chain.encoder_track import JERK_S, SEEN, EncoderFilter
 from posor.chain.joint_measurements import JointMeasurements, JointRowLayout, JointRows
 from posor.errors import ParameterError
 from posor.numerics.compiled import bind
@@ -74,7 +75,7 @@ class EndpointPredictor:
         settings["variance"] = np.square(for_each_joint("sigma", parameters.sigma, self.joints))
         settings["half_backlash"] = 0.5 * for_each_joint("backlash", parameters.backlash, self.joints)
         settings["max_rate"], settings["max_offset"] = parameters.max_rate, parameters.max_offset
-        settings["jerk_density"] = parameters.max_jerk**2 * encoder_filter.JERK_S
+        settings["jerk_density"] = parameters.max_jerk**2 * JERK_S
         settings["slope"] = parameters.slope
         settings["stamp_sigma"] = parameters.stamp_sigma
         settings["holdover_ns"], settings["gap_ns"] = round(parameters.max_holdover * NS), round(parameters.gap * NS)
@@ -162,7 +163,7 @@ class EndpointPredictor:
     def _disagreement(self, joint: int) -> str:
         """Return how the encoder of a joint moved from transform to transform, beside the POSORs of all joints."""
         seen, counts = self._filter.seen, self._filter.states["seen"]
-        order = np.arange(max(0, counts[joint] - encoder_filter.SEEN), counts[joint]) % encoder_filter.SEEN
+        order = np.arange(max(0, counts[joint] - SEEN), counts[joint]) % SEEN
         turned = wrapped_angles(np.diff(seen[:, order, 0], axis=1))  # of all POSORs
         moved, own = np.diff(seen[joint, order, 1]), turned[joint]
         if min(np.abs(moved).sum(), np.abs(turned).sum(axis=1).max()) < LEAST_TURN:

@@ -25,7 +25,7 @@ from posor.chain.beam_acceleration import append_centres, estimate_accelerations
 from posor.chain.joint_measurements import (
     ENDPOINT_NOT_FINITE,
     measurement_fault,
-    read_row,
+    read_joint,
     shared_fault,
     stamp_shift_fault,
 )
@@ -407,20 +407,7 @@ def estimate_endpoint_of_rows(
         write_nan(endpoints, 0)
         return UNUSABLE
     for j in range(rows.numbers.shape[0]):
-        random, systematic = measurements.covariances_random[0, j], measurements.covariances_systematic[0, j]
-        measurements.thetas[0, j] = read_row(
-            rows.layouts,
-            j,
-            rows.numbers[j],
-            measurements.poses[0, j],
-            random,
-            systematic,
-            measurements.stamp_shifts[0, j],
-        )
-        shared, first = measurements.shared_effects[0, j], rows.layouts[j]["shared"]
-        for t in range(shared.shape[0]):
-            for i in range(6):
-                shared[t, i] = rows.numbers[j, first + 6 * t + i] if arm.joint_terms[j, t] >= 0 else 0.0
+        read_joint(measurements, rows, j, arm.joint_terms)
         effects, first = measurements.fault_effects[0, j], rows.layouts[j]["effects"]
         for c in range(effects.shape[0]):
             for i in range(EFFECT):

@@ -299,3 +299,24 @@ def read_row(
         return -math.inf
     native = numbers[first_of_native : first_of_native + 6]
     return float(native[5]) if native_agrees(native, pose) else math.inf
+
+
+@inlined
+def read_joint(measurements: JointMeasurements, rows: JointRows, joint: int, terms: IntArray) -> None:
+    """Read the measurement of a joint from its row, but for its fault effects.
+
+    ``terms``: as ``ArmGeometry.joint_terms``.
+    """
+    measurements.thetas[0, joint] = read_row(
+        rows.layouts,
+        joint,
+        rows.numbers[joint],
+        measurements.poses[0, joint],
+        measurements.covariances_random[0, joint],
+        measurements.covariances_systematic[0, joint],
+        measurements.stamp_shifts[0, joint],
+    )
+    shared, first = measurements.shared_effects[0, joint], rows.layouts[joint]["shared"]
+    for t in range(shared.shape[0]):
+        for i in range(6):
+            shared[t, i] = rows.numbers[joint, first + 6 * t + i] if terms[joint, t] >= 0 else 0.0

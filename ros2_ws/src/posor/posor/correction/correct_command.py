@@ -13,22 +13,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from posor.arm_names import describe_argument
-from posor.bags.bag_reader import checked_type, opened_bag
-from posor.bags.block_reader import read_messages
 from posor.bags.offline_pipeline import load_arm
-from posor.bags.recording import Track
+from posor.bags.recorded_encoders import read_encoders
 from posor.correction.joint_correction import CorrectionLimits
 from posor.correction.joint_path import YAML_SUFFIXES, read_path
 from posor.correction.nominal_robot import LeastSquares, NominalRobot
 from posor.correction.program_correction import MeasuredRun, begin_of_program, correct_path
-from posor.errors import BagError, OutputError, ParameterError, TopicError
-from posor.messages.message_definitions import schema_of_topic
+from posor.errors import BagError, OutputError, ParameterError
 from posor.model.fault import State
-from posor.numerics.stamps import NS, time_ns
+from posor.numerics.stamps import NS
 from posor.parameter_model import parameter_specs
 from posor.reporting.command_line_parser import CommandLineParser
 from posor.reporting.program_errors import reports_errors
-from posor.ros_names import JOINT_STATE
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -96,26 +92,6 @@ def parse_options(arguments: Sequence[str] | None) -> argparse.Namespace:
     return parser.parse_args(arguments)
 
 
-def read_joint_angles(bag: Path, topic: str, joints: Sequence[str]) -> Track:
-    """Return the angles of joints on a topic of JointState, (n, j). Raises BagError: it does not hold them."""
-    where = f"{bag}, topic {topic}"
-    stamps, rows = [], []
-    with opened_bag(bag) as reader:
-        checked_type(reader.connections, topic, str(bag), None, (JOINT_STATE,), filled=True)
-        schema = schema_of_topic(reader.connections, topic, str(bag))
-        for _, logged_ns, data in read_messages(reader, [topic], str(bag)):
-            try:
-                values = schema.values(data)
-                angles = dict(zip(values["name"], values["position"], strict=True))
-                rows.append([angles[name] for name in joints])
-            except (TopicError, KeyError, ValueError) as error:
-                reason = f"no position of joint {error}" if isinstance(error, KeyError) else str(error).rstrip(".")
-                expected = f"positions of {', '.join(joints)}"
-                raise BagError(reason, where=f"{where}, logged at {logged_ns} ns", expected=expected) from error
-            stamps.append(time_ns(values["header.stamp.sec"], values["header.stamp.nanosec"]))
-    return Track(np.array(stamps), np.array(rows), np.zeros(len(joints)), where)
-
-
 def measured_run(options: argparse.Namespace, robot: NominalRobot, ran: JointPath) -> tuple[MeasuredRun, int, int]:
     """Return the usable endpoints of the bag on the clock of the program, and how many there are and are not used."""
     where = str(options.bag)
@@ -126,8 +102,8 @@ def measured_run(options: argparse.Namespace, robot: NominalRobot, ran: JointPat
     columns = [estimates.chain.index(name) for name in robot.joints]
     stamps_ns, poses, angles = end.stamps_ns[usable], end.poses[usable], end.angles[usable][:, columns]
     if options.encoders:
-        track = read_joint_angles(options.bag, options.encoders, robot.joints)
-        angles = track.interpolate(stamps_ns, round(PROGRAM_LIMITS.max_age * NS))
+        readings = read_encoders(options.bag, options.encoders, robot.joints)
+        angles = np.column_stack([readings.at(joint, stamps_ns)[:, 0] for joint in range(len(robot.joints))])
         known = np.isfinite(angles).all(axis=1)
         stamps_ns, poses, angles = stamps_ns[known], poses[known], angles[known]
     if len(stamps_ns) < 2:  # noqa: PLR2004  a time between two
