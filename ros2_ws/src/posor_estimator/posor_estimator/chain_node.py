@@ -232,7 +232,8 @@ class ChainNode(PosorNode[ChainParameters]):
     def _publish_state(self, stamp: bytes, stamp_ns: int, verdict: EndpointVerdict) -> None:
         """Publish the state of a scan; a stamp of zero: there is no scan yet."""
         self._state_published = True
-        is_due = self._throttle.is_due(stamp_ns, changed=verdict != self._published_verdict)
+        changed = verdict != self._published_verdict
+        is_due = self._throttle.has_subscriptions and self._throttle.is_due(stamp_ns, changed=changed)
         self._published_verdict = verdict
         if is_due or self._endpoint_state.has_subscriptions:
             if verdict.has_pose:

@@ -316,7 +316,7 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
     def _update_counts(self, stream: RawScanStream, data: bytes, transform: bytes) -> None:
         """Count an answered scan, keep a sound one for the digital zero, and report a change of the status."""
         stamp_ns, changed = stream.stamp_and_change()
-        if self._throttle.is_due(stamp_ns, changed=bool(changed)):
+        if self._throttle.has_subscriptions and self._throttle.is_due(stamp_ns, changed=bool(changed)):
             self._throttle.publish(transform)
         if stamp_ns:
             self.timing.record(stamp_ns)

@@ -35,7 +35,6 @@ class ThrottledPublisher(IntraProcessPublisher):
     def is_due(self, stamp_ns: int, *, changed: bool) -> bool:
         """Return whether to publish the message of a stamp [ns]; ``changed``: it says another thing than the last."""
         slot = stamp_ns // PERIOD_NS
-        if not changed and slot == self._slot:
-            return False
+        is_due = changed or slot != self._slot
         self._slot = slot
-        return self.has_subscriptions
+        return is_due

@@ -1,6 +1,6 @@
 # Copyright 2026 POSOR maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Ambient light and gain of the converter: what a dark scan and a known voltage remove from the readings.
+"""Ambient light: what a dark scan removes from the readings of diodes.
 
 Ambient light adds a current to each contact of a diode, which draws its spot towards the middle of the diode. In a dark
 scan no light source is lit, so its diode currents are those of the ambient light. They are followed by a random walk:
@@ -17,9 +17,6 @@ DEGRADED.
 
 A dark scan has a pose too: that of the gap probes, and in the other directions the previous pose, moved on, with the
 largest motion as spread. It is DEGRADED and does not enter the tracker. With sensors in plain Python it is LOST.
-
-A converter that reads a known voltage U as U' has the gain ``g = U'/U``; all voltages are divided by g. The relative
-uncertainty of U' and U is common to all gaps: ``-V dgap/dV`` times it, in one factor.
 """
 
 from __future__ import annotations
@@ -42,9 +39,9 @@ NO_POSE, NO_DARK_SCAN = -106, -107
 
 
 @inlined
-def is_dark(settings: Any, scan: Any) -> bool:
-    """Return whether a scan is the dark scan of a calibration that has such."""
-    dark = settings.dark_age > 0.0 and scan.lit_count > 0
+def is_dark(scan: Any) -> bool:
+    """Return whether a scan is a dark scan."""
+    dark = scan.lit_count > 0
     for i in range(scan.lit_count):
         dark = dark and scan.lit_sources[i] == NO_SOURCE
     return bool(dark)
@@ -105,25 +102,6 @@ def follow_ambient(workspace: Any, scan: Any) -> None:
     for k in range(scan.current_count):
         ambient.currents[k] += gain * (scan.diode_currents[k] - ambient.currents[k])
     ambient.known, ambient.stamp_ns, ambient.variance = 1, scan.stamp_ns, gain * noise
-
-
-@inlined
-def converter_gain(settings: Any, scan: Any) -> tuple[float, float]:
-    """Return the gain of the probes' converter and its standard uncertainty; without a reading: one, and its spread."""
-    if not settings.reference_voltage > 0.0:
-        return 1.0, 0.0
-    if math.isnan(scan.reference_voltage):
-        return 1.0, settings.gain_spread
-    if scan.reference_voltage == 0.0:
-        return 1.0, 0.0  # not valid: see ``gain_is_valid``
-    return scan.reference_voltage / settings.reference_voltage, settings.reference_sigma
-
-
-@inlined
-def gain_is_valid(settings: Any, scan: Any) -> bool:
-    """Return whether the gain is within its limit of one, or not measured."""
-    known, reading = settings.reference_voltage, scan.reference_voltage
-    return bool(not known > 0.0 or math.isnan(reading) or abs(reading - known) <= settings.gain_limit * known)
 
 
 @in_place

@@ -20,12 +20,11 @@ from posor.estimation.covariance import (
     write_covariances,
     write_shared_effects,
 )
-from posor.estimation.exposure import TIME_FAULT, add_stamp_variance, move_to_stamp, write_twist
+from posor.estimation.exposure import TIME_FAULT, add_stamp_variance, move_to_stamp, write_stamp_shift, write_twist
 from posor.estimation.fault_effects import write_fault_effects
 from posor.estimation.frozen import NOT_FROZEN, count_repetitions
 from posor.estimation.linearise import add_unmeasured, environment_is_valid, linearise_scan, missing, unmeasured
 from posor.estimation.scan_checks import (
-    REFERENCE_SIGMAS,
     REGAINABLE_FAULTS,
     begin_checks,
     check_count,
@@ -39,8 +38,6 @@ from posor.estimation.scan_checks import (
     use_confirmation,
 )
 from posor.estimation.solver import CONVERGED, ILL_CONDITIONED, SINGULAR, solve_pose
-from posor.estimation.stamp_limit import write_stamp_shift
-from posor.estimation.time_offset import move_reference
 from posor.estimation.tracking import (
     add_prior,
     copy_pose,
@@ -263,8 +260,7 @@ def solve_and_check(
     may_retry = may_retry and not workspace.is_dark
     latched = tracker.latch
     estimate.residual = math.nan
-    begin_checks(workspace)
-    move_reference(workspace, scan, REFERENCE_SIGMAS)
+    begin_checks(workspace, scan)
     outcome, checks.faults = _solve(model, extrapolate)
     prior_used = checks.faults & ILL_CONDITIONED_FAULT != 0
     if (

@@ -14,14 +14,7 @@ import math
 import sys
 from typing import TYPE_CHECKING, Any
 
-from posor.estimation.ambient import (
-    check_dark_currents,
-    converter_gain,
-    gain_is_valid,
-    is_dark,
-    subtract_ambient,
-    write_ambient_effects,
-)
+from posor.estimation.ambient import check_dark_currents, is_dark, subtract_ambient, write_ambient_effects
 from posor.estimation.exposure import INVALID_EXPOSURE, begin_exposures, write_spot_offsets, write_voltage_offset
 from posor.model.diode import CODES, OUTSIDE_X, find_ratios
 from posor.model.fault import Fault
@@ -37,7 +30,7 @@ from posor.model.readings import (
 )
 from posor.model.scan import CONTACTS
 from posor.model.spot_map import INSIDE, spot_position
-from posor.model.voltage import linearise_voltage, voltage_code
+from posor.model.voltage import converter_gain, gain_is_valid, linearise_voltage, voltage_code
 from posor.numerics.compiled import in_place, inlined
 from posor.numerics.vector import square
 
@@ -205,7 +198,7 @@ def linearise_scan(model: Model, scan: Any, estimate: Any) -> bool:
     estimate.sensor = -1
     estimate.code = VALID
     workspace = model.workspace[0]
-    workspace.is_dark = 1 if is_dark(workspace.settings, scan) else 0
+    workspace.is_dark = 1 if workspace.settings.dark_age > 0.0 and is_dark(scan) else 0
     workspace.ambient_unknown = workspace.ambient_old = 0
     if not begin_exposures(model, scan):
         estimate.code, estimate.faults = INVALID_EXPOSURE, BAD_READING

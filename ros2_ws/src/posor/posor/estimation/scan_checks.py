@@ -21,7 +21,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any
 
-from posor.estimation.time_offset import follow_offset
+from posor.estimation.time_offset import follow_offset, move_reference
 from posor.estimation.tracking import LONGEST_GAP, REGAIN_GAP, copy_pose, count_is_stale, turn_about_z
 from posor.model.fault import Fault
 from posor.model.scan import STATED_HOME
@@ -47,15 +47,18 @@ REGAINABLE_FAULTS = int(Fault.INNOVATION | Fault.SOURCE | Fault.FROZEN)
 
 
 @inlined
-def begin_checks(workspace: Any) -> None:
-    """Begin the checks of a scan; give up a count that nobody followed."""
+def begin_checks(workspace: Any, scan: Any) -> None:
+    """Begin the checks of a scan with its reference of theta, if any; give up a count that nobody followed."""
     tracker, checks = workspace.tracker, workspace.checks
     checks.elapsed = tracker.time - tracker.stamp
     checks.faults, checks.contradictory, checks.accepted = 0, 0, 1
     checks.recounted, checks.confirmed, checks.marks, checks.marks_off = 0, 0, 0, 0.0
+    checks.reference_variance = 0.0
     if tracker.initialised and count_is_stale(workspace.settings, tracker, checks.elapsed):
         tracker.counted = 0
     checks.counted = tracker.counted
+    if tracker.reference_sigma > 0.0:
+        move_reference(workspace, scan, REFERENCE_SIGMAS)
 
 
 @in_place

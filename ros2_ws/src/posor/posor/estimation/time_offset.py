@@ -41,14 +41,11 @@ OFFSET_SIGMAS = 5.0  # standard uncertainties that an offset may exceed the larg
 
 @inlined
 def move_reference(workspace: Any, scan: Any, widest: float) -> None:
-    """Move the reference of theta from its own stamp to that of a scan, into ``checks``; variance 0: there is none.
+    """Move a reference of theta from its own stamp to that of a scan, into ``checks``.
 
     A reference that may be off by half a period of theta is left out; ``widest``: standard deviations of that error.
     """
     settings, tracker, checks = workspace.settings, workspace.tracker, workspace.checks
-    checks.reference_variance = 0.0
-    if not tracker.reference_sigma > 0.0:
-        return
     apart = (scan.stamp_ns - tracker.reference_stamp_ns) * 1e-9 if tracker.reference_stamp_ns != 0 else 0.0
     rate, spread, fastest = 0.0, uniform_sigma(settings.max_theta_rate), settings.max_theta_rate
     if rate_is_known(tracker, checks.elapsed):

@@ -1,9 +1,12 @@
 # Copyright 2026 POSOR maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""From a probe's voltage to its gap: a polynomial with zero shift, supply and temperature sensitivity.
+"""From a probe's voltage to its gap: gain of the converter, then a polynomial with zero shift and sensitivities.
 
 ``gap = sum_k A_k V^k + supply (U - U0) + thermal (K - K0)`` with ``V = voltage + zero_shift`` (thesis table 7.10 for
 the polynomial, 7.11 for the supply). A supply or temperature that was not measured (NaN) counts as at its reference.
+
+A converter that reads a known voltage U as U' has the gain ``g = U'/U``; all voltages are divided by g. The relative
+uncertainty of U' and U is common to all gaps: ``-V dgap/dV`` times it, in one factor.
 """
 
 from __future__ import annotations
@@ -108,6 +111,25 @@ def linearise_voltage(
     residual_derivatives.temperature_reference = channel.temperature_sensitivity
     gap = value + channel.supply_sensitivity * above_supply + channel.temperature_sensitivity * above_temperature
     return gap, slope * slope * channel.noise * channel.noise
+
+
+@inlined
+def converter_gain(settings: Any, scan: Any) -> tuple[float, float]:
+    """Return the gain of the probes' converter and its standard uncertainty; without a reading: one, and its spread."""
+    if not settings.reference_voltage > 0.0:
+        return 1.0, 0.0
+    if math.isnan(scan.reference_voltage):
+        return 1.0, settings.gain_spread
+    if scan.reference_voltage == 0.0:
+        return 1.0, 0.0  # not valid: see ``gain_is_valid``
+    return scan.reference_voltage / settings.reference_voltage, settings.reference_sigma
+
+
+@inlined
+def gain_is_valid(settings: Any, scan: Any) -> bool:
+    """Return whether the gain is within its limit of one, or not measured."""
+    known, reading = settings.reference_voltage, scan.reference_voltage
+    return bool(not known > 0.0 or math.isnan(reading) or abs(reading - known) <= settings.gain_limit * known)
 
 
 @in_place
