@@ -26,6 +26,7 @@ from run_tests import NO_TESTS
 LEAST_PERCENT = 95.0
 TEST_LIMIT_S, FILE_LIMIT_S = 15, 90  # with uncompiled kernels
 SOURCE = THIS.ros2 / "src"
+LAB_TESTS = THIS.root / "lab" / "posor_lab" / "test"
 PARTS = ("numerics", "model", "sensors", "estimation", "chain", "calibration", "uncertainty")
 PACKAGES = {
     **{SOURCE / "posor" / "posor" / part: SOURCE / "posor" / "test" / part for part in PARTS},
@@ -36,11 +37,14 @@ OTHER_FILES = (
     SOURCE / "posor_estimator" / "test" / "test_message_stream.py",
     THIS.root / "tests" / "test_calibrate_command.py",
     THIS.root / "tests" / "test_public_api.py",
-    THIS.root / "lab" / "posor_lab" / "test" / "commissioning" / "test_commissioning_command.py",
+    LAB_TESTS / "commissioning" / "test_commissioning_command.py",
+    LAB_TESTS / "arm_study" / "test_calibration_truth.py",
+    LAB_TESTS / "arm_study" / "test_prediction_truth.py",
+    LAB_TESTS / "health" / "test_health.py",
     SOURCE / "posor_design" / "test" / "test_endpoint_budget.py",
     SOURCE / "posor_design" / "test" / "test_arm_allotment.py",
 )
-"""Tests outside the folders of the packages: of a stream of messages, reports on a calibration, and budgets of arms."""
+"""Tests outside the folders of the packages: of messages, reports on a calibration, whole arms, health, and budgets."""
 COVERAGE = (str(THIS.python), "-m", "coverage")
 REPORT = THIS.root / "build" / "coverage.json"
 

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
 import numpy as np
+from bokeh.document import Document
 from bokeh.embed import components
 from bokeh.models import ColumnDataSource, HoverTool, PrintfTickFormatter
 from bokeh.plotting import figure
@@ -247,7 +248,11 @@ def bokeh_script() -> str:
 
 def embed_plots(plots: Sequence[Plot]) -> tuple[str, dict[Plot, str]]:
     """Return the script element that draws the plots, and the element of each plot, as HTML."""
-    script, elements = components([plot.finish() for plot in plots], theme=_STYLE)
+    figures, document = [plot.finish() for plot in plots], Document()
+    with document.models.freeze():  # else Bokeh visits all figures again for each that is added
+        for figure in figures:
+            document.add_root(figure)
+    script, elements = components(figures, theme=_STYLE)
     return script, dict(zip(plots, elements, strict=True))
 
 
