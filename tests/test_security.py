@@ -23,6 +23,7 @@ from posor_estimator.posor_node import PosorEstimatorNode
 from posor_lab.harness.graph import Graph
 from posor_lab.harness.in_process_nodes import NodeProcess, run_refused_node
 from posor_lab.harness.program import Program, installed
+from posor_lab.shop.shop_arm import write_shop_arm
 from posor_ros.lifecycle_node import PosorNode
 from rclpy.node import Node
 
@@ -136,11 +137,11 @@ def not_opened(entities: set[Entity], rules: set[Entity]) -> set[Entity]:
     return {rule for rule in rules if not any(matches(entity, rule) for entity in entities)}
 
 
-def opened_by_nodes(**changes: object) -> dict[str, set[Entity]]:
+def opened_by_nodes(arm: str = "five_axis", **changes: object) -> dict[str, set[Entity]]:
     """Return what the nodes of the chain and of one joint open, by enclave; each has a process of its own."""
     found = {}
     with ExitStack() as stack:
-        for program in arm_programs(load_checked_arm("five_axis")):
+        for program in arm_programs(load_checked_arm(arm)):
             if program.name not in ("chain_node", f"{JOINT}/posor_node", f"{JOINT}/driver_node"):
                 continue
             own = WITH_ALL_TOPICS[program.executable]
@@ -176,9 +177,9 @@ def test_policies_have_the_format_of_sros2(keystore: Path, executable: str) -> N
             import_module("sros2.policy").load_policy(path / "used.xml")
 
 
-def test_policies_allow_what_the_nodes_open_and_no_more(keystore: Path) -> None:
+def test_policies_allow_what_the_nodes_open_and_no_more(keystore: Path, tmp_path: Path) -> None:
     compose = allowed(load_policy(keystore, "/five_axis/compose"))
-    found = opened_by_nodes()
+    found = opened_by_nodes(str(write_shop_arm(load_checked_arm("five_axis"), tmp_path)))  # its beams have thermometers
     assert len(found) == len(CLASSES)
     for enclave, entities in found.items():
         rules = allowed(load_policy(keystore, enclave))

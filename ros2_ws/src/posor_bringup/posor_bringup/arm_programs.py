@@ -15,7 +15,7 @@ from posor.chain.arm_file import chain_parameters as chain_parameters_of
 from posor.errors import ErrorCollector, ParameterError, PosorError, similar_name
 from posor.node_parameters import RECORDING, ChainParameters, PosorParameters
 from posor.parameter_model import validate_parameters
-from posor.ros_names import ROS_OWN_PARAMETERS
+from posor.ros_names import ROS_OWN_PARAMETERS, TEMPERATURE_TOPIC
 from posor_drivers.driver_parameters import driver_parameters_for
 from posor_drivers.sources.source import LiveSource, load_source_class
 from posor_ros.parameter_files import load_parameter_file
@@ -166,6 +166,8 @@ def _driver_parameters(arm: ArmFile, joint: str, source: str) -> dict[str, Param
         parameters |= {"simulated.arm": str(arm.path.resolve()), "simulated.joint": joint}
         if arm.outer_namespace:
             parameters["simulated.namespace"] = arm.outer_namespace
+    if source == "instruments":
+        parameters["instruments.temperature_topic"] = f"{arm.namespace}/{TEMPERATURE_TOPIC}"
     return parameters | arm.fill_placeholders(arm.driver.parameters, joint, arm.driver_locations)
 
 

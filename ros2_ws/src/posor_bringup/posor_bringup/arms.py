@@ -8,6 +8,7 @@ read an arm use this check.
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from posor.arm_names import find_arm
@@ -18,12 +19,14 @@ from posor.chain.arm_file import ArmFile, load_arm_file
 from posor.chain.beams_file import load_beams
 from posor.chain.commissioning_record import load_record
 from posor.chain.kinematic_chain import load_chain
-from posor.errors import CalibrationError, ChainError, ErrorCollector, PosorError
+from posor.errors import CalibrationError, ChainError, ErrorCollector, PosorError, similar_name
 from posor.messages.message_definitions import MessageTypes
 from posor.parameter_model import validate_parameters
 from posor_drivers.driver_parameters import driver_parameters_for
+from posor_drivers.instruments.instruments_file import load_instruments
 from posor_drivers.simulator.arm_simulation import ArmSimulation
 from posor_drivers.simulator.scenario import load_scenario
+from posor_drivers.sources.instrument_source import InstrumentParameters
 from posor_drivers.sources.simulated_source import SimulatedParameters
 from posor_drivers.sources.source import load_source_class
 
@@ -31,7 +34,6 @@ from posor_bringup.arm_programs import DRIVER_NODE, arm_programs, own_parameters
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
-    from pathlib import Path
 
     from posor.calibration.calibration_file import Calibration
     from posor.chain.kinematic_chain import Chain
@@ -102,6 +104,8 @@ def check_arm(
                 own = _source_parameters(program)
                 simulated = own if isinstance(own, SimulatedParameters) else simulated
                 load_source_class(str(program.parameters["source"]))(own, MessageTypes()).check(calibrations[joint])
+                if isinstance(own, InstrumentParameters) and chain is not None:
+                    _check_thermometers(arm, chain, own)
     if arm.scenario is not None:
         with errors.collecting():
             if chain is None or calibrations.keys() != arm.calibrations.keys():
@@ -111,6 +115,22 @@ def check_arm(
                 scans_per_second = ArmSimulation(arm, *own).scenario.ticks_per_second
     errors.raise_errors()
     return CheckedArm(arm, arm.chain() if chain is None else chain, calibrations, programs, scans_per_second)
+
+
+def _check_thermometers(arm: ArmFile, chain: Chain, own: InstrumentParameters) -> None:
+    """Check that the chain reads each thermometer that a driver publishes, and that of a plate from its own joint."""
+    plates = {plate.thermometer.name: plate.joint for plate in chain.plates}
+    beams = [beam.entry.thermometer.name for beam in chain.beams if beam.entry.thermometer is not None]
+    for name, entry in load_instruments(Path(own.file)).thermometers.items():
+        where = f"{own.file}, key thermometers.{name}"
+        if entry.joint == own.joint and name not in plates and name not in beams:
+            expected = similar_name(
+                name, [*beams, *plates], f"a thermometer of {arm.beams}")
+            )
+            raise CalibrationError("no beam and no plate has this thermometer", where=where, expected=expected)
+        if entry.joint == own.joint != plates.get(name, own.joint):
+            what = f"joint '{entry.joint}', but '{name}' is on the plate of '{plates[name]}' in the beams file"
+            raise CalibrationError(what, where=where, expected=f"joint: {plates[name]}, and its channel")
 
 
 def load_checked_arm(text: str, namespace: str = "") -> ArmFile:

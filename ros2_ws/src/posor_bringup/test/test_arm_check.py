@@ -204,7 +204,10 @@ def test_an_instruments_file_is_compared_with_the_calibrations(
     assert instruments(["start", str(folder / "arm.yaml")]) == 0
     text = capsys.readouterr().out
     (folder / "i.yaml").write_text(text, encoding="utf-8")
-    assert len(check_arm(str(folder)).programs) == 5
+    programs = check_arm(str(folder)).programs
+    assert len(programs) == 5
+    topics = [each.parameters["instruments.temperature_topic"] for each in programs if each.executable == "driver_node"]
+    assert topics == ["/own/temperature"] * 2
     content = yaml.safe_load(text)
     del content["joints"]["joint1"]["gap_voltages"][1]
     content["joints"]["joint1"]["frame_id"] = "elsewhere"
@@ -215,6 +218,39 @@ def test_an_instruments_file_is_compared_with_the_calibrations(
     assert [each for each in found if "frame_id 'elsewhere'; expected 'joint1_receiving'" in each]
     assert [each for each in found if "'joint2' is not a joint of" in each]
     assert len(found) == 3
+
+
+def test_thermometers_of_an_instruments_file_are_compared_with_the_beams_file(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = make_arm(tmp_path / "own", count=2)
+    source = "source: instruments\n  parameters: {instruments.file: '{folder}/i.yaml', instruments.joint: '{joint}'}\n"
+    change(folder, "arm.yaml", "source: simulated ", source)
+    assert instruments(["start", str(folder / "arm.yaml")]) == 0
+    content = yaml.safe_load(capsys.readouterr().out)
+    channels = {f"heat{n}": {"unit": "V", "scale": 1.0} for n in range(2)}
+    device = next(iter(content["devices"]))
+    content["devices"][device]["channels"] |= channels
+    content["devices"][device]["fields"] += list(channels)
+    content["devices"][device]["format"] += "dd"
+    kelvins = {"scale": {"value": 1.0, "unit": "K/V"}, "offset": {"value": 273.15, "unit": "K"}}
+    content["thermometers"] = {
+        name: {"joint": "joint1", "channel": f"{device}/heat{n}", **kelvins} for n, name in enumerate(("hot", "cold"))
+    }
+    (folder / "i.yaml").write_text(yaml.safe_dump(content), encoding="utf-8")
+    limits = "range: {value: [280, 310], unit: K}, rate: {value: 0.01, unit: K/s}, age: {value: 10, unit: s}"
+    plate = "  - {{joint: {}, thermometer: {{name: {}, uncertainty: {{value: 0.1, unit: K}}, {}}}}}\n"
+    beams = (folder / "beams.yaml").read_text(encoding="utf-8").replace("version: 2", "version: 3")
+
+    def found(*plates: tuple[str, str]) -> list[str]:
+        text = beams + "plates:\n" + "".join(plate.format(joint, name, limits) for joint, name in plates)
+        (folder / "beams.yaml").write_text(text, encoding="utf-8")
+        return sentences(folder)
+
+    (unread,) = found(("joint1", "hot"))
+    assert "key thermometers.cold: no beam and no plate has this thermometer" in unread
+    (other,) = found(("joint1", "hot"), ("joint2", "cold"))
+    assert "joint 'joint1', but 'cold' is on the plate of 'joint2' in the beams file; expected joint: joint2" in other
 
 
 def test_a_record_of_other_joints_is_refused(tmp_path: Path) -> None:

@@ -113,6 +113,12 @@ def pose_stamped(types: MessageTypes, stamp_ns: int, frame_id: str, pose: pin.SE
     return types.new(POSE_STAMPED, header=header(types, stamp_ns, frame_id), pose=content)
 
 
+def temperature(types: MessageTypes, stamp_ns: int, name: str, kelvin: float, uncertainty: float = 0.0) -> Any:
+    """Return a sensor_msgs/Temperature in the frame ``name``; ``uncertainty``: standard one [K], zero: not stated."""
+    fields = {"temperature": kelvin - CELSIUS, "variance": uncertainty**2}
+    return types.new(TEMPERATURE, header=header(types, stamp_ns, name), **fields)
+
+
 class SimulatedTopics:
     """Topics of an arm; all names are absolute because they belong to the arm, not to a joint."""
 
@@ -182,8 +188,7 @@ class SimulatedMessages:
 
     def temperature(self, name: str, stamp_ns: int, kelvin: float, uncertainty: float) -> SourceMessage:
         """Return a reading of a thermometer and its standard uncertainty [K]."""
-        fields = {"temperature": kelvin - CELSIUS, "variance": uncertainty**2}
-        message = self._types.new(TEMPERATURE, header=header(self._types, stamp_ns, name), **fields)
+        message = temperature(self._types, stamp_ns, name, kelvin, uncertainty)
         return self._serialize(self.topics.temperature(name), stamp_ns, message)
 
     def pose(self, topic: Topic, stamp_ns: int, frame: str, pose: pin.SE3) -> SourceMessage:

@@ -135,7 +135,7 @@ class ChainNode(PosorNode[ChainParameters]):
         plain = {joint.name: TransformConstants(joint.parent, joint.child).encoded(schema) for joint in chain.joints}
         self._formats = {name: JointTransformFormat(example) for name, example in plain.items()}
         self._estimator = chain.estimator(self.parameters.acceleration_window)
-        self._temperatures = BeamTemperatures(chain.beams, self._estimator)
+        self._temperatures = BeamTemperatures(chain.beams, self._estimator, chain.plates)
         self._rows, self._transforms, self._reads_effects = [], [], True
         self._home, self._pose_stamp, self._reported = None, b"", None
         self._poses = self._scans_refused = self._scans_incomplete = self._transforms_refused = 0

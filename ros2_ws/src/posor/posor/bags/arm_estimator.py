@@ -179,7 +179,7 @@ class EndpointPipeline:
                     expected=f"'{joint.parent}' to '{joint.child}'",
                 )
         self._estimator = chain.estimator(parameters.acceleration_window)
-        self.temperatures = BeamTemperatures(chain.beams, self._estimator)
+        self.temperatures = BeamTemperatures(chain.beams, self._estimator, chain.plates)
         self.reasons: dict[int, str] = {}
         self.without_thermometer: Counter[str] = Counter()
         own = [transforms[name] for name in self.joints]

@@ -2,6 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Temperatures of the beams of an arm from their thermometers, checked; a beam without a usable one has the spread.
 
+The thermometers of the plates are checked with them. Their readings are not used here: each joint compensates its own
+scans (``estimation.linearise``).
+
 Temperatures change at whole seconds of the stamps of scans, from readings that are at least ``DELAY_S`` older. So
 chain_node and ``reprocess`` use the same readings for the same scan, whatever their messages' times of arrival.
 
@@ -26,7 +29,7 @@ from posor.numerics.stamps import NS
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from posor.chain.beams_file import ThermometerFile
+    from posor.chain.beams_file import PlateThermometerFile, ThermometerFile
     from posor.chain.endpoint_estimator import EndpointEstimator
     from posor.chain.measuring_beam import MeasuringBeam
 
@@ -50,8 +53,8 @@ class Reading(NamedTuple):
 class _Thermometer:
     """A thermometer and its readings."""
 
-    index: int  # of its beam
-    beam: str
+    index: int | None  # of its beam; None: of a plate
+    place: str  # "beam 'NAME'"
     entry: ThermometerFile
     waiting: deque[Reading] = field(default_factory=lambda: deque(maxlen=MOST_WAITING))
     last: Reading | None = None  # the newest that was accepted
@@ -107,21 +110,27 @@ class _Thermometer:
 
 
 class BeamTemperatures:
-    """Keeps the beams of an estimator at the temperatures of their thermometers.
+    """Keeps the beams of an estimator at the temperatures of their thermometers, and checks those of the plates.
 
     Attributes:
         names: Of all thermometers.
-        faults: What is wrong with thermometers: clauses that follow ``thermometer 'NAME' of beam 'BEAM'``, by name.
+        faults: What is wrong with thermometers: clauses that follow ``thermometer 'NAME' of beam 'BEAM'``, or ``of
+            the plate of 'JOINT'``, by name.
         kelvins: Temperatures in use, by name [K].
         reason: All faults, as a sentence; empty: every thermometer is used.
 
     """
 
-    def __init__(self, beams: Sequence[MeasuringBeam], estimator: EndpointEstimator) -> None:
-        """Take the beams of a chain, all at the temperature of the URDF, and an estimator of this chain."""
+    def __init__(
+        self, beams: Sequence[MeasuringBeam], estimator: EndpointEstimator, plates: Sequence[PlateThermometerFile] = ()
+    ) -> None:
+        """Take the beams of a chain, all at the temperature of the URDF, an estimator of this chain, and its plates."""
         self._beams, self._estimator = beams, estimator
-        found = [(n, beam.name, beam.entry.thermometer) for n, beam in enumerate(beams)]
-        self._all = {entry.name: _Thermometer(n, beam, entry) for n, beam, entry in found if entry is not None}
+        found: list[tuple[int | None, str, ThermometerFile | None]] = [
+            (n, f"beam '{beam.name}'", beam.entry.thermometer) for n, beam in enumerate(beams)
+        ]
+        found += [(None, f"the plate of '{plate.joint}'", plate.thermometer) for plate in plates]
+        self._all = {entry.name: _Thermometer(n, place, entry) for n, place, entry in found if entry is not None}
         self.names = tuple(self._all)
         self._pairs: dict[frozenset[str], float] = {}
         for name, each in self._all.items():
@@ -210,7 +219,7 @@ class BeamTemperatures:
     def _use_sound(self) -> None:
         before, self.kelvins = self.kelvins, self._sound()
         for name, each in self._all.items():
-            if (kelvin := self.kelvins.get(name)) != before.get(name):
+            if (kelvin := self.kelvins.get(name)) != before.get(name) and each.index is not None:
                 self._estimator.use_beam(each.index, self._beams[each.index].at_temperature(kelvin))
-        named = [(f"thermometer '{n}' of beam '{each.beam}'", self.faults.get(n)) for n, each in self._all.items()]
+        named = [(f"thermometer '{n}' of {each.place}", self.faults.get(n)) for n, each in self._all.items()]
         self.reason = "; ".join(f"{name} {fault}" for name, fault in named if fault)

@@ -7,7 +7,7 @@ Versions of the format:
 1. First version: ``gravity`` and ``beams``, each with ``uncertainty`` and, where it sags, ``sag``. Still read.
 2. ``temperature`` of a beam: coefficient of expansion, and largest deviation from the temperature of the URDF;
    ``shared``: errors that several beams share, also with calibrations. Still read.
-3. ``spread``, ``gradient`` and ``thermometer`` in the ``temperature`` of a beam.
+3. ``spread``, ``gradient`` and ``thermometer`` in the ``temperature`` of a beam; ``plates``: thermometers of plates.
 """
 
 from __future__ import annotations
@@ -177,10 +177,9 @@ class NeighbourFile(FrozenModel):
 
 
 class ThermometerFile(FrozenModel):
-    """The thermometer of a beam; ``name`` is the last part of its topic."""
+    """A thermometer of a beam or a plate; ``name`` is the last part of its topic."""
 
     name: str
-    reference: Annotated[Quantity, measured("K")]  # temperature at which the URDF holds
     uncertainty: Annotated[Quantity, measured("K")]  # standard uncertainty of a reading, common to all readings
     range: Annotated[Quantity, measured("K", 2)]  # of plausible readings
     rate: Annotated[Quantity, measured("K/s")]  # largest rate of change
@@ -191,9 +190,23 @@ class ThermometerFile(FrozenModel):
     def _check_values(self) -> Self:
         if not is_ros_name(self.name):
             raise EntryError(f"name '{self.name}'", key=("name",), expected=ROS_NAME_RULE)
-        for name, limits in (("reference", _TEMPERATURE), ("range", _TEMPERATURE), ("rate", _RATE), ("age", _AGE)):
+        for name, limits in (("range", _TEMPERATURE), ("rate", _RATE), ("age", _AGE), ("uncertainty", _KELVINS)):
             limits.check(name, getattr(self, name))
-        _KELVINS.check("uncertainty", self.uncertainty)
+        least, most = self.range.array
+        if not least < most:
+            what, expected = f"range {self.range.value} K", "two temperatures, the lower first"
+            raise EntryError(what, key=("range",), expected=expected)
+        return self
+
+
+class BeamThermometerFile(ThermometerFile):
+    """The thermometer of a beam."""
+
+    reference: Annotated[Quantity, measured("K")]  # temperature at which the URDF holds
+
+    @model_validator(mode="after")
+    def _check_reference(self) -> Self:
+        _TEMPERATURE.check("reference", self.reference)
         least, most = self.range.array
         if not least < self.reference.number < most:
             what, expected = f"range {self.range.value} K", "two temperatures, the reference between them"
@@ -213,7 +226,7 @@ class TemperatureFile(FrozenModel):
     deviation: Annotated[Quantity, measured("K")]
     spread: Annotated[Quantity, measured("K")] | None = None
     gradient: GradientFile | None = None
-    thermometer: ThermometerFile | None = None
+    thermometer: BeamThermometerFile | None = None
 
     @model_validator(mode="after")
     def _check_values(self) -> Self:
@@ -253,9 +266,16 @@ class BeamFile(FrozenModel):
         return stated or (None if self.sag is None else self.sag.tube.outer_diameter)
 
     @property
-    def thermometer(self) -> ThermometerFile | None:
+    def thermometer(self) -> BeamThermometerFile | None:
         """The thermometer; None: the beam has no thermometer."""
         return None if self.temperature is None else self.temperature.thermometer
+
+
+class PlateThermometerFile(FrozenModel):
+    """The thermometer of the receiving plate of the POSOR ``joint``: ``temperature`` of its scans."""
+
+    joint: str
+    thermometer: ThermometerFile
 
 
 class BeamsFile(FrozenModel):
@@ -268,6 +288,7 @@ class BeamsFile(FrozenModel):
     gravity: Annotated[Quantity, measured("m/s^2", 3)] = Quantity(value=[0.0, 0.0, -STANDARD_GRAVITY], unit="m/s^2")
     beams: Annotated[list[BeamFile], Field(min_length=1)]
     shared: dict[str, SharedTerm] = Field(default_factory=dict)
+    plates: tuple[PlateThermometerFile, ...] = ()
 
     @model_validator(mode="after")
     def _check_gravity(self) -> Self:
@@ -278,6 +299,7 @@ class BeamsFile(FrozenModel):
     @model_validator(mode="after")
     def _check_version(self) -> Self:
         found: list[tuple[int, tuple[str | int, ...]]] = [(SHARED_VERSION, ("shared",))] if self.shared else []
+        found += [(VERSION, ("plates",))] if self.plates else []
         for index, beam in enumerate(self.beams):
             if beam.temperature is not None:
                 at = ("beams", index, "temperature")
@@ -292,10 +314,15 @@ class BeamsFile(FrozenModel):
     @model_validator(mode="after")
     def _check_thermometers(self) -> Self:
         """Check that no two thermometers have one name, and that each neighbour is another one."""
-        found = [(n, beam.thermometer) for n, beam in enumerate(self.beams) if beam.thermometer is not None]
+        found: list[tuple[tuple[str | int, ...], ThermometerFile]] = [
+            (("beams", n, "temperature", "thermometer"), beam.thermometer)
+            for n, beam in enumerate(self.beams)
+            if beam.thermometer is not None
+        ]
+        found += [(("plates", n, "thermometer"), plate.thermometer) for n, plate in enumerate(self.plates)]
         names = [thermometer.name for _, thermometer in found]
-        for index, thermometer in found:
-            key, neighbour = ("beams", index, "temperature", "thermometer"), thermometer.neighbour
+        for key, thermometer in found:
+            neighbour = thermometer.neighbour
             if names.count(thermometer.name) > 1:
                 what = f"two thermometers have the name '{thermometer.name}'"
                 raise EntryError(what, key=(*key, "name"), expected="a name, and a topic, for each")

@@ -81,6 +81,7 @@ class Chain:
         urdf: The robot description (XML text).
         gravity: [m/s^2], (3,), in the base frame.
         shared: Shared terms of the beams file, by name.
+        plates: Thermometers of the plates of POSORs, of the beams file.
 
     """
 
@@ -118,7 +119,12 @@ class Chain:
         self.urdf = urdf
         self.beam_joints = self._robot.freed
         self.shared = {} if beams is None else beams.shared
+        self.plates = () if beams is None else beams.plates
         self.fixed_transforms = self._robot.fixed_transforms()
+        names = [joint.name for joint in self.joints]
+        for unknown in (plate.joint for plate in self.plates if plate.joint not in names):
+            what = f"'{unknown}' is not a POSOR of the arm"
+            faults.append(ChainError(what, where=f"{beams_source}, key plates", expected=f"one of {', '.join(names)}"))
         for entry, joint in zip(entries, self.beam_joints, strict=True):
             faults += beam_faults(entry, joint, beams_source)
         if faults:

@@ -1,6 +1,6 @@
 # Copyright 2026 POSOR maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Beams at the temperatures of their thermometers, and thermometers that cannot be used."""
+"""Beams at the temperatures of their thermometers; thermometers of beams and plates that cannot be used."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ import pytest
 from posor.chain.beam_temperatures import CELSIUS, BeamTemperatures
 from posor.chain.beams_file import BeamsFile
 from posor.chain.kinematic_chain import Chain
+from posor.errors import ChainError
 from posor.numerics.stamps import NS
 
 REFERENCE, ALPHA, SPREAD, LENGTH, UNCERTAINTY = 293.0, 20e-6, 2.0, 0.5, 0.1
@@ -32,20 +33,28 @@ def quantity(value: Any, unit: str) -> dict[str, Any]:
     return {"value": value, "unit": unit}
 
 
-def chain_with(neighbours: str = "badc", *, thermometers: bool = True) -> Chain:
-    """Return four beams of the same direction; the thermometers have these neighbours, a space: no neighbour."""
+def thermometer_of(name: str, neighbour: str = " ") -> dict[str, Any]:
+    """Return a thermometer without a reference; a space: no neighbour."""
+    thermometer = {
+        "name": name,
+        "uncertainty": quantity(UNCERTAINTY, "K"),
+        "range": quantity([273.0, 313.0], "K"),
+        "rate": quantity(0.5, "K/s"),
+        "age": quantity(4.0, "s"),
+    }
+    if neighbour != " ":
+        thermometer["neighbour"] = {"name": neighbour, "difference": quantity(3.0, "K")}
+    return thermometer
+
+
+def chain_with(neighbours: str = "badc", *, thermometers: bool = True, plates: str = "") -> Chain:
+    """Return four beams of the same direction; the thermometers have these neighbours, a space: no neighbour.
+
+    ``plates``: neighbours of the thermometers ``plate_0``, ... of the first plates.
+    """
     beams = []
     for n, (name, neighbour) in enumerate(zip(NAMES, neighbours, strict=True)):
-        thermometer = {
-            "name": name,
-            "reference": quantity(REFERENCE, "K"),
-            "uncertainty": quantity(UNCERTAINTY, "K"),
-            "range": quantity([273.0, 313.0], "K"),
-            "rate": quantity(0.5, "K/s"),
-            "age": quantity(4.0, "s"),
-        }
-        if neighbour != " ":
-            thermometer["neighbour"] = {"name": neighbour, "difference": quantity(3.0, "K")}
+        thermometer = thermometer_of(name, neighbour) | {"reference": quantity(REFERENCE, "K")}
         temperature = {
             "coefficient": {**quantity(ALPHA, "1/K"), "sigma": 0.01 * ALPHA},
             "deviation": quantity(10.0, "K"),
@@ -62,23 +71,28 @@ def chain_with(neighbours: str = "badc", *, thermometers: bool = True) -> Chain:
     }
     provenance = {"source": "test", "method": "none", "date": "none"}
     head = {"format": "posor_beams", "version": 3, "name": "test", "provenance": provenance}
-    return Chain(URDF, "t4", BeamsFile.model_validate({**head, "beams": beams, "shared": shared}))
+    warm_plates = [
+        {"joint": f"joint_{n}", "thermometer": thermometer_of(f"plate_{n}", neighbour)}
+        for n, neighbour in enumerate(plates)
+    ]
+    content = {**head, "beams": beams, "shared": shared, "plates": warm_plates}
+    return Chain(URDF, "t4", BeamsFile.model_validate(content))
 
 
 class Rig:
     """An estimator with exact joints, and its beams."""
 
-    def __init__(self, neighbours: str = "badc") -> None:
-        chain = chain_with(neighbours)
+    def __init__(self, neighbours: str = "badc", plates: str = "") -> None:
+        chain = chain_with(neighbours, plates=plates)
         self.beams, self.estimator = chain.beams, chain.estimator()
         self.estimator.poses[:] = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]
         self.estimator.covariances_random[:] = self.estimator.covariances_systematic[:] = 0.0
-        self.temperatures = BeamTemperatures(chain.beams, self.estimator)
+        self.temperatures = BeamTemperatures(chain.beams, self.estimator, chain.plates)
 
     def run(self, kelvins: Callable[[str, int], float | None], begin: int, end: int, stamp: int | None = None) -> None:
         """Read thermometers each second; ``stamp``: of all readings [s]; None: the second."""
         for second in range(begin, end):
-            for name in NAMES:
+            for name in self.temperatures.names:
                 if (kelvin := kelvins(name, second)) is not None:
                     stamp_ns = (second if stamp is None else stamp) * NS
                     self.temperatures.add(name, stamp_ns, kelvin - CELSIUS)
@@ -88,7 +102,7 @@ class Rig:
 
 def quiet(name: str, second: int) -> float:
     """Return readings of a sound thermometer: they are never exactly the same."""
-    return 295.0 + 0.01 * ((second + ord(name)) % 3)
+    return 295.0 + 0.01 * ((second + ord(name[-1])) % 3)
 
 
 def test_each_beam_has_the_length_of_its_temperature_and_the_covariance_of_what_is_unknown() -> None:
@@ -166,6 +180,51 @@ def test_a_thermometer_that_cannot_be_used_is_named_and_its_beam_has_the_spread(
     assert rig.temperatures.reason == "; ".join(sentences)
     np.testing.assert_array_equal(rig.estimator.pose, healthy.estimator.pose)
     np.testing.assert_array_equal(rig.estimator.covariance_systematic, healthy.estimator.covariance_systematic)
+
+
+def of_plate(changed: Callable[[int], float | None], name: str = "plate_1") -> Callable[[str, int], float | None]:
+    """Return readings of which those of one plate are changed."""
+    return lambda each, second: changed(second) if each == name else quiet(each, second)
+
+
+def swapped_plates(name: str, second: int) -> float:
+    """Return readings of a warm joint and a cold one whose plates' thermometers are exchanged."""
+    return quiet(name, second) + (6.0 if name in {"c", "d", "plate_0"} else 0.0)
+
+
+def shop_warms_up(name: str, second: int) -> float:
+    return quiet(name, 10 if name == "plate_0" else second) + 0.1 * (second - 10) * (name != "plate_0")
+
+
+PLATE_FAULTS: list[tuple[Callable[[str, int], float | None], dict[str, str]]] = [
+    (quiet, {}),
+    (of_plate(lambda _: None), {"plate_1": OLD}),
+    (of_plate(lambda _: math.nan), {"plate_1": "does not read a number"}),
+    (of_plate(lambda _: -999.0), {"plate_1": "reads a temperature outside 273 to 313 K"}),
+    (of_plate(lambda s: 295.0 if s < 14 else 299.0), {"plate_1": "changes faster than 0.5 K/s"}),
+    (of_plate(lambda s: 295.0 + 0.3 * (s - 10)), {"plate_1": "differs from 'd' by more than 3 K"}),
+    (shop_warms_up, {"plate_0": "still reads the same after 'a' has changed by more than 1 K"}),
+    (swapped_plates, {f"plate_{n}": f"agrees with the neighbours if exchanged with 'plate_{1 - n}'" for n in range(2)}),
+]
+
+
+@pytest.mark.parametrize(("kelvins", "faults"), PLATE_FAULTS)
+def test_a_thermometer_of_a_plate_is_named_and_does_not_move_the_beams(
+    kelvins: Callable[[str, int], float | None], faults: dict[str, str]
+) -> None:
+    rig, without = Rig(plates="ad"), Rig()
+    rig.run(kelvins, 10, 25)
+    without.run(kelvins, 10, 25)
+    assert rig.temperatures.faults == faults
+    sentences = [f"thermometer '{name}' of the plate of 'joint_{name[-1]}' {text}" for name, text in faults.items()]
+    assert rig.temperatures.reason == "; ".join(sentences)
+    np.testing.assert_array_equal(rig.estimator.pose, without.estimator.pose)
+    np.testing.assert_array_equal(rig.estimator.covariance_systematic, without.estimator.covariance_systematic)
+
+
+def test_the_plate_of_an_unknown_joint_is_refused() -> None:
+    with pytest.raises(ChainError, match=r"'joint_4' is not a POSOR of the arm; expected one of joint_0, joint_1"):
+        chain_with(plates="    a")
 
 
 def test_of_three_neighbours_the_one_that_differs_is_named() -> None:

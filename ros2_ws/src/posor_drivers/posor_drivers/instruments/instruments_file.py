@@ -24,7 +24,13 @@ A reading is ``scale`` times the channel plus ``offset``. Without ``scale`` the 
 a fixed number. ``light`` is 0 while all sources are switched off: those scans are dark. ``demodulated: true`` states
 that the device demodulates the light of the sources, so that the diode currents hold no ambient light.
 ``acceleration``, in the unit of the channel per s^2, is the largest one that the reading is interpolated with, see
-``reading_noise``. ``references`` are instruments of a calibration, see ``reference_entry``.
+``reading_noise``. ``references`` are instruments of a calibration, see ``reference_entry``. ``thermometers`` are those
+of the beams file, by name::
+
+    thermometers:
+      upper_arm: {joint: elbow, channel: box/skin, scale: {value: 1, unit: K/degC}, offset: {value: 273.15, unit: K}}
+
+The driver of ``joint`` publishes the temperature once a second.
 """
 
 from __future__ import annotations
@@ -34,6 +40,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 from posor.calibration.file_model import EntryError, FrozenModel, select_model_by_key
 from posor.calibration.quantity import Quantity
 from posor.calibration.yaml_document import load_document
+from posor.ros_names import ROS_NAME_RULE, is_ros_name
 from pydantic import Field, model_validator
 
 from posor_drivers.instruments.device import Device, DeviceSettings, device_classes
@@ -114,6 +121,12 @@ class JointEntry(FrozenModel):
         return self
 
 
+class ThermometerEntry(ChannelEntry):
+    """A thermometer of a beam or a plate; the driver of ``joint`` publishes its readings."""
+
+    joint: str
+
+
 SETTINGS: Any = select_model_by_key("kind", {kind: device.Settings for kind, device in device_classes().items()})
 
 
@@ -128,6 +141,7 @@ class InstrumentsFile(FrozenModel):
     devices: Annotated[dict[str, Annotated[DeviceSettings, SETTINGS]], Field(min_length=1)]
     joints: Annotated[dict[str, JointEntry], Field(min_length=1)]
     references: dict[Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$")], ReferenceEntry] = Field(default_factory=dict)
+    thermometers: dict[str, ThermometerEntry] = Field(default_factory=dict)
 
     @model_validator(mode="after")
     def _check(self) -> Self:
@@ -146,13 +160,40 @@ class InstrumentsFile(FrozenModel):
                     raise EntryError(what, key=(*key, "channel"), expected="a channel of its own for each reading")
                 if name in OWN_CHANNELS:
                     used[entry.channel] = f"{joint}.{name}[{location[-1]}]"
+        for part, published in (("references", self.references), ("thermometers", self.thermometers)):
+            for name, entry in published.items():
+                if entry.joint not in self.joints:
+                    what, expected = f"joint '{entry.joint}'", f"one of {', '.join(self.joints)}"
+                    raise EntryError(what, key=(part, name, "joint"), expected=expected)
         for name, reference in self.references.items():
-            if reference.joint not in self.joints:
-                what, expected = f"joint '{reference.joint}'", f"one of {', '.join(self.joints)}"
-                raise EntryError(what, key=("references", name, "joint"), expected=expected)
             for path, unit, measured_by in reference.measured:
                 _check_units(unit, measured_by, units, ("references", name, *path))
+        self._check_thermometers(units)
         return self
+
+    def _check_thermometers(self, units: dict[str, str]) -> None:
+        """Check names and units; that each has a channel of its own: they are compared with one another.
+
+        A plate's thermometer is the ``temperature`` of its joint.
+        """
+        used: dict[str, str] = {}
+        plates = [(joint, each.temperature) for joint, each in self.joints.items() if each.temperature is not None]
+        for name, thermometer in self.thermometers.items():
+            key = ("thermometers", name)
+            if not is_ros_name(name):
+                raise EntryError(f"name '{name}'", key=key, expected=ROS_NAME_RULE)
+            _check_units("K", thermometer, units, key)
+            if (other := used.setdefault(thermometer.channel, name)) != name:
+                what = f"channel '{thermometer.channel}' is used twice, also by thermometer '{other}'"
+                raise EntryError(what, key=(*key, "channel"), expected="a channel of its own for each thermometer")
+            same = [(joint, entry) for joint, entry in plates if entry.channel == thermometer.channel]
+            if same and thermometer.joint not in [joint for joint, _ in same]:
+                what = f"channel '{thermometer.channel}' is the temperature of joint '{same[0][0]}'"
+                raise EntryError(what, key=(*key, "joint"), expected=f"joint: {same[0][0]}, or another channel")
+            for joint, entry in same:
+                if (entry.factor, entry.shift) != (thermometer.factor, thermometer.shift):
+                    expected = f"scale and offset of joints.{joint}.temperature, the same channel"
+                    raise EntryError("another scale or offset", key=key, expected=expected)
 
     def new_devices(self) -> dict[str, Device[Any]]:
         """Return the devices, not connected."""
@@ -192,5 +233,5 @@ def load_instruments(path: Path) -> InstrumentsFile:
         CalibrationError: The file cannot be read, is not YAML, or holds an invalid entry.
 
     """
-    keys = "format, version, name, rate, latency, devices, joints, references"
+    keys = "format, version, name, rate, latency, devices, joints, references, thermometers"
     return load_document(path, "instruments file", keys, VERSION, InstrumentsFile.model_validate)[0]

@@ -1,6 +1,6 @@
 # Copyright 2026 POSOR maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Messages of a tick from the channels of devices: the scan of a joint, and references with their uncertainty."""
+"""Messages of a tick from the channels of devices: the scan of a joint, references, temperatures."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from posor.messages.message_definitions import installed_schema
 from posor.messages.message_table import TableLayout
 from posor.model.scan import DARK_SUBTRACTED, HOME_BUMP, NO_SOURCE, SATURATED
 from posor.numerics.stamps import NS
-from posor.ros_names import RAW_SCAN, REFERENCE_READING, REFERENCE_TOPIC
+from posor.ros_names import RAW_SCAN, REFERENCE_READING, REFERENCE_TOPIC, TEMPERATURE
 from posor.uncertainty.interferometer import correct_reading
 
-from posor_drivers.instruments.instruments_file import READINGS, JointEntry, ReadingEntry
-from posor_drivers.message_builder import header, raw_scan
+from posor_drivers.instruments.instruments_file import READINGS, JointEntry, ReadingEntry, ThermometerEntry
+from posor_drivers.message_builder import header, raw_scan, temperature
 from posor_drivers.sources.source import SourceMessage, SourceStatus, Topic
 
 if TYPE_CHECKING:
@@ -162,3 +162,36 @@ class ReferenceReading:
     def status(self) -> SourceStatus:
         """Whether there are readings."""
         return SourceStatus(f"reference {self._name}", self._fault, "in time", {"readings_missing": self._missing})
+
+
+class ThermometerReading:
+    """Makes the messages of one thermometer, at whole seconds."""
+
+    def __init__(self, name: str, entry: ThermometerEntry, types: MessageTypes, prefix: str) -> None:
+        """Store the entry; ``prefix``: of the topic, before the name."""
+        self._entry, self._types, self._name = entry, types, name
+        self.topic = Topic(f"{prefix.rstrip('/')}/{name}", TEMPERATURE)
+        self.devices = {entry.device}
+        self._missing, self._fault = 0, ""
+
+    def message(self, channels: Mapping[str, float], stamp_ns: int) -> SourceMessage | None:
+        """Return the message of a tick, NaN: invalid channel; None: between whole seconds, or without frames.
+
+        ``channels`` as for a reference.
+        """
+        if stamp_ns % NS:
+            return None
+        channel = self._entry.channel
+        if channel not in channels:
+            self._missing += 1
+            self._fault = f"no reading: no frames of {channel} around the tick"
+            return None
+        kelvin = self._entry.value(channels)
+        self._fault = "" if math.isfinite(kelvin) else f"{channel} is invalid"
+        message = temperature(self._types, stamp_ns, self._name, kelvin)
+        return SourceMessage(self.topic.name, stamp_ns, self._types.serialize(message, TEMPERATURE))
+
+    @property
+    def status(self) -> SourceStatus:
+        """Whether there are readings."""
+        return SourceStatus(f"thermometer {self._name}", self._fault, "in time", {"readings_missing": self._missing})

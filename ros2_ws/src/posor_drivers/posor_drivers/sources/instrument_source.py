@@ -14,21 +14,28 @@ from __future__ import annotations
 
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import numpy as np
 from posor.errors import ParameterError
 from posor.numerics.stamps import NS, tick_stamp_ns
 from posor.parameter_model import ParameterGroup
-from posor.ros_names import RAW_SCAN, RAW_TOPIC
+from posor.ros_names import RAW_SCAN, RAW_TOPIC, TEMPERATURE_TOPIC
 from pydantic import Field
 
 from posor_drivers.host_clock import HostClock
 from posor_drivers.instruments.calibrated_readings import check_readings
 from posor_drivers.instruments.channel_exposures import Exposures
 from posor_drivers.instruments.device_reader import StampError, shared_reader
-from posor_drivers.instruments.instruments_file import WHOLE_NUMBERS, InstrumentsFile, JointEntry, load_instruments
-from posor_drivers.instruments.tick_messages import LitSourceError, ReferenceReading, ScanWriter
+from posor_drivers.instruments.instruments_file import (
+    WHOLE_NUMBERS,
+    InstrumentsFile,
+    JointEntry,
+    ThermometerEntry,
+    load_instruments,
+)
+from posor_drivers.instruments.reference_entry import ReferenceEntry
+from posor_drivers.instruments.tick_messages import LitSourceError, ReferenceReading, ScanWriter, ThermometerReading
 from posor_drivers.sources.source import LiveSource, SourceMessage, SourceStatus, Topic
 
 if TYPE_CHECKING:
@@ -39,6 +46,7 @@ if TYPE_CHECKING:
 
     from posor_drivers.instruments.device_reader import DeviceReader
 
+EntryT = TypeVar("EntryT", ReferenceEntry, ThermometerEntry)
 NOT_STATED = StampError(0.0, 0.0)
 LATEST_S = 0.1
 """Time by which a scan may be published too late by a busy host, because frames are kept; an older tick is missed."""
@@ -49,6 +57,10 @@ class InstrumentParameters(ParameterGroup):
 
     file: Annotated[str, Field(min_length=1)] = Field(description="instruments file (YAML)")
     joint: Annotated[str, Field(min_length=1)] = Field(description="name of this driver's joint in the file")
+    temperature_topic: Annotated[str, Field(min_length=1)] = Field(
+        default=TEMPERATURE_TOPIC,
+        description="name before those of the thermometers in their topics; bringup states that of the arm",
+    )
     host_clock: bool = Field(
         default=True,
         description="add the largest error of this host's clock, which chronyc or pmc states where present, to that of "
@@ -94,13 +106,16 @@ class InstrumentSource(LiveSource[InstrumentParameters]):
         where, name = self.parameters.file, self.parameters.joint
         self._file = self._read_file()
         self._joint = joint = self._file.joints[name]
-        self._references = [
-            ReferenceReading(reference, entry, self.types)
-            for reference, entry in self._file.references.items()
-            if entry.joint == name
+        prefix = self.parameters.temperature_topic
+        self._published: list[ReferenceReading | ThermometerReading] = [
+            *(ReferenceReading(each, entry, self.types) for each, entry in self._of_joint(self._file.references)),
+            *(
+                ThermometerReading(each, entry, self.types, prefix)
+                for each, entry in self._of_joint(self._file.thermometers)
+            ),
         ]
         self._of_scan = {entry.device for _, _, entry in joint.entries()}
-        used = self._of_scan.union(*(reference.devices for reference in self._references))
+        used = self._of_scan.union(*(each.devices for each in self._published))
         devices = [device for each, device in self._file.new_devices().items() if each in used]
         of_scan = [device for device in devices if device.name in self._of_scan]
         channels = [f"{device.name}/{channel.name}" for device in of_scan for channel in device.channels]
@@ -116,7 +131,11 @@ class InstrumentSource(LiveSource[InstrumentParameters]):
         self._scan_readers = [reader for reader in self._readers if reader.device.name in self._of_scan]
         self._prepare_writer()
         self._host_clock = HostClock() if self.parameters.host_clock else None
-        return [Topic(RAW_TOPIC, RAW_SCAN), *(reference.topic for reference in self._references)]
+        return [Topic(RAW_TOPIC, RAW_SCAN), *(each.topic for each in self._published)]
+
+    def _of_joint(self, entries: Mapping[str, EntryT]) -> list[tuple[str, EntryT]]:
+        """Return the entries that this driver publishes, with their names."""
+        return [(name, entry) for name, entry in entries.items() if entry.joint == self.parameters.joint]
 
     def _prepare_writer(self) -> None:
         """Prepare the scans with the exposures of all devices, which a device may know only when it is connected."""
@@ -156,12 +175,12 @@ class InstrumentSource(LiveSource[InstrumentParameters]):
         return super().newest_tick(now_ns - self._latency_ns)
 
     def read_tick(self, tick: int) -> Sequence[SourceMessage]:
-        """Return scan and references of a tick; none where a device lacks one of the frames around it."""
+        """Return scan, references and temperatures of a tick; none where a device lacks one of the frames around it."""
         stamp_ns = tick_stamp_ns(tick, self.rate)
         values = {
             reader.device.name: reader.values_at(stamp_ns, self._whole[reader.device.name]) for reader in self._readers
         }
-        return [*self._scan(tick, stamp_ns, values), *self._read_references(stamp_ns, values)]
+        return [*self._scan(tick, stamp_ns, values), *self._read_published(stamp_ns, values)]
 
     def _scan(self, tick: int, stamp_ns: int, values: Mapping[str, FloatArray | None]) -> Sequence[SourceMessage]:
         present = [part for device, part in values.items() if part is not None and device in self._of_scan]
@@ -177,8 +196,8 @@ class InstrumentSource(LiveSource[InstrumentParameters]):
         self._no_scan = ""
         return (SourceMessage(RAW_TOPIC, stamp_ns, scan),)
 
-    def _read_references(self, stamp_ns: int, values: Mapping[str, FloatArray | None]) -> Iterator[SourceMessage]:
-        if not self._references:
+    def _read_published(self, stamp_ns: int, values: Mapping[str, FloatArray | None]) -> Iterator[SourceMessage]:
+        if not self._published:
             return
         channels = {
             f"{reader.device.name}/{channel.name}": float(value)
@@ -186,8 +205,8 @@ class InstrumentSource(LiveSource[InstrumentParameters]):
             if (part := values[reader.device.name]) is not None
             for channel, value in zip(reader.device.channels, part, strict=True)
         }
-        for reference in self._references:
-            if (message := reference.message(channels, stamp_ns)) is not None:
+        for each in self._published:
+            if (message := each.message(channels, stamp_ns)) is not None:
                 yield message
 
     def _leave_out(self, reason: str) -> Sequence[SourceMessage]:
@@ -201,7 +220,7 @@ class InstrumentSource(LiveSource[InstrumentParameters]):
         host = [] if self._host_clock is None else [SourceStatus("host clock", *self._host_clock.read())]
         return [
             SourceStatus("scans", self._no_scan, "in time", {"scans_missing": self._scans_missing}),
-            *(reference.status for reference in self._references),
+            *(each.status for each in self._published),
             *(
                 SourceStatus(f"device {reader.device.name}", state.fault, state.text, state.values)
                 for reader in self._readers
