@@ -5,7 +5,8 @@
 Subscribes to ``trajectory`` (trajectory_msgs/JointTrajectory), ``endpoint/state`` and the robot's ``encoders``
 (sensor_msgs/JointState). Publishes ``trajectory/corrected`` at the rate of the robot's interface: one point, due one
 period later. Whatever is not OK stops the correction: the offsets stand still, and by ``on_stop`` the robot slows down
-on its path and stands, or goes on. Only a new trajectory starts the correction again.
+on its path and stands, or goes on. Only a new trajectory starts the correction again. Where control_msgs is installed,
+trajectories are also goals of the action ``follow_joint_trajectory``.
 """
 
 from __future__ import annotations
@@ -41,13 +42,16 @@ from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from posor_estimator.position_reader import PositionReader
+from posor_estimator.trajectory_action import REPLACED, TrajectoryAction
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterator, Mapping
 
     from posor.numerics.array_types import FloatArray
     from posor_ros.diagnostics import Value
+    from rclpy.waitable import Waitable
 
+FEEDBACK_S = 0.1  # between two messages of feedback
 PLANNED_TOPIC, CORRECTED_TOPIC = "trajectory", "trajectory/corrected"
 _POSE = (*(f"pose.position.{axis}" for axis in "xyz"), *(f"pose.orientation.{axis}" for axis in "xyzw"))
 
@@ -103,6 +107,11 @@ class Plan:
         self._elapsed_s = min(self._elapsed_s + 0.5 * (self.speed + slower) * seconds, self._duration_s)
         self.speed = slower
 
+    @property
+    def is_complete(self) -> bool:
+        """Whether its end is reached."""
+        return self._elapsed_s >= self._duration_s
+
     def angles(self, ahead_s: float = 0.0) -> FloatArray:
         """Return the planned angles some time ahead at the present speed, (j,)."""
         return self._sample(self._elapsed_s + self.speed * ahead_s)
@@ -126,8 +135,22 @@ class CorrectionNode(PosorNode[CorrectionParameters]):
         self._status = self.diagnostics.add_status("correction")
         self._inputs = InputMonitor(self)
         self._plan: Plan | None = None
+        self._action: TrajectoryAction | None = None
+        if TrajectoryAction.is_installed():
+            self._action = TrajectoryAction(self, self._begin, self._slow_down, self._refuse)
         self._refused = self._used = 0
         self.diagnostics.add_refresh(self._refresh_status)
+
+    @property
+    def waitables(self) -> Iterator[Waitable]:
+        """The action server, which stays as long as the node: a waitable must not be removed from its executor."""
+        return iter(() if self._action is None else (self._action.server,))
+
+    def destroy_node(self) -> None:
+        """Destroy the action server and the node."""
+        if self._action is not None:
+            self._action.close()
+        super().destroy_node()
 
     def configure(self) -> None:
         """Read the URDF and open the topics."""
@@ -165,24 +188,47 @@ class CorrectionNode(PosorNode[CorrectionParameters]):
         with self._lock:
             self._plan, self._pending = None, None
             self._law.stop("the node is inactive")
+            self._end_goal("the node is inactive")
 
     def _on_trajectory(self, message: JointTrajectory) -> None:
+        if message.points:
+            self._begin(message)
+        else:
+            self._slow_down()
+
+    def _slow_down(self) -> None:
+        """Slow down on the present plan and stand."""
+        with self._lock:
+            if self._plan is not None:
+                self._plan.is_ending = True
+
+    def _begin(self, message: JointTrajectory) -> bool:
+        """Begin a trajectory; return whether it is accepted."""
         with self._lock:
             if not self.may_publish:
-                return
-            if not message.points:
-                if self._plan is not None:
-                    self._plan.is_ending = True
-                return
+                return False
             try:
-                self._plan = self._start(message)
+                plan = self._start(message)
             except PosorError as error:
-                self._refused += 1
-                self.get_logger().error(f"trajectory refused: {error}")
-                return
+                self._refuse(str(error))
+                return False
+            self._end_goal(REPLACED, "INVALID_GOAL")
+            self._plan = plan
             self._newest_ns, self._step_s, self._is_reported = 0, time.monotonic(), False
+            self._feedback_s = self._step_s
             self._law.start(self._step_s)
             self._status.report(Level.OK, "following", self._counts())
+            return True
+
+    def _refuse(self, reason: str) -> None:
+        """Count and report a trajectory that is refused."""
+        self._refused += 1
+        self.get_logger().error(f"trajectory refused: {reason}")
+
+    def _end_goal(self, *failed: str) -> None:
+        """End the goal of the action, if there is one; ``failed``: reason and error code."""
+        if self._action is not None:
+            self._action.finish(*failed)
 
     def _start(self, message: JointTrajectory) -> Plan:
         """Return the plan of a trajectory that begins where the robot is."""
@@ -324,6 +370,11 @@ class CorrectionNode(PosorNode[CorrectionParameters]):
                 doing = "the robot slows down and stands" if parameters.on_stop == "stop" else "the offsets stay"
                 self._status.report(Level.ERROR, f"stopped, {doing}: {stopped}", self._counts())
                 self.get_logger().error(f"correction stopped, {doing}: {stopped}")
+            if plan.is_complete or plan.speed == 0.0:
+                self._end_goal(stopped or ("" if plan.is_complete else "the planner has ended its trajectory"))
+            elif self._action is not None and now_s - self._feedback_s >= FEEDBACK_S:
+                self._feedback_s = now_s
+                self._action.publish_feedback(self._robot.joints, angles, self._encoders.at(self._encoders.newest_ns))
             if plan.speed == 0.0:
                 self._plan = None
                 if not stopped:

@@ -7,20 +7,24 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from importlib import import_module
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
 import pytest
+from action_msgs.msg import GoalStatus
 from posor.chain.arm_file import load_arm_file
 from posor.correction.nominal_robot import NominalRobot
 from posor.numerics.array_types import FloatArray
 from posor.numerics.stamps import NS
+from posor_estimator.trajectory_action import ACTION, REPLACED, TrajectoryAction
 from posor_lab.harness.graph import Graph, values_of
 from posor_lab.harness.program import Program, installed
 from posor_msgs.msg import EndpointState
 from posor_ros.qos import RELIABLE_QOS
 from posor_ros.ros_arguments import ros_arguments
+from rclpy.action import ActionClient
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
@@ -240,3 +244,60 @@ def test_trajectories_that_cannot_be_corrected_are_refused(robot: Robot) -> None
     robot.planner.publish(JointTrajectory())
     assert robot.wait_for_level(b"\x00").message == "the planner has ended its trajectory"
     robot.wait_for_standstill()
+
+
+class Goal:
+    """A goal of the action that a planner sends, and what becomes of the goal."""
+
+    def __init__(self, client: Any, robot: Robot, angles: FloatArray, seconds: int, **fields: Any) -> None:
+        self._type = import_module("control_msgs.action").FollowJointTrajectory
+        goal = self._type.Goal(**fields)
+        goal.trajectory.joint_names = list(robot.nominal.joints)
+        goal.trajectory.points = [JointTrajectoryPoint(positions=each.tolist()) for each in (robot.angles, angles)]
+        goal.trajectory.points[-1].time_from_start.sec = seconds
+        self.feedback: list[Any] = []
+        sent = client.send_goal_async(goal, feedback_callback=lambda each: self.feedback.append(each.feedback))
+        robot.graph.wait_until(sent.done, "the answer to a goal", robot.report)
+        self.handle = sent.result()
+        self._robot = robot
+
+    def result(self) -> Any:
+        """Return status and result when the goal has ended."""
+        future = self.handle.get_result_async()
+        self._robot.graph.wait_until(future.done, "the result", self._robot.report)
+        return future.result()
+
+
+@pytest.mark.skipif(not TrajectoryAction.is_installed(), reason="control_msgs is not installed")
+def test_goals_of_the_action_succeed_are_cancelled_stopped_and_refused(robot: Robot) -> None:
+    robot.reset()
+    kind = import_module("control_msgs.action").FollowJointTrajectory
+    client = ActionClient(robot.graph.node, kind, ACTION)
+    robot.graph.wait_until(client.server_is_ready, "the action server", robot.report)
+    target = robot.angles + 0.01
+    goal = Goal(client, robot, target, 1)
+    found = goal.result()
+    assert (found.status, found.result.error_code) == (GoalStatus.STATUS_SUCCEEDED, kind.Result.SUCCESSFUL)
+    assert robot.distance(target) < FAR
+    assert goal.feedback[-1].joint_names == list(robot.nominal.joints)
+    np.testing.assert_allclose(goal.feedback[-1].error.positions, 0.0, atol=FAR)
+
+    goal = Goal(client, robot, robot.angles + 1.0, round(SLOW_S))
+    cancelled = goal.handle.cancel_goal_async()
+    robot.graph.wait_until(cancelled.done, "the answer to the cancellation", robot.report)
+    assert goal.result().status == GoalStatus.STATUS_CANCELED
+    robot.wait_for_standstill()
+
+    first = Goal(client, robot, robot.angles + 1.0, round(SLOW_S))
+    second = Goal(client, robot, robot.angles + 1.0, round(SLOW_S))
+    assert first.result().result.error_string == REPLACED
+    robot.state = {**robot.state, "state": EndpointState.STATE_LOST, "reason": "elbow is lost"}
+    found = second.result()
+    assert (found.status, found.result.error_code) == (GoalStatus.STATUS_ABORTED, kind.Result.PATH_TOLERANCE_VIOLATED)
+    assert "elbow is lost" in found.result.error_string
+    robot.reset()
+
+    tolerance = import_module("control_msgs.msg").JointTolerance(name=robot.nominal.joints[0], position=0.1)
+    for angles, fields in ((robot.angles + 1.0, {"goal_tolerance": [tolerance]}), (np.full(6, np.nan), {})):
+        assert not Goal(client, robot, angles, round(SLOW_S), **fields).handle.accepted
+    client.destroy()
