@@ -10,6 +10,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
 from posor.arm_names import describe_argument
 from posor.bags.offline_pipeline import load_arm
 from posor.bags.recorded_encoders import read_encoders
@@ -20,11 +21,14 @@ from posor.reporting.program_errors import reports_errors
 from posor.reporting.report_console import report_console
 from posor.reporting.report_table import ReportTable
 from posor_calibration.encoder_errors import encoder_errors
+from posor_drivers.simulator.nominal_arm import NominalArm
 
 if TYPE_CHECKING:
     import argparse
     from collections.abc import Mapping, Sequence
 
+    from posor.chain.kinematic_chain import Chain
+    from posor.numerics.array_types import FloatArray
     from posor_calibration.encoder_errors import EncoderErrors
 
 HEADER = ("joint", "direction", "angle_rad", "encoder_minus_posor_rad", "standard_deviation_rad", "readings")
@@ -55,20 +59,32 @@ def parse_options(arguments: Sequence[str] | None) -> argparse.Namespace:
 def find_errors(options: argparse.Namespace) -> dict[str, EncoderErrors]:
     """Return the errors of each encoder, by joint. Raises PosorError: an input cannot be used."""
     arm = load_arm(options.arm)
-    joints = tuple(joint.name for joint in arm.chain().joints)
+    chain = arm.chain()
+    joints = tuple(joint.name for joint in chain.joints)
     names = tuple(options.names.split(",")) if options.names else joints
     if len(names) != len(joints):
         what, expected = f"{len(names)} names", f"one for each of {', '.join(joints)}"
         raise ParameterError(what, where="posor encoders, --names", expected=expected)
     encoders, end = read_encoders(options.bag, options.topic, names), arm.estimate(options.bag).endpoint
-    found = {}
+    gravity, found = _gravity_in_plates(chain, end.angles), {}
     for j, joint in enumerate(joints):
         readings, efforts = encoders.at(j, end.stamps_ns).T
-        found[joint] = encoder_errors(end.angles[:, j], readings, efforts, options.bins)
+        around = np.hstack(gravity[j : j + 3]) if gravity else None  # before and after the joint, after the next one
+        found[joint] = encoder_errors(end.angles[:, j], readings, efforts, options.bins, around)
     if not any(each.readings for each in found.values()):
         what, expected = "no joint moves while its encoder is read", "scans and readings of one motion and one clock"
         raise ParameterError(what, where=f"{options.bag}, topic {options.topic}", expected=expected)
     return found
+
+
+def _gravity_in_plates(chain: Chain, angles: FloatArray) -> list[FloatArray]:
+    """Return the direction of gravity in the base and in each target plate, (n, 3); empty: joints not in one row."""
+    amount = float(np.linalg.norm(chain.gravity))
+    if chain.joints != chain.path_joints or not amount:
+        return []
+    direction = chain.gravity / amount
+    plates = NominalArm(chain).target_plates(angles)
+    return [np.tile(direction, (len(angles), 1)), *(plate.rotate_back(direction) for plate in plates)]
 
 
 def write_table(path: Path, found: Mapping[str, EncoderErrors]) -> None:
@@ -94,7 +110,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     write_table(options.output, found)
     header = (
         *("joint", "readings", "range [rad]", "offset [µrad]", "backlash [µrad]", "slope [µrad/rad]"),
-        *("once per turn [µrad]", "windup [µrad/(N m)]", "rest, rms [µrad]"),
+        *("once per turn [µrad]", "windup [µrad/(N m)]", "gravity, rms [µrad]", "rest, rms [µrad]"),
     )
     rows = [
         [joint, str(each.readings), _cell(each.range_rad, 1.0), *map(_cell, each[2:-1])]

@@ -2,14 +2,21 @@
 # SPDX-License-Identifier: Apache-2.0
 """Errors of a joint's encoder: its readings minus the angles of the POSOR, by angle and direction of motion.
 
-The backlash is the mean difference of both directions in the bins of angle that have both, so that errors which depend
-on the angle cancel. The rest of
+Links bend and twist under gravity, and the POSOR of a joint sees the end of the link before it. A joint that passes an
+angle forward in one posture of the arm and backward in another seems to have another backlash. So the backlash is that
+of least squares within the bins of angle that have both directions, so that errors which depend on the angle cancel,
+
+    difference = (of the bin) + direction backlash / 2 + k gravity
+
+with the directions of gravity in the plates. The rest of
 
     difference = offset + direction backlash / 2 + slope (angle - mean) + c cos(angle) + s sin(angle) + windup effort
+                 + k gravity
 
-is fitted by least squares. A part that the motion does not determine is NaN: backlash without a bin of both directions,
-a slope over less than LEAST_RANGE, an eccentricity (c, s) over less than half a turn, windup without efforts that
-change.
+is fitted then, with the part of gravity that the other columns do not explain. A part that the motion does not
+determine is NaN: backlash without a bin of both directions, a slope over less than LEAST_RANGE, an eccentricity (c, s)
+over less than half a turn, windup without efforts that change. Gravity that follows the own angle, as in an arm whose
+other joints stand still, counts as slope and eccentricity.
 """
 
 from __future__ import annotations
@@ -24,6 +31,7 @@ if TYPE_CHECKING:
 
 LEAST_RANGE = 0.1  # of angles that determine a slope [rad]
 SETTLED_TURN = 1e-3  # from a reversal, from which on a direction is known [rad]
+LEAST_GRAVITY = 0.01  # root mean square of a change of the direction of gravity beyond that by the own angle
 FORWARD, BACKWARD = 1, -1
 
 
@@ -47,6 +55,7 @@ class EncoderErrors(NamedTuple):
     slope: float  # [rad/rad]
     eccentricity: float  # amplitude of the error once per turn [rad]
     windup: float  # [rad/(N m)], or [rad/N]
+    gravity: float  # root mean square of the part by gravity in changing postures [rad]
     rest: float  # root mean square of what the fit leaves [rad]
     table: list[Row]
 
@@ -68,23 +77,29 @@ def directions(readings: FloatArray, settled: float = SETTLED_TURN) -> IntArray:
 
 
 def encoder_errors(
-    angles: FloatArray, readings: FloatArray, efforts: FloatArray | None = None, bins: int = 36
+    angles: FloatArray,
+    readings: FloatArray,
+    efforts: FloatArray | None = None,
+    bins: int = 36,
+    gravity: FloatArray | None = None,
 ) -> EncoderErrors:
     """Return the errors of an encoder whose joint has been at ``angles`` of its POSOR [rad], (n,), in order of time.
 
-    ``readings``: [rad], (n,); ``efforts``: of the drive [N m] or [N], (n,); ``bins``: of each direction.
+    ``readings``: [rad], (n,); ``efforts``: of the drive [N m] or [N], (n,); ``bins``: of each direction; ``gravity``:
+    components of the unit vector along gravity in plates of the arm, (n, k).
     """
-    known = np.isfinite(angles) & np.isfinite(readings)
-    angles, readings = angles[known], readings[known]
+    gravity = np.empty((len(angles), 0)) if gravity is None else gravity
+    known = np.isfinite(angles) & np.isfinite(readings) & np.isfinite(gravity).all(axis=1)
+    angles, readings, gravity = angles[known], readings[known], gravity[known]
     direction = directions(readings)
     difference = readings - angles
     difference -= 2.0 * math.pi * np.round(np.median(difference) / (2.0 * math.pi)) if len(difference) else 0.0
     moving = direction != 0
-    angles, direction, difference = angles[moving], direction[moving], difference[moving]
+    angles, direction, difference, gravity = (each[moving] for each in (angles, direction, difference, gravity))
     if not len(angles):
-        return EncoderErrors(0, 0.0, *(math.nan,) * 6, [])
-    span, table = float(np.ptp(angles)), _table(angles, direction, difference, bins)
-    backlash = _backlash(table)
+        return EncoderErrors(0, 0.0, *(math.nan,) * 7, [])
+    span, which = float(np.ptp(angles)), _bins_of(angles, bins)
+    table = _table(angles, which, direction, difference, bins)
     columns = {"offset": np.ones(len(angles))}
     if span >= LEAST_RANGE:
         columns["slope"] = angles - angles.mean()
@@ -92,10 +107,13 @@ def encoder_errors(
         columns |= {"c": np.cos(angles), "s": np.sin(angles)}
     if efforts is not None and np.ptp(own := efforts[known][moving]) > 0.0:
         columns["windup"] = own - own.mean()
-    design = np.column_stack(list(columns.values()))
-    alike = difference - 0.5 * np.nan_to_num(backlash) * direction
+    own_design = np.column_stack(list(columns.values()))
+    gravity = _beyond(gravity, own_design)
+    backlash = _backlash(which, direction, difference, gravity)
+    alike, design = difference - 0.5 * np.nan_to_num(backlash) * direction, np.column_stack([own_design, gravity])
     values = np.linalg.lstsq(design, alike, rcond=None)[0]
-    fitted = dict(zip(columns, map(float, values), strict=True))
+    fitted = dict(zip(columns, map(float, values), strict=False))
+    bent = gravity @ values[len(columns) :]
     return EncoderErrors(
         len(angles),
         span,
@@ -104,14 +122,26 @@ def encoder_errors(
         fitted.get("slope", math.nan),
         math.hypot(fitted["c"], fitted["s"]) if "c" in fitted else math.nan,
         fitted.get("windup", math.nan),
+        float(np.sqrt(np.mean(np.square(bent)))) if gravity.size else math.nan,
         float(np.sqrt(np.mean(np.square(alike - design @ values)))),
         table,
     )
 
 
-def _table(angles: FloatArray, direction: IntArray, difference: FloatArray, bins: int) -> list[Row]:
+def _bins_of(angles: FloatArray, bins: int) -> IntArray:
     edges = np.linspace(angles.min(), angles.max(), bins + 1)
-    which = np.clip(np.searchsorted(edges, angles, side="right") - 1, 0, bins - 1)
+    return np.clip(np.searchsorted(edges, angles, side="right") - 1, 0, bins - 1)
+
+
+def _beyond(gravity: FloatArray, own: FloatArray) -> FloatArray:
+    """Return what the columns ``own`` (n, m) do not explain of combinations of columns (n, k), where that is much."""
+    left = gravity - own @ np.linalg.lstsq(own, gravity, rcond=None)[0]
+    _, sizes, directions = np.linalg.svd(left, full_matrices=False)
+    return np.asarray(left @ directions[sizes >= LEAST_GRAVITY * math.sqrt(len(gravity))].T)
+
+
+def _table(angles: FloatArray, which: IntArray, direction: IntArray, difference: FloatArray, bins: int) -> list[Row]:
+    edges = np.linspace(angles.min(), angles.max(), bins + 1)
     rows = []
     for sign in (FORWARD, BACKWARD):
         for b in range(bins):
@@ -121,11 +151,11 @@ def _table(angles: FloatArray, direction: IntArray, difference: FloatArray, bins
     return rows
 
 
-def _backlash(table: list[Row]) -> float:
-    """Return the mean difference of both directions over the bins that have both; NaN: there is none."""
-    forward, backward = ({row.angle: row for row in table if row.direction == sign} for sign in (FORWARD, BACKWARD))
-    both = [(forward[angle], backward[angle]) for angle in forward if angle in backward]
-    if not both:
+def _backlash(which: IntArray, direction: IntArray, difference: FloatArray, gravity: FloatArray) -> float:
+    """Return the backlash by least squares within the bins; NaN: no bin has both directions."""
+    design = np.column_stack([difference, 0.5 * direction, gravity])
+    sums = np.array([np.bincount(which, column) for column in design.T])
+    design -= (sums / np.maximum(np.bincount(which), 1)).T[which]
+    if not np.any(design[:, 1]):
         return math.nan
-    weights = [1.0 / (1.0 / one.readings + 1.0 / other.readings) for one, other in both]
-    return float(np.average([one.mean - other.mean for one, other in both], weights=weights))
+    return float(np.linalg.lstsq(design[:, 1:], design[:, 0], rcond=None)[0][0])

@@ -46,3 +46,25 @@ def test_what_the_motion_does_not_determine_is_not_stated() -> None:
 def test_a_direction_is_known_from_some_way_after_a_reversal() -> None:
     found = directions(np.array([0.0, 0.4, 1.0, 2.0, 1.9, 2.1, 1.5, 1.0, 0.5]), settled=1.0)
     assert found.tolist() == [0, 0, 1, 1, 0, 1, 0, -1, -1]
+
+
+@pytest.mark.parametrize("others_move", [True, False])
+def test_gravity_in_changing_postures_is_no_backlash(*, others_move: bool) -> None:
+    random, times = np.random.default_rng(5), np.linspace(0.0, 9.0 * math.pi, 9000)
+    angles = (0.5 if others_move else 2.0) * np.sin(times)
+    lean = 0.6 * np.cos(times) * others_move  # of the links before, in step with the direction of motion
+    before = np.column_stack([np.sin(lean), np.zeros(len(lean)), -np.cos(lean)])
+    after = np.column_stack([np.sin(lean - angles), np.zeros(len(lean)), -np.cos(lean - angles)])
+    side = np.where(np.gradient(angles) > 0.0, 0.5, -0.5)
+    bent = 6e-5 * before[:, 0] + 3e-5 * after[:, 0]
+    readings = angles + BACKLASH * side + bent + 1e-6 * random.normal(size=len(angles))
+    found = encoder_errors(angles, readings, gravity=np.hstack([before, after]))
+    assert found.backlash == pytest.approx(BACKLASH, abs=3e-7)
+    assert found.rest == pytest.approx(1e-6, rel=0.1)
+    if others_move:
+        assert found.gravity > 2e-5
+        without = encoder_errors(angles, readings)
+        assert without.backlash > BACKLASH + 2e-5
+        assert math.isnan(without.gravity)
+    else:  # then gravity is a matter of the own angle
+        assert math.isnan(found.gravity)
