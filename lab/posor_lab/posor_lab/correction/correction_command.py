@@ -46,9 +46,10 @@ def study_robot(seed: int, rows: int | None = None) -> dict[str, PathErrors]:
     study = CorrectionStudy(SimulatedRobot(load_arm_file("five_axis"), RATE, seed), rows)
     planned, *corrected = study.corrected(RUNS, PROGRAM_LIMITS, SMOOTHING_S)
     found = {UNCORRECTED: planned} | {PROGRAM.format(n): each for n, each in enumerate(corrected, start=1)}
-    limits = CorrectionLimits()
-    found |= {LOOP.format(dead_s): study.loop(dead_s, limits).errors for dead_s in DEAD_TIMES_S}
+    for dead_s in DEAD_TIMES_S:
+        found[LOOP.format(dead_s)] = study.loop(dead_s, CorrectionLimits(lead_time=dead_s)).errors
     longest_s = max(DEAD_TIMES_S)
+    limits = CorrectionLimits(lead_time=longest_s)
     found[LOOP.format(longest_s) + WITHOUT] = study.loop(longest_s, limits, assumed_s=longest_s).errors
     return found
 

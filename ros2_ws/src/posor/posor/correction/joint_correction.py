@@ -5,9 +5,13 @@
 With q the angles where the controller has the joints when the POSORs are read, and e(q) the joint errors that the
 endpoint shows there (``NominalRobot.joint_errors``), the offsets follow -e(q) through a low-pass. A correction moves q
 and the endpoint alike, so e(q) does not contain it: there is no feedback, hence nothing that a dead time makes
-unstable. A dead time T leaves what e changes during T. Without encoders q is what was commanded a dead time T' before:
-then the offsets x enter e(q) by x(t - T') - x(t - T), and the loop is stable if the time constant exceeds the error of
-the dead time.
+unstable. A dead time T leaves what e changes during T. With f the low-passed -e(q) and g a low-pass of f with the time
+constant ``lead_time``, the offsets are 2 f - g: g lags by the lead time, so they are what f will be after it if f goes
+on evenly. An extrapolation beyond the largest offset is limited to it: the correction stops only where -e(q) is beyond.
+
+Without encoders q is what was commanded a dead time T' before: then the offsets x enter e(q) by x(t - T') - x(t - T).
+The gain of this loop is less than the error of T' over the time constant of f, and less than twice that with a lead
+time. So it is stable if the time constant exceeds the error of the dead time; with a lead time twice this error.
 """
 
 from __future__ import annotations
@@ -40,6 +44,11 @@ class CorrectionLimits(ParameterGroup):
     )
     time_constant: Annotated[float, Field(ge=0.0, le=10.0)] = Field(
         default=0.02, description="time constant of the low-pass of the joint errors [s]; 0: none"
+    )
+    lead_time: Annotated[float, Field(ge=0.0, le=1.0)] = Field(
+        default=0.0,
+        description="time by which the joint errors are extrapolated [s], the dead time of the robot from a command to "
+        "its motion; twice the error of 'dead_time' must then be less than the time constant; 0: not extrapolated",
     )
     max_age: Annotated[float, Field(gt=0.0, le=1.0)] = Field(
         default=0.1, description="longest time without a usable endpoint [s]; then the correction stops"
@@ -94,7 +103,7 @@ class JointCorrection:
 
     def start(self, time_s: float) -> None:
         """Follow from a steady time [s] on, from the present offsets."""
-        self._goal = self.offsets
+        self._goal = self._past = self._ahead = self.offsets
         self._step_s = self._usable_s = time_s
         self._measured_s = -math.inf
         self._refusal = "none was received"
@@ -113,15 +122,19 @@ class JointCorrection:
         if self.stopped:
             return
         wanted = -self._robot.joint_errors(angles, measured)
-        worst = int(np.argmax(np.abs(wanted)))
-        if not abs(wanted[worst]) <= self._limits.max_offset:
-            limit = self._limits.max_offset
+        worst, limit = int(np.argmax(np.abs(wanted))), self._limits.max_offset
+        if not abs(wanted[worst]) <= limit:
             self.stop(f"joint {self._robot.joints[worst]} needs an offset of {wanted[worst]:.3g} rad; limit {limit:g}")
             return
-        constant, since_s = self._limits.time_constant, time_s - self._measured_s
-        weight = 1.0 if constant == 0.0 or since_s > self._limits.max_age else -math.expm1(-since_s / constant)
-        self._goal = self._goal + weight * (wanted - self._goal)
+        self._goal = self._goal + self._weight(self._limits.time_constant, time_s) * (wanted - self._goal)
+        self._past = self._past + self._weight(self._limits.lead_time, time_s) * (self._goal - self._past)
+        self._ahead = np.clip(2.0 * self._goal - self._past, -limit, limit)  # the extrapolation is no need
         self._measured_s = self._usable_s = time_s
+
+    def _weight(self, constant_s: float, time_s: float) -> float:
+        """Return the weight of a new value in a low-pass; after a gap the value is taken as it is."""
+        since_s = time_s - self._measured_s
+        return 1.0 if constant_s == 0.0 or since_s > self._limits.max_age else -math.expm1(-since_s / constant_s)
 
     def step(self, time_s: float) -> FloatArray:
         """Return the offsets to command at a steady time [s]; call it at the rate of the robot's interface."""
@@ -130,7 +143,7 @@ class JointCorrection:
         largest = self._limits.max_rate * (time_s - self._step_s)
         if self.stopped or largest <= 0.0:
             return self.offsets
-        change = self._goal - self.offsets
+        change = self._ahead - self.offsets
         if (ratio := float(np.max(np.abs(change))) / largest) > 1.0:
             self.limited += 1
             change = change / ratio

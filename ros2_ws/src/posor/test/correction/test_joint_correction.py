@@ -67,10 +67,12 @@ def run_loop(robot: NominalRobot, dead: int, assumed: int | None, limits: Correc
 
 
 @pytest.mark.parametrize(("dead", "assumed"), [(1, None), (7, None), (30, None), (30, 30), (30, 27), (30, 33)])
+@pytest.mark.parametrize(("constant_s", "lead_s"), [(0.02, 0.0), (0.03, 0.12)])
 def test_the_loop_is_stable_for_any_dead_time_whose_error_is_below_the_time_constant(
-    robot: NominalRobot, dead: int, assumed: int | None
+    robot: NominalRobot, dead: int, assumed: int | None, constant_s: float, lead_s: float
 ) -> None:
-    errors, stopped = run_loop(robot, dead, assumed, CorrectionLimits(time_constant=0.02))
+    """With a lead time twice the error must be below it."""
+    errors, stopped = run_loop(robot, dead, assumed, CorrectionLimits(time_constant=constant_s, lead_time=lead_s))
     assert not stopped
     assert errors[-RATE:].max() < 0.02 * errors[0]
     assert errors.max() < 1.1 * errors[0]
@@ -79,6 +81,24 @@ def test_the_loop_is_stable_for_any_dead_time_whose_error_is_below_the_time_cons
 def test_the_loop_oscillates_where_the_dead_time_is_wrong_by_much_more(robot: NominalRobot) -> None:
     errors, _ = run_loop(robot, 30, 10, CorrectionLimits(time_constant=0.004, max_rate=1.0))
     assert errors[-RATE:].max() > 0.5 * errors[0]
+
+
+def test_errors_that_change_evenly_are_extrapolated_by_the_lead_time(robot: NominalRobot) -> None:
+    rate, lead_s = 5e-4, 0.12
+    found = []
+    for lead in (0.0, lead_s):
+        law = JointCorrection(robot, CorrectionLimits(time_constant=0.0, max_rate=1.0, lead_time=lead))
+        law.start(0.0)
+        for tick in range(4 * RATE):
+            moved = AT + rate * tick / RATE * np.eye(6)[0]
+            law.add_endpoint(tick / RATE, AT, robot.endpoint(moved))
+            law.step((tick + 1) / RATE)
+        found.append(law.offsets[0])
+    assert found[0] - found[1] == pytest.approx(rate * lead_s, rel=0.05)
+    law.add_endpoint(4.0, AT, robot.endpoint(AT + 4.9e-3 * np.eye(6)[0]))  # a step: the extrapolation is limited
+    law.step(4.01)
+    assert not law.stopped
+    assert law.offsets[0] == -5e-3
 
 
 def test_offsets_change_at_their_rate_and_stand_after_a_stop(robot: NominalRobot) -> None:
