@@ -37,6 +37,7 @@ CENTRE_SIGMA = 10.0  # prior standard uncertainty of the fixed ball [m]: not kno
 STEP = 1e-3  # expected size of what is not known beforehand [m], [rad]
 UNDETERMINED = 0.5  # share of its prior standard uncertainty that a parameter keeps if the references leave it open
 MOST_CORRECTION = 10.0  # correction over its prior standard uncertainty: beyond it, file and arm do not belong together
+STEP_SHARE = 0.5  # of the squares of residuals that one step explains, if the tracker or the base has moved
 LEAST_MOVED = 3  # outliers in a row, up to the last reading or from the first one, that a moved reflector explains
 SPARE = 3  # numbers that there must be beyond the unknown mounting
 
@@ -224,11 +225,11 @@ class ArmProblem:
             if not here:
                 continue
             effects = np.vstack([self._difference(self.readings[n], moved, zero)[1] for n in here])[:, : alone.shape[2]]
-            rows = np.flatnonzero(self._rows_of(here))
+            rows = np.flatnonzero(self.rows_of(here))
             covariance[np.ix_(rows, rows)] += effects @ block_diag(*self.states.own[pose]) @ effects.T
         return covariance
 
-    def _rows_of(self, readings: Collection[int]) -> BoolArray:
+    def rows_of(self, readings: Collection[int]) -> BoolArray:
         """Return which rows of the differences belong to readings, (m,)."""
         sizes = [len(reading.sigmas) for reading in self.readings]
         return np.asarray(np.repeat(np.isin(np.arange(len(sizes)), list(readings)), sizes))
@@ -242,7 +243,7 @@ class ArmProblem:
         """Return the derivatives of the readings of each pose, over their standard uncertainties, (m, p)."""
         derivatives, found = self.evaluate(np.zeros(len(self.parameters)))[1], {}
         for pose in dict.fromkeys(reading.pose for reading in self.readings):
-            rows = self._rows_of([n for n, reading in enumerate(self.readings) if reading.pose == pose])
+            rows = self.rows_of([n for n, reading in enumerate(self.readings) if reading.pose == pose])
             root = np.linalg.cholesky(self._covariance[np.ix_(rows, rows)])
             found[pose] = np.asarray(solve_triangular(root, derivatives[rows], lower=True))
         return found
@@ -256,7 +257,7 @@ class ArmProblem:
 
         Raises FitError: the fit does not converge.
         """
-        rows, count = self._rows_of(readings), len(self.model.parameters)
+        rows, count = self.rows_of(readings), len(self.model.parameters)
         root = np.linalg.cholesky(self._covariance[np.ix_(rows, rows)])
         mounting = [*range(6 if self._placed else 0), *range(count, len(self.parameters))]
         free = np.array(mounting if mounting_only else range(len(self.parameters)))
@@ -294,7 +295,7 @@ class ArmProblem:
     def misfit(self, fit: Fit, readings: Collection[int]) -> Misfit:
         """Return how readings (their numbers) differ from the arm with the parameters of a fit; none: NaN."""
         differences = self.evaluate(self.whole(fit))[0]
-        own = [differences[self._rows_of([number])] for number in sorted(readings)]
+        own = [differences[self.rows_of([number])] for number in sorted(readings)]
         if not own:
             return Misfit(np.nan, np.nan, np.nan, 0)
         lengths = [float(np.linalg.norm(each[:POINT])) for each in own]
@@ -316,6 +317,8 @@ def calibrate_arm(problem: ArmProblem, held_out: Collection[int]) -> ArmCalibrat
     tested = [n for n in every if n not in out and problem.readings[n].pose in held_out]
     _check_count(problem, used)
     mounting, found = problem.fit(used, mounting_only=True), problem.fit(used)
+    if warnings := describe_spread(found):
+        _check_step(problem, found, used)
     check_spread(found, problem.names_of(used), NAME)
     sigmas = np.sqrt(np.diagonal(problem.prior))
     _check_corrections(found, sigmas)
@@ -330,7 +333,7 @@ def calibrate_arm(problem: ArmProblem, held_out: Collection[int]) -> ArmCalibrat
         outliers=tuple(problem.readings[n].name for n in sorted(out)),
         before={name: problem.misfit(mounting, group) for name, group in groups.items()},
         after={name: problem.misfit(found, group) for name, group in groups.items()},
-        warnings=describe_spread(found),
+        warnings=warnings,
     )
 
 
@@ -366,6 +369,27 @@ def _find_outliers(problem: ArmProblem) -> set[int]:
         what = f"{len(out)} of {len(problem.readings)} readings disagree with the others, such as {some}"
         raise FitError(what, where=NAME, expected=f"at most {100 * MOST_OUTLIERS:g} % outliers")
     return out
+
+
+def _check_step(problem: ArmProblem, found: Fit, used: Sequence[int]) -> None:
+    """Refuse residuals that are mostly one step of all points: the tracker or the base has moved between two poses."""
+    differences = problem.evaluate(problem.whole(found))[0]
+    points = [n for n in used if problem.readings[n].kind != "distance"]
+    poses = np.array([problem.readings[n].pose for n in points])
+    rest = np.array([differences[problem.rows_of([n])][:POINT] for n in points])
+    steps = []
+    for last in np.unique(poses)[LEAST_MOVED - 1 : -LEAST_MOVED].tolist():
+        before, after = rest[poses <= last], rest[poses > last]
+        step = after.mean(axis=0) - before.mean(axis=0)
+        steps.append((float(step @ step) * len(before) * len(after) / len(rest), last, step))
+    explained, last, step = max(steps, default=(0.0, 0, np.zeros(POINT)), key=lambda each: each[0])
+    if explained > STEP_SHARE * float(np.sum(np.square(rest - rest.mean(axis=0)))) > 0.0:
+        name = [problem.readings[n].name for n in points if problem.readings[n].pose == last][-1]
+        x, y, z = -1e3 * step
+        what = f"all readings after {name} are off by {x:+.2f}, {y:+.2f}, {z:+.2f} mm from those before"
+        raise FitError(
+            what, where=NAME, expected="references in one frame: has the tracker or the base of the arm moved?"
+        )
 
 
 def _check_corrections(found: Fit, sigmas: FloatArray) -> None:
