@@ -5,12 +5,16 @@
 from __future__ import annotations
 
 import csv
+from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 from posor.arm_names import find_arm
-from posor.bags.recorded_encoders import read_encoders
+from posor.bags.recorded_encoders import RecordedEncoders, read_encoders
 from posor.chain.arm_file import load_arm_file
+from posor.errors import ParameterError
+from posor.numerics.array_types import FloatArray, IntArray
 from posor_bringup.encoders_command import HEADER, find_errors, main, parse_options
 from posor_drivers.simulator.scenario import load_scenario
 
@@ -31,7 +35,7 @@ def test_the_backlash_of_the_recorded_arm_is_found(tmp_path: Path, capsys: pytes
     found = find_errors(parse_options(OPTIONS))
     for name, joint in scenario.joints.items():
         assert joint.gear is not None
-        assert found[name].backlash == pytest.approx(joint.gear.backlash.number, rel=0.2)  # links twist
+        assert found[name].backlash == pytest.approx(joint.gear.backlash.number, rel=0.02)
         assert found[name].rest < 1e-5
 
 
@@ -42,6 +46,10 @@ def test_the_backlash_of_the_recorded_arm_is_found(tmp_path: Path, capsys: pytes
         (["--names", "a,b"], "2 names"),
         (["--names", "a,b,c,d,e"], "no reading of a, b, c, d, e"),
         (["--bins", "0"], "0 bins"),
+        (
+            ["--names", "base_swivel,elbow,shoulder,wrist_roll,wrist_yaw"],
+            "the encoder of joint shoulder follows the POSOR of 'elbow': readings of another joint; expected its own",
+        ),
     ],
 )
 def test_an_input_that_cannot_be_used_is_one_sentence(
@@ -49,6 +57,30 @@ def test_an_input_that_cannot_be_used_is_one_sentence(
 ) -> None:
     assert main([*OPTIONS, *options]) != 0
     assert sentence in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("change", "clause"),
+    [
+        (lambda x: -x, "turns against its POSOR: wrong sign"),
+        (np.degrees, "reads degrees; expected rad"),
+        (lambda x: 2.0 * x, "turns 2 times as far as its POSOR: wrong scale"),
+        (lambda x: x + 0.006 * (np.arange(len(x)) > 700), "has jumped by +0.00"),
+        (lambda x: np.where(np.arange(len(x)) > 700, x[700], x), "does not follow its POSOR"),
+    ],
+)
+def test_an_encoder_with_another_sign_scale_or_tooth_is_refused(
+    change: Callable[[FloatArray], FloatArray], clause: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def wrong(self: RecordedEncoders, joint: int, stamps_ns: IntArray) -> FloatArray:
+        found = sound(self, joint, stamps_ns)
+        return np.column_stack([change(found[:, 0]), found[:, 1]]) if joint == 1 else found
+
+    sound = RecordedEncoders.at
+    monkeypatch.setattr(RecordedEncoders, "at", wrong)
+    with pytest.raises(ParameterError) as caught:
+        find_errors(parse_options(OPTIONS))
+    assert caught.value.what.startswith(f"the encoder of joint shoulder {clause}")
 
 
 def test_readings_are_found_by_name() -> None:

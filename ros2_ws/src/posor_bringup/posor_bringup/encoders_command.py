@@ -15,12 +15,14 @@ from posor.arm_names import describe_argument
 from posor.bags.offline_pipeline import load_arm
 from posor.bags.recorded_encoders import read_encoders
 from posor.bags.result_folder import writing
+from posor.chain.endpoint_predictor import describe_disagreement, describe_jump, is_same_motion
 from posor.errors import ParameterError
+from posor.numerics.vector import wrapped_angles
 from posor.reporting.command_line_parser import CommandLineParser
 from posor.reporting.program_errors import reports_errors
 from posor.reporting.report_console import report_console
 from posor.reporting.report_table import ReportTable
-from posor_calibration.encoder_errors import encoder_errors
+from posor_calibration.encoder_errors import SETTLED_TURN, encoder_errors
 from posor_drivers.simulator.nominal_arm import NominalArm
 
 if TYPE_CHECKING:
@@ -31,6 +33,8 @@ if TYPE_CHECKING:
     from posor.numerics.array_types import FloatArray
     from posor_calibration.encoder_errors import EncoderErrors
 
+PARTS = 64  # of a recording, between which the motions of encoder and POSOR are compared
+LEAST_ERROR = 1e-3  # largest error of an encoder's motion that is not taken for another encoder, sign or scale [rad]
 HEADER = ("joint", "direction", "angle_rad", "encoder_minus_posor_rad", "standard_deviation_rad", "readings")
 
 
@@ -69,12 +73,30 @@ def find_errors(options: argparse.Namespace) -> dict[str, EncoderErrors]:
     gravity, found = _gravity_in_plates(chain, end.angles), {}
     for j, joint in enumerate(joints):
         readings, efforts = encoders.at(j, end.stamps_ns).T
+        if wrong := _disagreement(readings, end.angles, j, joints):
+            what, expected = f"the encoder of joint {joint} {wrong}", "its own readings, in rad"
+            raise ParameterError(what, where=f"{options.bag}, topic {options.topic}", expected=expected)
         around = np.hstack(gravity[j : j + 3]) if gravity else None  # before and after the joint, after the next one
         found[joint] = encoder_errors(end.angles[:, j], readings, efforts, options.bins, around)
     if not any(each.readings for each in found.values()):
         what, expected = "no joint moves while its encoder is read", "scans and readings of one motion and one clock"
         raise ParameterError(what, where=f"{options.bag}, topic {options.topic}", expected=expected)
     return found
+
+
+def _disagreement(readings: FloatArray, angles: FloatArray, j: int, joints: Sequence[str]) -> str:
+    """Return how the encoder of joint j moves beside the POSORs, angles (n, j), if not like its own; else empty."""
+    known = np.flatnonzero(np.isfinite(readings) & np.isfinite(angles).all(axis=1))
+    if not len(known):
+        return ""
+    some = known[np.linspace(0, len(known) - 1, min(PARTS, len(known))).round().astype(int)]
+    moved, turned = np.diff(readings[some]), wrapped_angles(np.diff(angles[some], axis=0))
+    span = max(np.ptp(readings[some]), np.ptp(angles[some], axis=0).max())
+    if span < SETTLED_TURN or np.abs(moved - turned[:, j]).max(initial=0.0) < LEAST_ERROR:
+        return ""
+    if (jump := describe_jump(moved, turned[:, j])) or is_same_motion(moved, turned[:, j]):
+        return jump
+    return describe_disagreement(moved, turned[:, j], {joints[k]: turned[:, k] for k in range(len(joints)) if k != j})
 
 
 def _gravity_in_plates(chain: Chain, angles: FloatArray) -> list[FloatArray]:

@@ -19,7 +19,7 @@ from posor.numerics.stamps import NS
 from posor.numerics.vector import wrapped_angles
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from posor.chain.endpoint_estimator import EndpointEstimator
     from posor.chain.kinematic_chain import Chain
@@ -165,26 +165,40 @@ class EndpointPredictor:
         seen, counts = self._filter.seen, self._filter.states["seen"]
         order = np.arange(max(0, counts[joint] - SEEN), counts[joint]) % SEEN
         turned = wrapped_angles(np.diff(seen[:, order, 0], axis=1))  # of all POSORs
-        moved, own = np.diff(seen[joint, order, 1]), turned[joint]
+        moved = np.diff(seen[joint, order, 1])
         if min(np.abs(moved).sum(), np.abs(turned).sum(axis=1).max()) < LEAST_TURN:
             return "does not follow its POSOR"
-        for other in np.flatnonzero((counts == counts[joint]) & (np.arange(len(counts)) != joint)).tolist():
-            if _is_same(moved, turned[other]):
-                return f"follows the POSOR of '{self.joints[other]}': readings of another joint"
-        slope = float(own @ moved / max(own @ own, np.finfo(float).tiny))
-        if _is_same(moved, slope * own):
-            for known, text in KNOWN_SLOPES.items():
-                if abs(slope / known - 1.0) < SAME:
-                    return text
-            return f"turns {slope:.4g} times as far as its POSOR: wrong scale"
-        step = int(np.argmax(np.abs(moved - own)))
-        others = np.delete(moved - own, step)
-        if abs(moved[step] - own[step]) > np.abs(others).max(initial=0.0) / SAME:
-            return (
-                f"has jumped by {moved[step] - own[step]:+.6f} rad against its POSOR: a lost count or a slipped tooth"
-            )
-        return "does not follow its POSOR"
+        others = {self.joints[k]: turned[k] for k in np.flatnonzero(counts == counts[joint]).tolist() if k != joint}
+        return describe_disagreement(moved, turned[joint], others)
 
 
-def _is_same(motion: FloatArray, other: FloatArray) -> bool:
+def describe_disagreement(moved: FloatArray, own: FloatArray, others: Mapping[str, FloatArray]) -> str:
+    """Return how an encoder moves beside POSORs: a clause.
+
+    ``moved``: successive motions by the encoder [rad], (n,); ``own``: by the POSOR of its joint; ``others``: by the
+    POSORs of other joints, by name.
+    """
+    for name, turned in others.items():
+        if is_same_motion(moved, turned):
+            return f"follows the POSOR of '{name}': readings of another joint"
+    slope = float(own @ moved / max(own @ own, np.finfo(float).tiny))
+    if is_same_motion(moved, slope * own):
+        for known, text in KNOWN_SLOPES.items():
+            if abs(slope / known - 1.0) < SAME:
+                return text
+        return f"turns {slope:.4g} times as far as its POSOR: wrong scale"
+    return describe_jump(moved, own) or "does not follow its POSOR"
+
+
+def describe_jump(moved: FloatArray, own: FloatArray) -> str:
+    """Return a clause on an encoder that differs from its POSOR in one motion (n,) alone; else empty."""
+    step = int(np.argmax(np.abs(moved - own)))
+    rest = np.delete(moved - own, step)
+    if abs(moved[step] - own[step]) > np.abs(rest).max(initial=0.0) / SAME:
+        return f"has jumped by {moved[step] - own[step]:+.6f} rad against its POSOR: a lost count or a slipped tooth"
+    return ""
+
+
+def is_same_motion(motion: FloatArray, other: FloatArray) -> bool:
+    """Return whether two motions (n,) differ by less than the share ``SAME``."""
     return bool(np.linalg.norm(motion - other) < SAME * np.linalg.norm(motion))
