@@ -24,7 +24,7 @@ from posor_lab.harness.program import Program, installed
 from posor_msgs.msg import EndpointState
 from posor_ros.qos import RELIABLE_QOS
 from posor_ros.ros_arguments import ros_arguments
-from rclpy.action import ActionClient
+from rclpy.action.client import ActionClient
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 

@@ -181,7 +181,7 @@ def describe_disagreement(moved: FloatArray, own: FloatArray, others: Mapping[st
     for name, turned in others.items():
         if is_same_motion(moved, turned):
             return f"follows the POSOR of '{name}': readings of another joint"
-    slope = float(own @ moved / max(own @ own, np.finfo(float).tiny))
+    slope = float(own @ moved) / max(float(own @ own), float(np.finfo(float).tiny))
     if is_same_motion(moved, slope * own):
         for known, text in KNOWN_SLOPES.items():
             if abs(slope / known - 1.0) < SAME:
@@ -194,7 +194,7 @@ def describe_jump(moved: FloatArray, own: FloatArray) -> str:
     """Return a clause on an encoder that differs from its POSOR in one motion (n,) alone; else empty."""
     step = int(np.argmax(np.abs(moved - own)))
     rest = np.delete(moved - own, step)
-    if abs(moved[step] - own[step]) > np.abs(rest).max(initial=0.0) / SAME:
+    if SAME * abs(moved[step] - own[step]) > np.abs(rest).max(initial=0.0):
         return f"has jumped by {moved[step] - own[step]:+.6f} rad against its POSOR: a lost count or a slipped tooth"
     return ""
 

@@ -161,9 +161,9 @@ class InstrumentsFile(FrozenModel):
                 if name in OWN_CHANNELS:
                     used[entry.channel] = f"{joint}.{name}[{location[-1]}]"
         for part, published in (("references", self.references), ("thermometers", self.thermometers)):
-            for name, entry in published.items():
-                if entry.joint not in self.joints:
-                    what, expected = f"joint '{entry.joint}'", f"one of {', '.join(self.joints)}"
+            for name, each in published.items():
+                if each.joint not in self.joints:
+                    what, expected = f"joint '{each.joint}'", f"one of {', '.join(self.joints)}"
                     raise EntryError(what, key=(part, name, "joint"), expected=expected)
         for name, reference in self.references.items():
             for path, unit, measured_by in reference.measured:

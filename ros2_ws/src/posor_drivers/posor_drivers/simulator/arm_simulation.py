@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
     from posor.chain.arm_file import ArmFile
-    from posor.chain.beams_file import ThermometerFile
+    from posor.chain.beams_file import BeamThermometerFile
     from posor.numerics.array_types import FloatArray, IntArray
 
     from posor_drivers.simulator.faults import SimulatedFault
@@ -130,7 +130,7 @@ class ArmSimulation:
         return truth if stage is None else truth.with_stage(stage)
 
     @property
-    def thermometers(self) -> Mapping[str, ThermometerFile]:
+    def thermometers(self) -> Mapping[str, BeamThermometerFile]:
         """The thermometers of the beams, by beam."""
         found = {beam.name: beam.entry.thermometer for beam in self.chain.beams}
         return {name: entry for name, entry in found.items() if entry is not None}
