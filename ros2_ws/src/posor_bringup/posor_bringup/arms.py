@@ -124,7 +124,7 @@ def _check_thermometers(arm: ArmFile, chain: Chain, own: InstrumentParameters) -
     for name, entry in load_instruments(Path(own.file)).thermometers.items():
         where = f"{own.file}, key thermometers.{name}"
         if entry.joint == own.joint and name not in plates and name not in beams:
-            expected = similar_name(name, [*beams, *plates], f"a thermometer of {arm.beams}")
+            expected = similar_name(name, [*beams, *plates], f"a thermometer of {arm.beams or 'a beams file'}")
             raise CalibrationError("no beam and no plate has this thermometer", where=where, expected=expected)
         if entry.joint == own.joint != plates.get(name, own.joint):
             what = f"joint '{entry.joint}', but '{name}' is on the plate of '{plates[name]}' in the beams file"

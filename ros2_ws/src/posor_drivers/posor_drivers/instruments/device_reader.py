@@ -267,8 +267,13 @@ class DeviceReader:
 
     def newest_values(self) -> FloatArray | None:
         """Return the values of the newest frame, (c,); None where there is none."""
+        found = self.newest_frame()
+        return None if found is None else found[1]
+
+    def newest_frame(self) -> tuple[int, FloatArray] | None:
+        """Return number and values (c,) of the newest frame; None where there is none."""
         with self._lock:
-            return None if self._last is None else self._values[self._last % CAPACITY].copy()
+            return None if self._last is None else (self._last, self._values[self._last % CAPACITY].copy())
 
     def _row_of(self, number: int) -> int | None:
         """Return the row of a frame in the store, if it is there."""

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from posor.numerics.array_types import FloatArray
 
     from posor_drivers.instruments.channel_exposures import Exposures
-    from posor_drivers.instruments.device_reader import StampError
+    from posor_drivers.instruments.device_reader import DeviceReader, StampError
     from posor_drivers.instruments.reference_entry import ReferenceEntry
 
 FIELDS = tuple(name for name in READINGS if name not in {"home_mark", "light"})
@@ -35,6 +35,10 @@ FIELDS = tuple(name for name in READINGS if name not in {"home_mark", "light"})
 SCALARS = ("supply_voltage", "temperature", "reference_voltage")
 EXPOSED = ("gap_voltages", "ring_voltages", "diode_currents")
 """Readings whose exposure a scan states, in the order of ``RawScan.exposure_offsets``."""
+
+
+EVERY_SECOND_HZ = 2.0
+"""Frames per second from which there is a new frame in each second."""
 
 
 class LitSourceError(ValueError):
@@ -165,29 +169,31 @@ class ReferenceReading:
 
 
 class ThermometerReading:
-    """Makes the messages of one thermometer, at whole seconds."""
+    """Makes the messages of one thermometer, at whole seconds, from the newest frame of its device.
+
+    It needs no frames around the tick, which a slow device does not have in time.
+    """
 
     def __init__(self, name: str, entry: ThermometerEntry, types: MessageTypes, prefix: str) -> None:
         """Store the entry; ``prefix``: of the topic, before the name."""
         self._entry, self._types, self._name = entry, types, name
         self.topic = Topic(f"{prefix.rstrip('/')}/{name}", TEMPERATURE)
-        self.devices = {entry.device}
+        self.device = entry.device
+        self._last: int | None = None
         self._missing, self._fault = 0, ""
 
-    def message(self, channels: Mapping[str, float], stamp_ns: int) -> SourceMessage | None:
-        """Return the message of a tick, NaN: invalid channel; None: between whole seconds, or without frames.
-
-        ``channels`` as for a reference.
-        """
-        if stamp_ns % NS:
+    def message(self, reader: DeviceReader, stamp_ns: int) -> SourceMessage | None:
+        """Return the message at a whole second [ns], NaN: invalid channel; None: no new frame."""
+        entry, frame = self._entry, reader.newest_frame()
+        if frame is None or frame[0] == self._last:
+            if frame is None or reader.device.frame_rate >= EVERY_SECOND_HZ:
+                self._missing += 1
+                self._fault = f"no reading: no new frame of {entry.device}"
             return None
-        channel = self._entry.channel
-        if channel not in channels:
-            self._missing += 1
-            self._fault = f"no reading: no frames of {channel} around the tick"
-            return None
-        kelvin = self._entry.value(channels)
-        self._fault = "" if math.isfinite(kelvin) else f"{channel} is invalid"
+        self._last, values = frame
+        names = [f"{entry.device}/{channel.name}" for channel in reader.device.channels]
+        kelvin = entry.value(dict(zip(names, values.tolist(), strict=True)))
+        self._fault = "" if math.isfinite(kelvin) else f"{entry.channel} is invalid"
         message = temperature(self._types, stamp_ns, self._name, kelvin)
         return SourceMessage(self.topic.name, stamp_ns, self._types.serialize(message, TEMPERATURE))
 

@@ -107,15 +107,16 @@ class InstrumentSource(LiveSource[InstrumentParameters]):
         self._file = self._read_file()
         self._joint = joint = self._file.joints[name]
         prefix = self.parameters.temperature_topic
-        self._published: list[ReferenceReading | ThermometerReading] = [
-            *(ReferenceReading(each, entry, self.types) for each, entry in self._of_joint(self._file.references)),
-            *(
-                ThermometerReading(each, entry, self.types, prefix)
-                for each, entry in self._of_joint(self._file.thermometers)
-            ),
+        self._references = [
+            ReferenceReading(each, entry, self.types) for each, entry in self._of_joint(self._file.references)
+        ]
+        self._thermometers = [
+            ThermometerReading(each, entry, self.types, prefix)
+            for each, entry in self._of_joint(self._file.thermometers)
         ]
         self._of_scan = {entry.device for _, _, entry in joint.entries()}
-        used = self._of_scan.union(*(each.devices for each in self._published))
+        at_ticks = self._of_scan.union(*(each.devices for each in self._references))
+        used = at_ticks.union(each.device for each in self._thermometers)
         devices = [device for each, device in self._file.new_devices().items() if each in used]
         of_scan = [device for device in devices if device.name in self._of_scan]
         channels = [f"{device.name}/{channel.name}" for device in of_scan for channel in device.channels]
@@ -128,10 +129,14 @@ class InstrumentSource(LiveSource[InstrumentParameters]):
         self._rate = round(self._file.rate.number)
         self._latency_ns = round(self._file.latency.number * NS)
         self._readers = [self._threads.enter_context(shared_reader(Path(where), device)) for device in devices]
+        self._tick_readers = [reader for reader in self._readers if reader.device.name in at_ticks]
         self._scan_readers = [reader for reader in self._readers if reader.device.name in self._of_scan]
         self._prepare_writer()
         self._host_clock = HostClock() if self.parameters.host_clock else None
-        return [Topic(RAW_TOPIC, RAW_SCAN), *(each.topic for each in self._published)]
+        return [Topic(RAW_TOPIC, RAW_SCAN), *(each.topic for each in self._published())]
+
+    def _published(self) -> list[ReferenceReading | ThermometerReading]:
+        return [*self._references, *self._thermometers]
 
     def _of_joint(self, entries: Mapping[str, EntryT]) -> list[tuple[str, EntryT]]:
         """Return the entries that this driver publishes, with their names."""
@@ -178,9 +183,15 @@ class InstrumentSource(LiveSource[InstrumentParameters]):
         """Return scan, references and temperatures of a tick; none where a device lacks one of the frames around it."""
         stamp_ns = tick_stamp_ns(tick, self.rate)
         values = {
-            reader.device.name: reader.values_at(stamp_ns, self._whole[reader.device.name]) for reader in self._readers
+            reader.device.name: reader.values_at(stamp_ns, self._whole[reader.device.name])
+            for reader in self._tick_readers
         }
-        return [*self._scan(tick, stamp_ns, values), *self._read_published(stamp_ns, values)]
+        messages = [*self._scan(tick, stamp_ns, values), *self._read_references(stamp_ns, values)]
+        if self._thermometers and stamp_ns % NS == 0:
+            readers = {reader.device.name: reader for reader in self._readers}
+            found = [each.message(readers[each.device], stamp_ns) for each in self._thermometers]
+            messages += [each for each in found if each is not None]
+        return messages
 
     def _scan(self, tick: int, stamp_ns: int, values: Mapping[str, FloatArray | None]) -> Sequence[SourceMessage]:
         present = [part for device, part in values.items() if part is not None and device in self._of_scan]
@@ -196,16 +207,16 @@ class InstrumentSource(LiveSource[InstrumentParameters]):
         self._no_scan = ""
         return (SourceMessage(RAW_TOPIC, stamp_ns, scan),)
 
-    def _read_published(self, stamp_ns: int, values: Mapping[str, FloatArray | None]) -> Iterator[SourceMessage]:
-        if not self._published:
+    def _read_references(self, stamp_ns: int, values: Mapping[str, FloatArray | None]) -> Iterator[SourceMessage]:
+        if not self._references:
             return
         channels = {
             f"{reader.device.name}/{channel.name}": float(value)
-            for reader in self._readers
+            for reader in self._tick_readers
             if (part := values[reader.device.name]) is not None
             for channel, value in zip(reader.device.channels, part, strict=True)
         }
-        for each in self._published:
+        for each in self._references:
             if (message := each.message(channels, stamp_ns)) is not None:
                 yield message
 
@@ -220,7 +231,7 @@ class InstrumentSource(LiveSource[InstrumentParameters]):
         host = [] if self._host_clock is None else [SourceStatus("host clock", *self._host_clock.read())]
         return [
             SourceStatus("scans", self._no_scan, "in time", {"scans_missing": self._scans_missing}),
-            *(each.status for each in self._published),
+            *(each.status for each in self._published()),
             *(
                 SourceStatus(f"device {reader.device.name}", state.fault, state.text, state.values)
                 for reader in self._readers
