@@ -8,6 +8,7 @@ the end of the motion busy all the time.
 
 from __future__ import annotations
 
+from functools import partial
 from importlib import import_module
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
@@ -41,14 +42,13 @@ class TrajectoryAction:
         refuse: Callable[[str], None],
     ) -> None:
         self._type = import_module(f"{PACKAGE}.action").FollowJointTrajectory
-        self._start, self._end, self._refuse = start, end, refuse
+        self._node, self._start, self._end, self._refuse = node, start, end, refuse
         self._goal: Any = None
-        self._result: Any = None
         self.server = ActionServer(
             node,
             self._type,
             ACTION,
-            self._conclude,
+            lambda _: None,  # ``finish`` states another one for each goal
             goal_callback=self._on_goal,
             handle_accepted_callback=self._on_accepted,
             cancel_callback=self._on_cancel,
@@ -86,22 +86,26 @@ class TrajectoryAction:
         return CancelResponse.ACCEPT
 
     def finish(self, reason: str = "", error: str = "PATH_TOLERANCE_VIOLATED") -> None:
-        """End the present goal, if there is one; ``reason``: why it has failed, with the name of its error code."""
-        goal, self._goal = self._goal, None
-        if goal is not None:
-            self._result = self._type.Result(error_string=reason)
-            self._result.error_code = getattr(self._result, error if reason else "SUCCESSFUL")
-            goal.execute()
+        """End the present goal, if there is one; ``reason``: why it has failed, with the name of its error code.
 
-    def _conclude(self, goal: Any) -> Any:
+        A node that has left its executor, because the program ends, sends no result: clients see the server vanish.
+        """
+        goal, self._goal = self._goal, None
+        if goal is not None and self._node.executor is not None:
+            result = self._type.Result(error_string=reason)
+            result.error_code = getattr(result, error if reason else "SUCCESSFUL")
+            goal.execute(partial(self._conclude, result))
+
+    @staticmethod
+    def _conclude(result: Any, goal: Any) -> Any:
         """Set the terminal state of a goal that has ended, and return its result."""
         if goal.is_cancel_requested:
             goal.canceled()
-        elif self._result.error_string:
+        elif result.error_string:
             goal.abort()
         else:
             goal.succeed()
-        return self._result
+        return result
 
     def publish_feedback(self, joints: Sequence[str], desired: FloatArray, actual: FloatArray | None) -> None:
         """Publish commanded and measured angles of the present goal, if there is one; None: they are not measured."""
