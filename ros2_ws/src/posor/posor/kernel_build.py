@@ -26,6 +26,7 @@ from typing import Any, NamedTuple
 from posor.errors import SystemRefusal
 
 ENTRIES = {
+    "chain.beam_vibration": ("follow_reading", "write_vibration"),
     "chain.encoder_filter": ("predict_endpoints", "use_transform", "use_transform_row"),
     "chain.fault_bounds": ("bound_endpoints",),
     "chain.forward_kinematics": ("estimate_endpoint_of_rows", "estimate_endpoints", "write_relative"),

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, get_args
 import numpy as np
 
 from posor.calibration.designs import DesignName, design
+from posor.chain.beam_vibration import Oscillators, follow_reading, write_vibration
 from posor.chain.endpoint_predictor import EndpointPredictor
-from posor.chain.joint_measurements import JointRowLayout
+from posor.chain.joint_measurements import VIBRATION, JointRowLayout
 from posor.chain.kinematic_chain import Chain
 from posor.estimation.estimate_scan import begin_scan_estimate, solve_and_check, write_lost
 from posor.estimation.fault_model import EFFECT
@@ -147,6 +148,9 @@ def _use_chain() -> None:
     rows.view(np.float64)[0, 10] = 1.0  # w of the quaternion
     estimator.rows[0] = rows[0]
     estimator.estimate_rows(0)
+    oscillators = Oscillators.allocate(1)
+    follow_reading(oscillators, np.zeros(3), 0, 1)
+    write_vibration(oscillators, np.zeros((1, 1), dtype=VIBRATION), 0, 1)
     predictor = EndpointPredictor(chain, EncodersParameters(sigma=(1e-6,)))
     predictor.use_row_layout(0, layout)
     predictor.read(1, np.zeros(1))

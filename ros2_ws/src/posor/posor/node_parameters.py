@@ -15,7 +15,7 @@ from pydantic import Field, field_validator, model_validator
 
 from posor.calibration.causes import FALSE_ALARM
 from posor.parameter_model import ChangeableAtRunTime, FixedAtStart, ParameterGroup
-from posor.ros_names import TEMPERATURE_TOPIC
+from posor.ros_names import ACCELERATION_TOPIC, TEMPERATURE_TOPIC
 
 MIN_TF_RATE = 0.01
 MIN_ZERO_SCANS = 10  # scans below which their scatter is unknown
@@ -281,6 +281,11 @@ class ChainParameters(AlarmParameters):
         default=TEMPERATURE_TOPIC,
         description="name before those of the thermometers of the beams file in their topics, relative to the node's "
         "namespace: 'temperature/upper_arm'",
+    )
+    acceleration_topic: str = Field(
+        default=ACCELERATION_TOPIC,
+        description="name before those of the accelerometers of the beams file in their topics, likewise: "
+        "'acceleration/upper_arm_near'",
     )
     encoders: EncodersParameters = EncodersParameters()
     tf_rate: Annotated[float, Field(ge=0.0, allow_inf_nan=True)] = Field(

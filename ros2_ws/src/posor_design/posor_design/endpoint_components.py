@@ -121,7 +121,9 @@ class ArmPropagation:
         for beam, force, to_endpoint in self._beams:
             sag = beam.sag_sigma * (to_endpoint @ beam.sag_gain @ force)
             placement = to_endpoint @ beam.covariance @ to_endpoint.T
-            found += [Component(beam.name, Kind.SYSTEMATIC, placement), Component(beam.name, Kind.SAG, _square(sag))]
+            spread = to_endpoint @ beam.spread_covariance @ to_endpoint.T  # as published without accelerometers
+            found += [Component(beam.name, Kind.SYSTEMATIC, placement)]
+            found.append(Component(beam.name, Kind.SAG, _square(sag) + spread))
             add_shared(beam.shared_effects_under(force), to_endpoint)
             if len(beam.thermal):  # a stated spread replaces the largest deviation
                 found.append(Component(beam.name, Kind.TEMPERATURE, _products(to_endpoint @ beam.thermal.T)))

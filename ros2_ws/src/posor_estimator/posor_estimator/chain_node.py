@@ -5,7 +5,8 @@
 Subscribes to ``<joint>/transform`` (posor_msgs/JointTransform) for every floating joint of the URDF. Publishes
 ``endpoint/pose``, ``endpoint/pose_with_covariance`` and ``joint_states``, the angles about the joints' nominal axes.
 /tf has the frames of the arm with the stamp of each pose; /tf_static and ``robot_description`` have what is fixed.
-It also subscribes to the thermometers of the beams file, and keeps the beams at their temperatures. With the parameter
+It also subscribes to the thermometers of the beams file, and keeps the beams at their temperatures, and to the
+accelerometers, with which the beams vibrate. With the parameter
 ``encoders.topic`` it predicts the endpoint between scans, see ``endpoint_prediction``.
 Transforms are joined by equal stamps. Without a usable transform of every joint in time there is no pose.
 ``endpoint/state`` (posor_msgs/EndpointState) is published for every scan, for every transform that is refused, and
@@ -26,6 +27,7 @@ from typing import TYPE_CHECKING, Any
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 from posor.chain.arm_file import CHAIN_NODE
 from posor.chain.beam_temperatures import BeamTemperatures
+from posor.chain.beam_vibration import BeamVibrations
 from posor.chain.kinematic_chain import load_chain
 from posor.chain.time_synchroniser import MAX_OPEN_SCANS, TimeSynchroniser
 from posor.errors import TopicError
@@ -55,17 +57,12 @@ from posor_ros.qos import input_qos, result_qos
 from posor_ros.throttled_publisher import ThrottledPublisher, may_be_due_next
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
-from sensor_msgs.msg import JointState, Temperature
+from sensor_msgs.msg import Imu, JointState, Temperature
 
+from posor_estimator.acceleration_reader import AccelerationReader
 from posor_estimator.alarm_rate import AlarmRate
 from posor_estimator.endpoint_prediction import EndpointPrediction, JointMessage
-from posor_estimator.endpoint_verdict import (
-    SOUND,
-    JointStatus,
-    degraded_verdict,
-    unusable_verdict,
-    without_thermometers,
-)
+from posor_estimator.endpoint_verdict import SOUND, JointStatus, degraded_verdict, unusable_verdict, with_clauses
 from posor_estimator.frame_publisher import FramePublisher
 from posor_estimator.identity_check import IdentityCheck
 
@@ -95,6 +92,7 @@ class ChainNode(PosorNode[ChainParameters]):
     _estimator: EndpointEstimator
     _synchroniser: TimeSynchroniser[JointMessage]
     _temperatures: BeamTemperatures
+    _vibrations: BeamVibrations
     _formats: dict[str, JointTransformFormat]  # of the last transform of each joint
     _rows: list[tuple[str, JointTransformFormat, memoryview]]  # joints, formats and memory of the estimator's rows
     _transforms: list[IntraProcessSubscription]
@@ -136,6 +134,7 @@ class ChainNode(PosorNode[ChainParameters]):
         self._formats = {name: JointTransformFormat(example) for name, example in plain.items()}
         self._estimator = chain.estimator(self.parameters.acceleration_window)
         self._temperatures = BeamTemperatures(chain.beams, self._estimator, chain.plates)
+        self._vibrations = BeamVibrations(chain.beams, self._estimator)
         self._rows, self._transforms, self._reads_effects = [], [], True
         self._home, self._pose_stamp, self._reported = None, b"", None
         self._poses = self._scans_refused = self._scans_incomplete = self._transforms_refused = 0
@@ -168,10 +167,7 @@ class ChainNode(PosorNode[ChainParameters]):
         self._joint_of_topic: dict[str, str] = {}
         for number, joint in enumerate(chain.joints):
             self._subscribe(number, joint)
-        for name in self._temperatures.names:
-            topic, callback = f"{self.parameters.temperature_topic}/{name}", partial(self._on_temperature, name)
-            subscription = self.create_subscription(Temperature, topic, callback, input_qos(self.parameters))
-            self.add_cleanup(self.destroy_subscription, subscription)
+        self._subscribe_to_beams()
         steady_clock = Clock(clock_type=ClockType.STEADY_TIME)
         period_s = min(self.parameters.max_wait, LATE_CHECK_S)
         self.add_cleanup(self.destroy_timer, self.create_timer(period_s, self._close_late_scans, clock=steady_clock))
@@ -188,11 +184,21 @@ class ChainNode(PosorNode[ChainParameters]):
         self._transforms.append(subscription)
         self._joint_of_topic[subscription.topic_name] = joint.name
 
+    def _subscribe_to_beams(self) -> None:
+        for name in self._temperatures.names:
+            topic, callback = f"{self.parameters.temperature_topic}/{name}", partial(self._on_temperature, name)
+            subscription = self.create_subscription(Temperature, topic, callback, input_qos(self.parameters))
+            self.add_cleanup(self.destroy_subscription, subscription)
+        for name in self._vibrations.names:
+            topic, read = f"{self.parameters.acceleration_topic}/{name}", partial(self._on_acceleration, name)
+            IntraProcessSubscription(self, Imu, topic, input_qos(self.parameters), partial(read, AccelerationReader()))
+
     def activate(self) -> None:
         """Expect transforms with present stamps, and new readings of the thermometers, from now on."""
         self._inputs.start()
         with self._lock:
             self._temperatures.restart()
+            self._vibrations.restart()
             if self._prediction is not None:
                 self._prediction.restart(self._inputs.stamp_limits)
 
@@ -212,7 +218,8 @@ class ChainNode(PosorNode[ChainParameters]):
         """Return the verdict on a pose, with what concerns the whole arm."""
         if self._identity.refuses:
             return self._identity.verdict
-        return without_thermometers(self._identity.degraded(verdict), self._temperatures.reason)
+        reasons = self._temperatures.reason, self._vibrations.reason
+        return with_clauses(self._identity.degraded(verdict), "; ".join(filter(None, reasons)))
 
     def _on_inputs_checked(self, is_new: bool) -> None:  # noqa: FBT001  a callback
         """Report that no transform arrives, and publish the state while there is no scan."""
@@ -270,6 +277,16 @@ class ChainNode(PosorNode[ChainParameters]):
         stamp, frame = message.header.stamp, message.header.frame_id
         with self._lock:
             self._temperatures.add(name, time_ns(stamp.sec, stamp.nanosec), message.temperature, frame)
+
+    def _on_acceleration(self, name: str, reader: AccelerationReader, data: bytes) -> None:
+        """Add a reading of an accelerometer; the scans that follow check and use it."""
+        with self._lock:
+            try:
+                stamp_ns, reading, frame = reader.read(data)
+            except TopicError as error:
+                self._vibrations.refuse(name, str(error).rstrip("."))
+                return
+            self._vibrations.add(name, stamp_ns, reading, frame)
 
     def _use_format_of(self, joint: FreeJoint, data: bytes) -> bytes:
         """Take the format of a transform and return it in plain CDR; refuse an invalid one and return empty bytes."""
@@ -372,6 +389,8 @@ class ChainNode(PosorNode[ChainParameters]):
             return
         if self._temperatures.names:
             self._temperatures.update(stamp_ns)
+        if self._vibrations.names:
+            self._vibrations.update(stamp_ns)
         worst = estimator.estimate_rows(stamp_ns)
         if worst < 0 or identity.refuses:
             verdict = unusable_verdict(self._joints_of(scan)) if worst < 0 else identity.verdict
@@ -380,7 +399,8 @@ class ChainNode(PosorNode[ChainParameters]):
         if self._prediction is not None:
             self._prediction.use_scan(estimator, identity.sha256)
         self._publish_pose(stamp)
-        is_sound = worst == OK and identity.verdict is SOUND and not self._temperatures.reason
+        is_sound = worst == OK and identity.verdict is SOUND
+        is_sound = is_sound and not self._temperatures.reason and not self._vibrations.reason
         verdict = SOUND if is_sound else self._verdict_of_pose(scan, worst)
         self._state_published = True
         if state_is_read:

@@ -44,8 +44,8 @@ def degraded_verdict(joints: Sequence[JointStatus]) -> EndpointVerdict:
     return EndpointVerdict(EndpointState.STATE_DEGRADED, _all_faults(degraded), degraded[0].name, f"degraded: {reason}")
 
 
-def without_thermometers(verdict: EndpointVerdict, reason: str) -> EndpointVerdict:
-    """Return the verdict on a scan with a pose, with what is wrong with thermometers; empty: nothing."""
+def with_clauses(verdict: EndpointVerdict, reason: str) -> EndpointVerdict:
+    """Return the verdict on a scan with a pose, with what is wrong with the beams; empty: nothing."""
     if not reason:
         return verdict
     if verdict is SOUND:

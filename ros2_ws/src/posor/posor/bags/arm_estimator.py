@@ -140,6 +140,9 @@ class _JointEstimator:
         return estimates
 
 
+UNREAD = "accelerometers of beams are not read offline: their beams are at rest, with the stated spread"
+
+
 class EndpointPipeline:
     """Estimates the endpoint from the transforms of all joints.
 
@@ -150,7 +153,7 @@ class EndpointPipeline:
         poses: Number of poses.
         temperatures: Of the beams with thermometers.
         reasons: What is wrong with thermometers, see ``BeamTemperatures.reason``, by period of the stamps.
-        without_thermometer: Number of poses by what is wrong with thermometers.
+        without_thermometer: Number of poses by what is wrong with thermometers, or not read.
         degraded: Number of poses that depend on a DEGRADED joint, or on a thermometer that cannot be used.
         unusable: Number of complete stamps without a pose, and of transforms with an invalid stamp.
         refused: The same, by the joint whose transform cannot be used.
@@ -265,7 +268,8 @@ class EndpointPipeline:
         self.poses += int(np.count_nonzero(sound))
         self.unusable += int(np.count_nonzero(~sound))
         degraded = np.any(states[:, sound] == int(State.DEGRADED), axis=0)
-        if reason := self.temperatures.reason:
+        unread = UNREAD if self._estimator.vibrations.size else ""
+        if reason := "; ".join(filter(None, (self.temperatures.reason, unread))):
             degraded[:] = True
             self.without_thermometer[reason] += len(degraded)
         self.degraded += int(np.count_nonzero(degraded))

@@ -28,6 +28,15 @@ BEAM = np.dtype(
         ("shift_gain", float, (3, 3)),  # shift of the end relative to the start [m], axes of the start
         ("start_turn_gain", float, (3, 3)),  # turn of the start [rad], axes of the start
         ("end_turn_gain", float, (3, 3)),  # turn of the end [rad], axes of the end
+        # The same for a specific force that grows by 1 m/s^2 along the beam, from -0.5 m/s^2 at its start:
+        ("tilt_shift_gain", float, (3, 3)),
+        ("tilt_start_turn_gain", float, (3, 3)),
+        ("tilt_end_turn_gain", float, (3, 3)),
+        # ``MeasuringBeam.sag_gain`` and ``tilt_gain``: shift of the end [m] and its turn [rad], axes of the start:
+        ("plate_shift_gain", float, (3, 3)),
+        ("plate_turn_gain", float, (3, 3)),
+        ("tilt_plate_shift_gain", float, (3, 3)),
+        ("tilt_plate_turn_gain", float, (3, 3)),
         ("sigma_shift_gain", float, (3, 3)),  # one standard deviation of the sag: translation [m], axes of the start
         ("sigma_turn_gain", float, (3, 3)),  # the same: rotation [rad], axes of the start
         ("covariance", float, (6, 6)),  # ``MeasuringBeam.covariance_without_sag``
@@ -104,6 +113,11 @@ def beam_record(beam: MeasuringBeam) -> tuple[FloatArray, ...]:
         beam.end_gain[:3] - beam.start_gain[:3],
         beam.start_gain[3:],
         span.rotation.T @ beam.end_gain[3:],
+        beam.end_tilt_gain[:3] - beam.start_tilt_gain[:3],
+        beam.start_tilt_gain[3:],
+        span.rotation.T @ beam.end_tilt_gain[3:],
+        *np.split(beam.sag_gain, 2),
+        *np.split(beam.tilt_gain, 2),
         sigma_gain[:3],
         sigma_gain[3:],
         beam.covariance_without_sag,

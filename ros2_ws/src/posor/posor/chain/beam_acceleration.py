@@ -36,6 +36,7 @@ class BeamHistory(NamedTuple):
     accelerations: FloatArray  # [m/s^2], (3 b,), axes of the base
     # Plates at the beams' ends in the plates at their starts in the present scan, (b, 7), as poses
     transforms: FloatArray
+    static_forces: FloatArray  # gravity less acceleration in the axes of the beams' starts [m/s^2], (b, 3), where used
 
     @classmethod
     def allocate(cls, window_s: float, beams: int) -> BeamHistory:
@@ -48,6 +49,7 @@ class BeamHistory(NamedTuple):
             np.empty(3 * beams),
             np.zeros(3 * beams),
             np.full((beams, 7), np.nan),
+            np.full((beams, 3), np.nan),
         )
 
     def enlarged(self) -> BeamHistory:

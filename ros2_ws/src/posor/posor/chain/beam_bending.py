@@ -90,20 +90,28 @@ class BentBeam:
 
 
 def on_gimbals(
-    length: float, bending_stiffness: float, load: float, forces: Sequence[PointForce], gimbals: tuple[float, float]
+    length: float,
+    bending_stiffness: float,
+    load: float,
+    forces: Sequence[PointForce],
+    gimbals: tuple[float, float],
+    load_slope: float = 0.0,
 ) -> BentBeam:
     """Return the shape of a beam on two hinged supports, measured from the line through the supports.
 
     This is a measuring beam on its gimbals (thesis 6.2.1), loaded by its own weight and its end plates. ``length``:
     length of the beam [m]; ``bending_stiffness``: E I [N m^2]; ``load``: uniform load per length [N/m]; ``forces``:
-    point forces; ``gimbals``: distances of the two supports from the beam's start [m], the nearer first.
+    point forces; ``gimbals``: distances of the two supports from the beam's start [m], the nearer first;
+    ``load_slope``: increase of the load along the beam [N/m^2].
     """
     near, far = gimbals
-    total = load * length + math.fsum(each.force for each in forces)
+    total = (load + 0.5 * load_slope * length) * length + math.fsum(each.force for each in forces)
     moment = load * length * (0.5 * length - near) + math.fsum(each.force * (each.at - near) for each in forces)
+    moment += load_slope * length**2 * (length / 3.0 - 0.5 * near)
     at_far = moment / (far - near)
     reactions = [PointForce(near, -(total - at_far)), PointForce(far, -at_far)]
     bent = [
+        _Term(0.0, 5, load_slope / 120.0 / bending_stiffness),
         _Term(0.0, 4, load / 24.0 / bending_stiffness),
         *(_Term(each.at, 3, each.force / 6.0 / bending_stiffness) for each in (*forces, *reactions)),
     ]

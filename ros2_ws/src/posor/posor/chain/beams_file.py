@@ -1,6 +1,8 @@
 # Copyright 2026 POSOR maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The beams file, version 3: uncertainty, sag and temperature of an arm's beams, whose transforms are in the URDF.
+"""The beams file, version 4: uncertainty, sag, temperature and vibration of an arm's beams.
+
+The transforms of the beams are in the URDF.
 
 Versions of the format:
 
@@ -8,6 +10,8 @@ Versions of the format:
 2. ``temperature`` of a beam: coefficient of expansion, and largest deviation from the temperature of the URDF;
    ``shared``: errors that several beams share, also with calibrations. Still read.
 3. ``spread``, ``gradient`` and ``thermometer`` in the ``temperature`` of a beam; ``plates``: thermometers of plates.
+   Still read.
+4. ``vibration`` of a beam: its first natural frequency, and its accelerometers.
 """
 
 from __future__ import annotations
@@ -30,9 +34,10 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 FILE_KIND = "beams file"
-VERSION = 3
-FORMER_VERSIONS = (1, 2)
+VERSION = 4
+FORMER_VERSIONS = (1, 2, 3)
 SHARED_VERSION = 2  # the first with ``shared`` and ``temperature``
+THERMOMETER_VERSION = 3  # the first with ``spread``, ``gradient`` and ``thermometer``
 STANDARD_GRAVITY = 9.80665  # [m/s^2] (ISO 80000-3)
 
 
@@ -73,6 +78,12 @@ _AGE = _Range(LEAST_AGE_S, 3600.0, {"in ms": 1e-3})
 _POSITION = _Range(0.0, 0.1, {"in um": 1e-6, "in mm": 1e-3})
 _ORIENTATION = _Range(0.0, 0.2, {"in urad": 1e-6, "in arcseconds": 4.848e-6, "in degrees": 0.01745})
 _SHARE = _Range(0.0, 1.0, {"in percent": 0.01})
+_FREQUENCY = _Range(1.0, 1e5, {"in kHz": 1e3, "in rad/s": 0.159155})
+_DAMPING = _Range(1e-5, 0.3, {"in percent": 0.01})
+_ACCELERATION = _Range(1e-4, 1e3, {"in mm/s^2": 1e-3, "in standard gravities": STANDARD_GRAVITY})
+_LARGEST_ACCELERATION = _Range(15.0, 1e5, {"in standard gravities": STANDARD_GRAVITY})
+_SAMPLE_AGE = _Range(1e-4, 0.1, {"in ms": 1e-3})
+_LIMIT = _Range(0.05, 0.9, {"in percent": 0.01})
 _GRAVITY = _Range(1.5, 25.0, {"in mm/s^2": 1e-3, "in standard gravities": STANDARD_GRAVITY}, or_zero=True)
 
 
@@ -240,16 +251,77 @@ class TemperatureFile(FrozenModel):
         return self
 
 
+class AccelerometersFile(FrozenModel):
+    """Two accelerometers on the link, one at each gimbal of its beam, in the axes of the beam's start.
+
+    ``names`` are the last parts of their topics, that of the nearer gimbal first.
+    """
+
+    names: Annotated[tuple[str, ...], Field(min_length=2, max_length=2)]
+    uncertainty: Annotated[Quantity, measured("m/s^2")]  # standard uncertainty of a reading, bias and noise
+    range: Annotated[Quantity, measured("m/s^2")]  # largest plausible amount along an axis
+    age: Annotated[Quantity, measured("s")]  # largest age of a reading in use, and time between two readings
+
+    @model_validator(mode="after")
+    def _check_values(self) -> Self:
+        for index, name in enumerate(self.names):
+            if not is_ros_name(name):
+                raise EntryError(f"name '{name}'", key=("names", index), expected=ROS_NAME_RULE)
+        _ACCELERATION.check("uncertainty", self.uncertainty)
+        _LARGEST_ACCELERATION.check("range", self.range)
+        _SAMPLE_AGE.check("age", self.age)
+        return self
+
+
+class VibrationFile(FrozenModel):
+    """How the beam follows the vibration of its link: as an oscillator with its first natural frequency.
+
+    ``frequency``: on its gimbals, with its standard uncertainty ``sigma``; ``damping``: share of the critical one;
+    ``uncertainty``: relative standard uncertainty of what the oscillator adds to the sag under the acceleration of the
+    moment; ``limit``: largest share of the natural frequency at which the oscillator is used; ``spread``: standard
+    uncertainty of the acceleration while the accelerometers cannot be used.
+    """
+
+    frequency: Annotated[Quantity, measured("Hz")]
+    damping: Annotated[Quantity, measured("1")]
+    uncertainty: Annotated[Quantity, measured("1")]
+    limit: Annotated[Quantity, measured("1")] = Quantity(value=0.5, unit="1")
+    spread: Annotated[Quantity, measured("m/s^2")]
+    accelerometers: AccelerometersFile
+
+    @model_validator(mode="after")
+    def _check_values(self) -> Self:
+        _FREQUENCY.check("frequency", self.frequency)
+        if not 0.0 < float(self.frequency.sigmas) <= 0.2 * self.frequency.number:
+            expected = f"more than 0 to {0.2 * self.frequency.number:g} Hz, its standard uncertainty"
+            raise EntryError(
+                f"sigma {float(self.frequency.sigmas):g} Hz", key=("frequency", "sigma"), expected=expected
+            )
+        _DAMPING.check("damping", self.damping)
+        _SHARE.check("uncertainty", self.uncertainty)
+        _LIMIT.check("limit", self.limit)
+        _ACCELERATION.check("spread", self.spread)
+        return self
+
+
 class BeamFile(FrozenModel):
     """One beam; the origin of the fixed URDF joint ``joint`` is its transform at the temperature of the URDF.
 
-    Without ``temperature`` the beam keeps its length.
+    Without ``temperature`` the beam keeps its length; without ``vibration`` its sag is that of a beam that follows at
+    once.
     """
 
     joint: str
     uncertainty: PlacementFile
     sag: SagFile | None = None
     temperature: TemperatureFile | None = None
+    vibration: VibrationFile | None = None
+
+    @model_validator(mode="after")
+    def _check_vibration(self) -> Self:
+        if self.vibration is not None and self.sag is None:
+            raise EntryError("'vibration' without 'sag'", key=("vibration",), expected="'sag', which vibration changes")
+        return self
 
     @model_validator(mode="after")
     def _check_width(self) -> Self:
@@ -282,7 +354,7 @@ class BeamsFile(FrozenModel):
     """Content of a beams file. ``gravity`` is in the base frame of the URDF; default: along -Z."""
 
     format: Literal["posor_beams"]
-    version: Literal[1, 2, 3]
+    version: Literal[1, 2, 3, 4]
     name: str
     provenance: Provenance
     gravity: Annotated[Quantity, measured("m/s^2", 3)] = Quantity(value=[0.0, 0.0, -STANDARD_GRAVITY], unit="m/s^2")
@@ -299,12 +371,14 @@ class BeamsFile(FrozenModel):
     @model_validator(mode="after")
     def _check_version(self) -> Self:
         found: list[tuple[int, tuple[str | int, ...]]] = [(SHARED_VERSION, ("shared",))] if self.shared else []
-        found += [(VERSION, ("plates",))] if self.plates else []
+        found += [(THERMOMETER_VERSION, ("plates",))] if self.plates else []
         for index, beam in enumerate(self.beams):
             if beam.temperature is not None:
                 at = ("beams", index, "temperature")
                 newer = [key for key in ("spread", "gradient", "thermometer") if getattr(beam.temperature, key)]
-                found += [(SHARED_VERSION, at), *((VERSION, (*at, key)) for key in newer)]
+                found += [(SHARED_VERSION, at), *((THERMOMETER_VERSION, (*at, key)) for key in newer)]
+            if beam.vibration is not None:
+                found.append((VERSION, ("beams", index, "vibration")))
         for version, key in found:
             if self.version < version:
                 what = f"{key[-1]} in a file of version {self.version}"
@@ -330,6 +404,19 @@ class BeamsFile(FrozenModel):
             if neighbour is not None and neighbour.name not in others:
                 expected = f"another thermometer: {', '.join(others) or 'there is none'}"
                 raise EntryError(f"'{neighbour.name}'", key=(*key, "neighbour", "name"), expected=expected)
+        return self
+
+    @model_validator(mode="after")
+    def _check_accelerometers(self) -> Self:
+        """Check that no two accelerometers have one name."""
+        seen: set[str] = set()
+        for index, beam in enumerate(self.beams):
+            for place, name in enumerate(() if beam.vibration is None else beam.vibration.accelerometers.names):
+                if name in seen:
+                    key = ("beams", index, "vibration", "accelerometers", "names", place)
+                    what = f"two accelerometers have the name '{name}'"
+                    raise EntryError(what, key=key, expected="a name, and a topic, for each")
+                seen.add(name)
         return self
 
     @model_validator(mode="after")

@@ -20,7 +20,7 @@ from posor.chain.forward_kinematics import (
     estimate_endpoints,
     write_relative,
 )
-from posor.chain.joint_measurements import FAULT_TEXTS, JointMeasurements, JointRows
+from posor.chain.joint_measurements import FAULT_TEXTS, VIBRATION, JointMeasurements, JointRows
 from posor.errors import ChainError
 from posor.estimation.fault_model import EFFECT, JointCauses
 from posor.numerics.compiled import bind
@@ -56,6 +56,10 @@ class EndpointEstimator:
             as ``poses``.
         accelerations: Of the beams [m/s^2], (b, 3), axes of the base: written if there is an acceleration window, read
             if there is none.
+        vibrations: Specific forces that bend the beams, (1, b) of ``VIBRATION``, see ``chain.beam_vibration``; (1, 0):
+            no beam states its vibration.
+        static_forces: Gravity less acceleration in the last scan, (b, 3) [m/s^2], axes of the beams' starts; NaN: no
+            beam states its vibration.
         rows: Serialised measurements of one scan, (j, bytes).
         pose: Endpoint in the base frame, (7,), as ``poses``.
         covariance_random: Of the same, (6, 6), as ``Endpoint.covariance_random``.
@@ -90,7 +94,11 @@ class EndpointEstimator:
         self.joints = joints
         self._arm = arm._replace(beams=arm.beams.copy())  # ``use_beam`` changes them
         self._history = BeamHistory.allocate(acceleration_window, len(arm.beams))
-        self._measurements = JointMeasurements.allocate(1, len(joints))
+        self._vibrations_at_rest = _vibrations_at_rest(beams)
+        at_rest = self._vibrations_at_rest[None].copy()
+        self._measurements = JointMeasurements.allocate(1, len(joints))._replace(vibrations=at_rest)
+        self.vibrations = self._measurements.vibrations
+        self.static_forces = self._history.static_forces
         self._endpoints = Endpoints.allocate(1, len(joints))
         self._relative = self._endpoints.with_own_poses()
         self._rows = JointRows.allocate(row_layouts)
@@ -153,6 +161,10 @@ class EndpointEstimator:
         self.beam_transforms[index] = pin.SE3ToXYZQUAT(beam.T_start_end)
         for k, name in enumerate(self.shared_terms):
             self._arm.beam_effects[k, index] = beam.shared_effects.get(name, 0.0)
+
+    def reset_vibration(self, index: int) -> None:
+        """Take a beam as at rest, with the stated spread of its acceleration, from the next scan on."""
+        self.vibrations[0, index] = self._vibrations_at_rest[index]
 
     def use_arm_of(self, other: EndpointEstimator) -> None:
         """Take shared terms, beams at their temperatures and accelerations of another estimator of the same arm."""
@@ -303,11 +315,13 @@ class EndpointEstimator:
                 raise ChainError(f"{name} of shape {array.shape}", where="the chain", expected=f"{shape}")
         # The kernel is compiled for exactly these array types; read-only arrays are copied.
         numbers = poses, covariances_random, covariances_systematic, thetas, shared, stamp_shifts
+        vibrations = np.tile(self._vibrations_at_rest, (count, 1))
         measurements = JointMeasurements._make(
             (
                 np.require(stamps_ns, np.int64, ["C", "A", "W"]),
                 *(np.require(array, np.float64, ["C", "A", "W"]) for array in numbers),
                 self._measurements.fault_effects,
+                vibrations,
             )
         )
         endpoints, done = Endpoints.allocate(count, joints, len(self.shared_terms)), 0
@@ -349,3 +363,16 @@ class EndpointEstimator:
             bind(bound_endpoints, (self._arm, self._arm_causes, self._measurements, endpoints, axes, self._bounds))
             for endpoints, axes in ((self._endpoints, self._axes), (self._relative, self._home_axes))
         )
+
+
+def _vibrations_at_rest(beams: Sequence[MeasuringBeam]) -> NDArray[np.void]:
+    """Return beams at rest, (b,) of ``VIBRATION``, with the spread of their accelerations; (0,): no beam states it."""
+    stated = [beam.entry.vibration for beam in beams]
+    if not any(stated):
+        return np.zeros(0, dtype=VIBRATION)
+    records = np.zeros(len(stated), dtype=VIBRATION)
+    records["mean"] = records["difference"] = np.nan
+    records["bounded"] = 1
+    for name in ("sigma_mean", "sigma_difference"):
+        records[name] = [0.0 if entry is None else entry.spread.number for entry in stated]
+    return records

@@ -68,6 +68,9 @@ class EndpointPredictor:
             what, expected = f"names {', '.join(self.names)}", f"another one for each of {', '.join(self.joints)}"
             raise ParameterError(what, where="parameter 'encoders.names'", expected=expected)
         self.present, self.ahead = chain.estimator(), chain.estimator()
+        if self.present.vibrations.size:
+            what = "set, and beams have accelerometers, so that the vibration between scans is not predicted"
+            raise ParameterError(what, where="parameter 'encoders.topic'", expected="no encoders, or no 'vibration'")
         self.twist, self.twist_ahead = Twists.allocate(), Twists.allocate()
         self._parameters, self._filter = parameters, EncoderFilter.allocate(len(self.joints))
         self.faults, self.held = self._filter.faults, self._filter.held

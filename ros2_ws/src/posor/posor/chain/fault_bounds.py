@@ -7,7 +7,9 @@ As in receiver autonomous integrity monitoring (RAIM) of satellite navigation. A
     PL_k = K sigma_k
            + max over causes |effect_k of the largest undetected fault|
            + sum over joints and causes that are always there |effect_k of the bound|
-           + sum over beams |effect_k of the largest expansion| + stamp shift_k.
+           + sum over beams |effect_k of the largest expansion| + stamp shift_k,
+
+and infinite where a beam vibrates beyond the limit of ``chain.beam_vibration``.
 
 K is the two-sided normal quantile of the integrity risk. The effects of a joint come with each of its poses
 (``estimation.fault_effects``); one faulty cause in the whole arm is covered. Causes of one name that several joints
@@ -185,6 +187,9 @@ def _place_joints(
             shift = applied(rotation, at(beam["expansion"], 0))
             for k in range(3):
                 level[k] += abs(shift[k])
+            if measurements.vibrations.shape[1] > 0 and measurements.vibrations[n, b]["bounded"] == 0:
+                for k in range(6):
+                    level[k] = math.inf
             translation = plus(translation, applied(rotation, at(beam["translation"], 0)))
             rotation = product(rotation, matrix(beam["rotation"], 0))
     return translation

@@ -234,6 +234,39 @@ def _add_beam_terms(arm: ArmGeometry, b: int, force: Vector, parent: Matrix, eff
 
 
 @inlined
+def _add_vibration(
+    systematic: Blocks, arm: ArmGeometry, vibrations: RecordArray, scan: int, b: int, parent: Matrix
+) -> Blocks:
+    """Return the sum with the covariance of the sag under the uncertain specific force of beam b, if it is stated."""
+    if vibrations.shape[1] == 0:
+        return systematic
+    beam, vibration = arm.beams[b], vibrations[scan, b]
+    systematic = _add_force(
+        systematic,
+        vibration["sigma_mean"],
+        transposed(matrix(beam["plate_shift_gain"], 0)),
+        transposed(matrix(beam["plate_turn_gain"], 0)),
+        parent,
+    )
+    return _add_force(
+        systematic,
+        vibration["sigma_difference"],
+        transposed(matrix(beam["tilt_plate_shift_gain"], 0)),
+        transposed(matrix(beam["tilt_plate_turn_gain"], 0)),
+        parent,
+    )
+
+
+@inlined
+def _add_force(systematic: Blocks, sigma: float, shifts: Matrix, turns: Matrix, parent: Matrix) -> Blocks:
+    """Return the sum with the covariance of sigma [m/s^2] along each axis, which shifts and turns a plate per m/s^2."""
+    for k in range(3):
+        shift, turn = applied(parent, times(sigma, shifts[k])), applied(parent, times(sigma, turns[k]))
+        systematic = add_outer_product(systematic, 1.0, shift, turn)
+    return systematic
+
+
+@inlined
 def _add_effect(effects: FloatArray, k: int, shift: Vector, turn: Vector) -> None:
     put(effects, k, 0, plus(within(effects, k, 0), shift))
     put(effects, k, 3, plus(within(effects, k, 3), turn))
@@ -256,14 +289,32 @@ def write_covariance(blocks: Blocks, covariance: FloatArray) -> None:
 
 
 @inlined
-def bent_beam(beams: RecordArray, b: int, force: Vector) -> tuple[Matrix, Vector]:
-    """Return the plate at a beam's end in the plate at its start; a specific force [m/s^2] bends the beam."""
-    beam = beams[b]
-    rotation = turned_by(IDENTITY, times(-1.0, applied(matrix(beam["start_turn_gain"], 0), force)))
-    span = plus(at(beam["translation"], 0), applied(matrix(beam["shift_gain"], 0), force))
-    translation = applied(rotation, span)
+def bent_beam(
+    arm: ArmGeometry, history: BeamHistory, vibrations: RecordArray, scan: int, b: int, force: Vector
+) -> tuple[Matrix, Vector, Vector]:
+    """Return the plate at a beam's end in the plate at its start, and the specific force at its centre [m/s^2].
+
+    ``force``: of gravity and motion, is written into ``history``; the beam follows the measured one where
+    ``vibrations`` (n, b) have it.
+    """
+    beam = arm.beams[b]
+    start_turn = applied(matrix(beam["start_turn_gain"], 0), force)
+    shift, end_turn = applied(matrix(beam["shift_gain"], 0), force), applied(matrix(beam["end_turn_gain"], 0), force)
+    if vibrations.shape[1] > 0:
+        put(history.static_forces, b, 0, force)
+    if vibrations.shape[1] > 0 and math.isfinite(vibrations[scan, b]["mean"][0]):
+        force, tilt = at(vibrations[scan, b]["mean"], 0), at(vibrations[scan, b]["difference"], 0)
+        start_turn = plus(
+            applied(matrix(beam["start_turn_gain"], 0), force), applied(matrix(beam["tilt_start_turn_gain"], 0), tilt)
+        )
+        shift = plus(applied(matrix(beam["shift_gain"], 0), force), applied(matrix(beam["tilt_shift_gain"], 0), tilt))
+        end_turn = plus(
+            applied(matrix(beam["end_turn_gain"], 0), force), applied(matrix(beam["tilt_end_turn_gain"], 0), tilt)
+        )
+    rotation = turned_by(IDENTITY, times(-1.0, start_turn))
+    translation = applied(rotation, plus(at(beam["translation"], 0), shift))
     rotation = product(rotation, matrix(beam["rotation"], 0))
-    return turned_by(rotation, applied(matrix(beam["end_turn_gain"], 0), force)), translation
+    return turned_by(rotation, end_turn), translation, force
 
 
 @inlined
@@ -306,7 +357,7 @@ def compute_endpoint(
             centres = history.centres
             centres[3 * b], centres[3 * b + 1], centres[3 * b + 2] = plus(translation, half_span)
             force = row_times(minus(at(arm.gravity, 0), at(history.accelerations, 3 * b)), unbent)
-            turn, span = bent_beam(arm.beams, b, force)
+            turn, span, force = bent_beam(arm, history, measurements.vibrations, scan, b, force)
             write_pose(turn, span, history.transforms[b])
             rotation, translation = product(rotation, turn), plus(translation, applied(rotation, span))
             unbent = product(unbent, matrix(beam["rotation"], 0))
@@ -315,7 +366,9 @@ def compute_endpoint(
             systematic = add_rotated(moved_along(systematic, lever), parent, beam["covariance"])
             shift = applied(parent, applied(matrix(beam["sigma_shift_gain"], 0), force))
             turn_vector = applied(parent, applied(matrix(beam["sigma_turn_gain"], 0), force))
-            systematic = add_outer_product(systematic, 1.0, shift, turn_vector)
+            systematic = _add_vibration(
+                add_outer_product(systematic, 1.0, shift, turn_vector), arm, measurements.vibrations, scan, b, parent
+            )
             _move_effects(effects, lever)
             _add_beam_terms(arm, b, force, parent, effects)
         else:

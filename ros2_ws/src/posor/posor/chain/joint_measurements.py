@@ -69,6 +69,17 @@ ROW_LAYOUT = np.dtype(
 )
 """Where a row of message bytes holds its fields: indices of 8-byte numbers, ``effects`` of 4-byte ones, ``state`` of a
 byte; and the number of fault effects."""
+VIBRATION = np.dtype(
+    [
+        ("mean", float, 3),
+        ("difference", float, 3),
+        ("sigma_mean", float),
+        ("sigma_difference", float),
+        ("bounded", np.int64),
+    ]
+)
+"""Specific force that bends a beam, axes of its start [m/s^2]: at its centre, and its increase from start to end (NaN:
+that of a beam at rest); standard uncertainties of both; 1, or 0 where protection levels are not bounded."""
 BYTES_PER_INDEX = {"effects": 4, "state": 1, "effect_count": 1}  # of a field of ``ROW_LAYOUT``; of the others 8
 
 
@@ -99,6 +110,7 @@ class JointMeasurements(NamedTuple):
     stamp_shifts: FloatArray  # as ``posor_msgs/JointTransform.stamp_shift``, (n, j, 6) [m], [rad]
     # As ``estimation.fault_effects``, C of a joint at most, (n, j, C, EFFECT), floats of 4 bytes; NaN: not known
     fault_effects: NDArray[np.float32]
+    vibrations: RecordArray  # of the beams, (n, b) of ``VIBRATION``; (n, 0): no beam states its vibration
 
     @classmethod
     def allocate(cls, scans: int, joints: int, terms: int = 0, effects: int = 0) -> JointMeasurements:
@@ -109,7 +121,8 @@ class JointMeasurements(NamedTuple):
         thetas, shared = np.full((scans, joints), np.nan), np.zeros((scans, joints, terms, 6))
         shifts = np.zeros((scans, joints, 6))
         faults = np.full((scans, joints, effects, EFFECT), np.nan, dtype=np.float32)
-        return cls(np.zeros(scans, dtype=np.int64), poses, random, systematic, thetas, shared, shifts, faults)
+        stamps, vibrations = np.zeros(scans, dtype=np.int64), np.zeros((scans, 0), dtype=VIBRATION)
+        return cls(stamps, poses, random, systematic, thetas, shared, shifts, faults, vibrations)
 
 
 @dataclass(frozen=True)

@@ -54,6 +54,9 @@ class MeasuringBeam:
         start_gain: (6, 3): translation [m] and rotation vector [rad] of the plate at the start, axes of the start, for
             a specific force [m/s^2] in the same axes, counted from the line through the gimbals.
         end_gain: (6, 3): the same of the plate at the end.
+        start_tilt_gain: (6, 3): as ``start_gain``, for a specific force that grows along the beam by 1 m/s^2, from
+            -0.5 m/s^2 at its start.
+        end_tilt_gain: (6, 3): the same of the plate at the end.
         shared_placements: By name of a shared term: change of the end by one standard uncertainty, (6,) as
             ``covariance``, which does not contain the terms; changes of the sag and by the temperature apart.
         shared_effects: The same with the change by the temperature.
@@ -73,6 +76,8 @@ class MeasuringBeam:
         self.covariance: FloatArray = np.diag(np.square(sigmas))
         self.start_gain: FloatArray = np.zeros((6, 3))
         self.end_gain: FloatArray = np.zeros((6, 3))
+        self.start_tilt_gain: FloatArray = np.zeros((6, 3))
+        self.end_tilt_gain: FloatArray = np.zeros((6, 3))
         self.sag_sigma = 0.0
         if entry.sag is not None:
             self.sag_sigma = entry.sag.uncertainty.number
@@ -147,12 +152,15 @@ class MeasuringBeam:
 
     def _compute_gains(self, sag: SagFile) -> None:
         length = float(np.linalg.norm(self.T_start_end.translation))
-        bent = _bent(sag, length)
         along = self.T_start_end.translation / length
         across = np.eye(3) - np.outer(along, along)
-        for x, gain in ((0.0, self.start_gain), (length, self.end_gain)):
-            gain[:3] = bent.deflection(x) * across
-            gain[3:] = bent.slope(x) * pin.skew(along) @ across
+        for bent, start_gain, end_gain in (
+            (_bent(sag, length), self.start_gain, self.end_gain),
+            (_bent_by_tilt(sag, length), self.start_tilt_gain, self.end_tilt_gain),
+        ):
+            for x, gain in ((0.0, start_gain), (length, end_gain)):
+                gain[:3] = bent.deflection(x) * across
+                gain[3:] = bent.slope(x) * pin.skew(along) @ across
 
     def T_under(self, force: FloatArray) -> pin.SE3:
         """Return start plate to end plate under a specific force [m/s^2], (3,), axes of the start."""
@@ -162,7 +170,7 @@ class MeasuringBeam:
 
     def covariance_under(self, force: FloatArray) -> FloatArray:
         """Return the covariance of ``T_under``, as the attribute ``covariance``, including that of the sag."""
-        total = self.covariance_without_sag
+        total = self.covariance_without_sag + self.spread_covariance
         if self.sag_sigma == 0.0:
             return total
         sag = self.sag_sigma * (self.sag_gain @ force)
@@ -179,10 +187,26 @@ class MeasuringBeam:
         return {name: effect + self.shared_sags[name] * sag for name, effect in self.shared_effects.items()}
 
     @property
+    def spread_covariance(self) -> FloatArray:
+        """Of the sag while no accelerometer can be used, (6, 6), as ``covariance``; zero: no vibration is stated."""
+        sigma = 0.0 if self.entry.vibration is None else self.entry.vibration.spread.number
+        gains = np.hstack([self.sag_gain, self.tilt_gain])
+        spread: FloatArray = sigma**2 * gains @ gains.T
+        return spread
+
+    @property
     def sag_gain(self) -> FloatArray:
         """(6, 3): translation [m] and rotation vector [rad] of the end relative to the plate at the start, as above."""
-        gain = self.end_gain - self.start_gain
-        gain[:3] += pin.skew(self.T_start_end.translation) @ self.start_gain[3:]
+        return self._relative_gain(self.start_gain, self.end_gain)
+
+    @property
+    def tilt_gain(self) -> FloatArray:
+        """(6, 3): as ``sag_gain``, for a specific force that grows along the beam as for ``start_tilt_gain``."""
+        return self._relative_gain(self.start_tilt_gain, self.end_tilt_gain)
+
+    def _relative_gain(self, start: FloatArray, end: FloatArray) -> FloatArray:
+        gain: FloatArray = end - start
+        gain[:3] += pin.skew(self.T_start_end.translation) @ start[3:]
         return gain
 
 
@@ -201,6 +225,14 @@ def _bent(sag: SagFile, length: float) -> BentBeam:
     (near, far), tube = sag.gimbals.array.tolist(), _tube(sag)
     masses = [PointForce(plate.at.number, plate.mass.number) for plate in sag.plates]
     return on_gimbals(length, tube.bending_stiffness, tube.mass_per_length, masses, (near, far))
+
+
+def _bent_by_tilt(sag: SagFile, length: float) -> BentBeam:
+    """Return the shape under a specific force that grows from -0.5 m/s^2 at the start to 0.5 m/s^2 at the end."""
+    (near, far), tube = sag.gimbals.array.tolist(), _tube(sag)
+    forces = [PointForce(p.at.number, p.mass.number * (p.at.number / length - 0.5)) for p in sag.plates]
+    load = tube.mass_per_length
+    return on_gimbals(length, tube.bending_stiffness, -0.5 * load, forces, (near, far), load / length)
 
 
 def beam_faults(entry: BeamFile, joint: FreeJoint, source: str) -> list[ChainError]:

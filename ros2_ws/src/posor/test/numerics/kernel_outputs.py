@@ -22,7 +22,7 @@ from posor.chain.beam_acceleration import BeamHistory
 from posor.chain.endpoint_predictor import EndpointPredictor
 from posor.chain.fault_bounds import ArmCauses, EndpointBounds, bound_endpoints
 from posor.chain.forward_kinematics import Endpoints, estimate_endpoints
-from posor.chain.joint_measurements import JointMeasurements
+from posor.chain.joint_measurements import VIBRATION, JointMeasurements
 from posor.chain.kinematic_chain import Chain
 from posor.estimation import solver
 from posor.estimation.fault_model import ALWAYS, EFFECT, SECOND, SHARED, JointCauses
@@ -131,7 +131,7 @@ def arm(rng: np.random.Generator) -> list[float]:
     elements["joint"], elements["beam"] = (0, -1, 1, -1, -1), (-1, 0, -1, 1, -1)
     elements["rotation"], elements["translation"] = rotations[:5], rng.uniform(-1.0, 1.0, (5, 3))
     beams["rotation"], beams["translation"] = rotations[5:], rng.uniform(-1.0, 1.0, (2, 3))
-    for gain in ("shift_gain", "start_turn_gain", "end_turn_gain", "sigma_shift_gain", "sigma_turn_gain"):
+    for gain in (name for name in BEAM.names or () if name.endswith("gain")):
         beams[gain] = rng.uniform(-1e-4, 1e-4, (2, 3, 3))
     quaternions = rng.normal(size=(scans, 2, 4))
     quaternions /= np.linalg.norm(quaternions, axis=2, keepdims=True)
@@ -150,8 +150,13 @@ def arm(rng: np.random.Generator) -> list[float]:
     shifts = rng.uniform(0.0, 1e-6, (scans, 2, 6))
     effects = 1e-6 * rng.normal(size=(scans, 2, 4, EFFECT))
     effects[..., 6] = rng.choice([0.3, 1.0, math.inf], (scans, 2, 4), p=[0.45, 0.45, 0.1])
+    vibrations = np.zeros((scans, 2), dtype=VIBRATION)
+    vibrations["mean"], vibrations["difference"] = 9.0 * rng.normal(size=(2, scans, 2, 3))
+    vibrations["mean"][:3], vibrations["sigma_mean"], vibrations["bounded"] = math.nan, 0.5, 1
+    vibrations["sigma_difference"] = 0.25
+    vibrations["bounded"][5, 1] = 0
     measurements = JointMeasurements(
-        stamps, poses, random[:-1], systematic[:-1], thetas, shared, shifts, effects.astype(np.float32)
+        stamps, poses, random[:-1], systematic[:-1], thetas, shared, shifts, effects.astype(np.float32), vibrations
     )
     estimate_endpoints(arm, BeamHistory.allocate(3e-6, 2), measurements, endpoints, 0)
     relative = endpoints.relative_to(endpoints.poses[0])
