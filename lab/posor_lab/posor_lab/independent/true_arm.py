@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from posor_lab.independent.file_values import read_file, si_values
-from posor_lab.independent.finite_elements import sag_gains
+from posor_lab.independent.finite_elements import GimballedBeam, sag_gains, vibration_gains
 from posor_lab.independent.true_joint import TrueJoint
 
 if TYPE_CHECKING:
@@ -40,6 +40,17 @@ class TrueLink:
     end_gain: FloatArray  # the same of the plate at the end
     expansion: float = 0.0  # coefficient of the beam [1/K]
     width: float = 1.0  # of the beam [m]
+    sag: Any = None  # ``sag`` of the beam in the beams file
+    damping: float = 0.0  # of the first mode, share of the critical one
+
+    @property
+    def first_frequency(self) -> float:
+        """First natural frequency of the beam [Hz], by finite elements; only of a beam with ``sag``."""
+        return GimballedBeam(float(np.linalg.norm(self.end.translation)), self.sag).first_frequency
+
+    def vibration_gains(self, frequencies: FloatArray) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
+        """Return the motions of the plates at start and end in steady vibration, by finite elements, (m, 6, 6) each."""
+        return vibration_gains(self.end.translation, self.sag, self.damping, frequencies)
 
     def warm_ends(self, deviations: FloatArray, across: FloatArray, excess: float) -> tuple[FloatArray, FloatArray]:
         """Return the end without sag in the start, (n, 3, 3), (n, 3) [m], at temperatures from that of the URDF.
@@ -179,4 +190,7 @@ def _link(begin: pin.SE3, end: pin.SE3, beam: tuple[str, int, int] | None, place
     width = (heat.get("gradient") or {}).get("width") or (sag and sag["tube"]["outer_diameter"])
     expansion = float(si_values(heat["coefficient"], "1/K")) if heat else 0.0
     width_m = float(si_values(width, "m")) if width else 1.0
-    return TrueLink(begin.actInv(place(first)), straight, place(last).actInv(end), *gains, expansion, width_m)
+    vibration = entries[name].get("vibration")
+    damping = float(si_values(vibration["damping"], "1")) if vibration else 0.0
+    places = begin.actInv(place(first)), straight, place(last).actInv(end)
+    return TrueLink(*places, *gains, expansion, width_m, sag, damping)

@@ -12,6 +12,8 @@ import pinocchio as pin
 from posor.chain.beam_temperatures import CELSIUS
 from posor.numerics.stamps import NS
 from posor.ros_names import (
+    ACCELERATION_TOPIC,
+    IMU,
     JOINT_STATE,
     POINT_STAMPED,
     POSE_STAMPED,
@@ -139,6 +141,10 @@ class SimulatedTopics:
         """Return the topic of a thermometer of a beam."""
         return Topic(f"{self._namespace}/{TEMPERATURE_TOPIC}/{thermometer}", TEMPERATURE)
 
+    def acceleration(self, accelerometer: str) -> Topic:
+        """Return the topic of an accelerometer of a beam."""
+        return Topic(f"{self._namespace}/{ACCELERATION_TOPIC}/{accelerometer}", IMU)
+
 
 class SimulatedMessages:
     """Serialises the results of an ``ArmSimulation``; ``n`` is the index of a tick in them."""
@@ -190,6 +196,23 @@ class SimulatedMessages:
         """Return a reading of a thermometer and its standard uncertainty [K]."""
         message = temperature(self._types, stamp_ns, name, kelvin, uncertainty)
         return self._serialize(self.topics.temperature(name), stamp_ns, message)
+
+    def acceleration(self, name: str, stamp_ns: int, reading: FloatArray, uncertainty: float) -> SourceMessage:
+        """Return a reading of an accelerometer, (3,), and its standard uncertainty [m/s^2]."""
+        new, unknown = self._types.new, np.array([-1.0, *np.zeros(8)])
+        zero = new("geometry_msgs/msg/Vector3", x=0.0, y=0.0, z=0.0)
+        x, y, z = reading.tolist()
+        message = new(
+            IMU,
+            header=header(self._types, stamp_ns, name),
+            orientation=new("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=0.0, w=1.0),
+            orientation_covariance=unknown,
+            angular_velocity=zero,
+            angular_velocity_covariance=unknown,
+            linear_acceleration=new("geometry_msgs/msg/Vector3", x=x, y=y, z=z),
+            linear_acceleration_covariance=np.ravel(uncertainty**2 * np.eye(3)),
+        )
+        return self._serialize(self.topics.acceleration(name), stamp_ns, message)
 
     def pose(self, topic: Topic, stamp_ns: int, frame: str, pose: pin.SE3) -> SourceMessage:
         """Return a pose in a frame (geometry_msgs/PoseStamped), on any topic."""

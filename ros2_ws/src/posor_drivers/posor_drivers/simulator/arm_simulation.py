@@ -18,6 +18,7 @@ from posor_drivers.simulator.beam_heat import beam_heats
 from posor_drivers.simulator.electronics import JointElectronics
 from posor_drivers.simulator.faults import JointFaults
 from posor_drivers.simulator.imperfections import Imperfections
+from posor_drivers.simulator.link_vibration import BeamAccelerometers
 from posor_drivers.simulator.nominal_arm import NominalArm
 from posor_drivers.simulator.pose_array import poses_between
 from posor_drivers.simulator.scenario import load_scenario
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
     from posor.chain.arm_file import ArmFile
-    from posor.chain.beams_file import BeamThermometerFile
+    from posor.chain.beams_file import AccelerometersFile, BeamThermometerFile
     from posor.numerics.array_types import FloatArray, IntArray
 
     from posor_drivers.simulator.faults import SimulatedFault
@@ -83,6 +84,8 @@ class ArmSimulation:
         shares = np.arange(self._cycle_ticks) / self._cycle_ticks
         self._heats = beam_heats(self.scenario, self.chain, shares, imperfections, source)
         self._cycle = true_cycle(self.scenario, self.chain, nominal, commanded, imperfections, model, self._heats)
+        forces = self._cycle.specific_forces
+        self._accelerometers = BeamAccelerometers(self.chain.beams, forces, self.scenario.seed)
         self.calibrations = {joint: arm.calibration(joint) for joint in self.joints}
         self._electronics = {
             joint: JointElectronics(self.scenario, joint, calibration, imperfections, source, model)
@@ -142,6 +145,16 @@ class ArmSimulation:
         place = tick % self._cycle_ticks
         changes = {name: float(heat.readings[place]) for name, heat in self._heats.items()}
         return {name: each.reference.number + changes.get(name, 0.0) for name, each in self.thermometers.items()}
+
+    @property
+    def accelerometers(self) -> Mapping[str, AccelerometersFile]:
+        """The accelerometers of the beams, by name."""
+        stated = [beam.entry.vibration.accelerometers for beam in self.chain.beams if beam.entry.vibration is not None]
+        return {name: entry for entry in stated for name in entry.names}
+
+    def accelerations(self, tick: int) -> dict[str, FloatArray]:
+        """Return the readings [m/s^2] that the accelerometers of beams publish at a tick, by name, (3,)."""
+        return self._accelerometers.readings(tick)
 
     def latency_ns(self, joint: str, tick: int) -> int:
         """Return the delay from the stamp of a joint's scan to its publication [ns]."""

@@ -22,6 +22,7 @@ import numpy as np
 import pinocchio as pin
 
 from posor_drivers.simulator.imperfections import RandomStream, shared_errors
+from posor_drivers.simulator.link_vibration import SharedBeam, drive_beam, vibrating_links
 from posor_drivers.simulator.mechanics import (
     LinkCompliance,
     apply_backlash,
@@ -40,6 +41,8 @@ if TYPE_CHECKING:
 
     from posor_drivers.simulator.beam_heat import BeamHeat
     from posor_drivers.simulator.imperfections import Imperfections
+    from posor_drivers.simulator.link_vibration import DrivenBeam
+    from posor_drivers.simulator.mechanics import LinkBend
     from posor_drivers.simulator.nominal_arm import NominalArm
     from posor_drivers.simulator.scenario import Scenario
     from posor_drivers.simulator.truth_model import TrueArm, TrueLink
@@ -56,6 +59,7 @@ class TrueBeam:
     """Motion of the plate at the start per specific force, axes of the start, (6, 3), see ``MeasuringBeam``."""
     end_gain: FloatArray  # the same for the plate at the end
     warm_ends: PoseArray | None = None  # the end at the temperatures of n ticks; None: it does not change
+    sag_factor: float = 1.0  # of the sag without errors
 
     @classmethod
     def without_errors(cls, link: FixedLink, true_link: TrueLink | None) -> TrueBeam:
@@ -91,19 +95,27 @@ class TrueBeam:
             warm = None if warm is None else warm.displace(error[:3], error[3:])
         factor = (scale if imperfections.beam_errors else 1.0) if imperfections.sag else 0.0
         gains = {"start_gain": factor * self.start_gain, "end_gain": factor * self.end_gain}
-        return replace(self, end=end, warm_ends=warm, **gains)
+        return replace(self, end=end, warm_ends=warm, sag_factor=factor, **gains)
 
-    def plates(self, lines: PoseArray, specific_force: FloatArray) -> tuple[PoseArray, PoseArray]:
+    def plates(
+        self, lines: PoseArray, specific_force: FloatArray, driven: DrivenBeam | None = None
+    ) -> tuple[PoseArray, PoseArray]:
         """Return the target plate at the start and the receiving plate at the end.
 
         ``lines`` (n) go through the gimbals: the target plate without sag. ``specific_force`` is gravity minus
-        acceleration [m/s^2], (3,) or (n, 3), in their parent frame.
+        acceleration [m/s^2], (3,) or (n, 3), in their parent frame. ``driven``: what vibration does beside.
         """
         start = lines @ self.before
         force = start.rotate_back(specific_force)
-        sag_at_start = PoseArray.from_rotation_vectors(*np.hsplit(force @ self.start_gain.T, 2))
+        at_start, at_end = force @ self.start_gain.T, force @ self.end_gain.T
+        if driven is not None:
+            at_start, at_end = (
+                at_start + self.sag_factor * driven.start_motion,
+                at_end + self.sag_factor * driven.end_motion,
+            )
+        sag_at_start = PoseArray.from_rotation_vectors(*np.hsplit(at_start, 2))
         ends = PoseArray.repeat(self.end, len(start)) if self.warm_ends is None else self.warm_ends
-        end = ends.displace(*np.hsplit(force @ self.end_gain.T, 2))
+        end = ends.displace(*np.hsplit(at_end, 2))
         return start @ sag_at_start @ self.before.inverse(), start @ end @ self.after
 
 
@@ -145,21 +157,25 @@ def true_cycle(
         warm = None if heat is None or link.beam is None else heat.ends(link.beam, true)
         beams.append(beam.draw(link.beam, scenario.seed, imperfections, warm))
     forces = _specific_forces(gravity, exact, arm, commanded, scenario.ticks_per_second, inertia=imperfections.inertia)
-    base = PoseArray.repeat(pin.SE3.Identity(), len(commanded))
-    structure = base @ arm.links[0]
+    base, rate = PoseArray.repeat(pin.SE3.Identity(), len(commanded)), scenario.ticks_per_second
+    lines = still = _lines(scenario, arm, angles, bends)
+    if imperfections.vibration and scenario.vibrations:
+        vibrations = [scenario.vibrations.get(name) for name in arm.joints]
+        lines = _lines(scenario, arm, angles, vibrating_links(bends, spans, vibrations, rate))
     last_receiving = receiving = beams[0].plates(base, forces[0])[1]
     seen: dict[str, PoseArray] = {}
-    for column, (name, joint) in enumerate(zip(arm.joints, settings, strict=True)):
-        behind = structure
-        if joint.bearing is not None:
-            random = RandomStream(scenario.seed, "bearing", name).generator()
-            behind = behind @ bearing_error_motions(joint.bearing, angles[:, column], random)
-        behind = behind @ arm.origins[column] @ PoseArray.from_axis_angles(2, angles[:, column])
-        link, bend = arm.links[column + 1], bends[column]
-        end = PoseArray.repeat(link, len(commanded)).displace(bend.translations, bend.rotations)
-        structure = behind @ end
-        line = behind @ _least_rotations(link.translation, end.translations)
-        target, next_receiving = beams[column + 1].plates(line, forces[column + 1])
+    specific_forces: dict[str, FloatArray] = {}
+    for column, name in enumerate(arm.joints):
+        driven, own, true = None, chain.links[column + 1].beam, true_links[column + 1]
+        if own is not None and (own.entry.vibration or (own.entry.sag and lines is not still)):
+            before = exact[column + 1].before
+            starts, at_rest = lines[column] @ before, still[column] @ before
+            model = true or SharedBeam(own)
+            pace = _pace(own, model, scenario.seed, drawn=imperfections.beam_errors)
+            driven = drive_beam(own, model, starts, at_rest, rate, pace)
+            force = starts.rotate_back(forces[column + 1])[:, None]
+            specific_forces[own.name] = force - driven.accelerations
+        target, next_receiving = beams[column + 1].plates(lines[column], forces[column + 1], driven)
         seen[name] = receiving.inverse() @ target
         last_receiving, receiving = receiving, next_receiving
     return ArmTruth(
@@ -173,7 +189,37 @@ def true_cycle(
         arm.endpoint(commanded),
         arm.endpoint(encoder),
         np.zeros((len(commanded), 3)),
+        specific_forces,
     )
+
+
+def _pace(beam: MeasuringBeam, model: SharedBeam | TrueLink, seed: int, *, drawn: bool) -> float:
+    """Return the natural frequency of a beam over that of a model of it.
+
+    The natural frequency is that of the beams file with an error drawn within its uncertainty; that of the model: not
+    stated.
+    """
+    if beam.entry.vibration is None:
+        return 1.0
+    frequency, error = beam.entry.vibration.frequency, RandomStream(seed, "vibration", beam.name).generator().normal()
+    return float(frequency.number + drawn * error * float(frequency.sigmas)) / model.first_frequency
+
+
+def _lines(scenario: Scenario, arm: NominalArm, angles: FloatArray, bends: Sequence[LinkBend]) -> list[PoseArray]:
+    """Return the lines of the measuring beams behind all joints at joint angles (n, j) [rad]."""
+    structure = PoseArray.repeat(arm.links[0], len(angles))
+    lines = []
+    for column, name in enumerate(arm.joints):
+        behind, joint = structure, scenario.joints[name]
+        if joint.bearing is not None:
+            random = RandomStream(scenario.seed, "bearing", name).generator()
+            behind = behind @ bearing_error_motions(joint.bearing, angles[:, column], random)
+        behind = behind @ arm.origins[column] @ PoseArray.from_axis_angles(2, angles[:, column])
+        link, bend = arm.links[column + 1], bends[column]
+        end = PoseArray.repeat(link, len(angles)).displace(bend.translations, bend.rotations)
+        structure = behind @ end
+        lines.append(behind @ _least_rotations(link.translation, end.translations))
+    return lines
 
 
 def _specific_forces(

@@ -40,6 +40,7 @@ class Imperfections(BaseModel):
     )
     sag: bool = Field(default=True, description="sag of the measuring beams")
     inertia: bool = Field(default=True, description="change of the sag while the beams accelerate")
+    vibration: bool = Field(default=True, description="vibration of links, of which the scenario states it, and beams")
 
     @classmethod
     def only(cls, *names: str) -> Self:

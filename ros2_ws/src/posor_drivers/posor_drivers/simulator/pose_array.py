@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Self
 
 import numpy as np
@@ -107,6 +107,8 @@ class ArmTruth:
     target: PoseArray  # commanded endpoint: nominal kinematics of the commanded angles, in the base
     by_encoders: PoseArray  # endpoint from the encoder readings and nominal kinematics, in the base
     stage: FloatArray  # position of the stage, axes of the endpoint [m], (n, 3)
+    # Specific forces of both gimbals of beams with ``vibration`` [m/s^2], axes of the beam's start, (n, 2, 3), by beam
+    specific_forces: Mapping[str, FloatArray] = field(default_factory=dict)
 
     def select(self, indices: IntArray) -> ArmTruth:
         """Return the truth at some indices, (n,)."""
@@ -115,6 +117,7 @@ class ArmTruth:
         return replace(
             self,
             T_parent_child={joint: seen.select(indices) for joint, seen in self.T_parent_child.items()},
+            specific_forces={beam: force[indices] for beam, force in self.specific_forces.items()},
             **{name: getattr(self, name)[indices] for name in arrays},
             **{name: getattr(self, name).select(indices) for name in poses},
         )

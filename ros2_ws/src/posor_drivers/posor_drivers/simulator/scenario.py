@@ -5,7 +5,7 @@
 Versions of the format:
 
 1. First version: ``seed``, ``rate``, ``duration``, ``joints``, ``payload``, ``motion``, ``stage``, ``electronics``;
-   later ``faults``, ``truth``, ``temperatures`` and ``thermometer_period``, which may be left out.
+   later ``faults``, ``truth``, ``temperatures``, ``thermometer_period`` and ``vibrations``, which may be left out.
 """
 
 from __future__ import annotations
@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from posor_drivers.simulator.nominal_arm import NominalArm
 
 VERSION = 1
+LARGEST_AMPLITUDE = 0.01  # of a vibration [m]; a larger one is usually of another unit
 _TOLERANCE = 1e-9
 """Times [s] and angles [rad] that differ by less are equal; sums of decimal numbers are not exact."""
 
@@ -115,6 +116,31 @@ class BeamTemperature(FrozenModel):
         return np.asarray(self.offset.number + self.amplitude.number * np.sin(angles))
 
 
+class LinkVibration(FrozenModel):
+    """Vibration of the structural link after a joint in its first bending mode.
+
+    The end of the link moves by ``amplitude`` across the link, in the part of ``direction`` (axes of the link's start)
+    that is across, as a sine of ``frequency`` from ``phase`` on. It repeats with the cycle of the scenario.
+    """
+
+    frequency: Annotated[Quantity, measured("Hz"), POSITIVE]
+    amplitude: Annotated[Quantity, measured("m"), NOT_NEGATIVE]
+    direction: Annotated[Quantity, measured("1", 3)]
+    phase: Annotated[Quantity, measured("rad")] = Quantity(value=0.0, unit="rad")
+
+    @model_validator(mode="after")
+    def _check_amplitude(self) -> Self:
+        if self.amplitude.number > LARGEST_AMPLITUDE:
+            expected = f"at most {LARGEST_AMPLITUDE:g} m (in um or mm?)"
+            raise EntryError(f"amplitude {self.amplitude.number:g} m", key=("amplitude",), expected=expected)
+        return self
+
+    def displacements(self, times: FloatArray) -> FloatArray:
+        """Return the displacements of the link's end [m] at times [s], (n,)."""
+        angles = 2.0 * math.pi * self.frequency.number * times + self.phase.number
+        return np.asarray(self.amplitude.number * np.sin(angles))
+
+
 class StageSettings(FrozenModel):
     """A micromanipulator stage at the end of the arm, along X, Y and Z of the endpoint.
 
@@ -148,6 +174,7 @@ class Scenario(FrozenModel):
     stage: StageSettings | None = None
     temperatures: dict[str, BeamTemperature] = Field(default_factory=dict)  # by beam; others: drawn, constant
     thermometer_period: Seconds = Quantity(value=1.0, unit="s")  # between two readings of each thermometer
+    vibrations: dict[str, LinkVibration] = Field(default_factory=dict)  # by joint, of the link after it
     electronics: ElectronicsSettings
     truth: str = SHARED
     faults: tuple[SimulatedFault, ...] = ()
@@ -192,6 +219,17 @@ class Scenario(FrozenModel):
                 what = f"the motion ends with joint '{name}' at {angle:g} rad"
                 key = ("motion", last_phase[name], "through")
                 raise EntryError(what, key=key, expected=f"{start:g} rad, its angle at the start")
+        return self
+
+    @model_validator(mode="after")
+    def _check_vibrations(self) -> Self:
+        for name, vibration in self.vibrations.items():
+            self._check_joint(name, ("vibrations", name))
+            periods = vibration.frequency.number * self.duration.number
+            if abs(periods - round(periods)) > _TOLERANCE * periods:
+                what = f"frequency {vibration.frequency.number:g} Hz"
+                expected = f"a whole number of periods in {self.duration.number:g} s, the duration of the scenario"
+                raise EntryError(what, key=("vibrations", name, "frequency"), expected=expected)
         return self
 
     def _check_joint(self, name: str, key: tuple[str | int, ...]) -> None:

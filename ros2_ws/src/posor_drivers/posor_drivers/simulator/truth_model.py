@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
+    import numpy as np
     import pinocchio as pin
     from numpy.typing import NDArray
     from posor.numerics.array_types import FloatArray
@@ -65,6 +66,18 @@ class TrueLink(Protocol):
     @property
     def end_gain(self) -> FloatArray:
         """The same of the plate at the end."""
+
+    @property
+    def first_frequency(self) -> float:
+        """First natural frequency of the beam on its gimbals [Hz]."""
+
+    def vibration_gains(self, frequencies: FloatArray) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
+        """Return the motions of the plates at start and end in steady vibration, (m, 6, 6) each, axes of the start.
+
+        Columns: of a specific force of 1 m/s^2 along x, y, z, equal along the beam; then of a specific force that grows
+        by 1 m/s^2 along the beam, from -0.5 m/s^2 at its start. Rows: translation [m], rotation vector [rad], from
+        the gimbals. ``frequencies``: (m,) [Hz]. The beam has the damping of its ``vibration`` in the beams file.
+        """
 
     def warm_ends(self, deviations: FloatArray, across: FloatArray, excess: float) -> tuple[FloatArray, FloatArray]:
         """Return the end without sag at n temperatures, in the start, (n, 3, 3), (n, 3) [m].

@@ -88,6 +88,7 @@ class SimulatedSource(LiveSource[SimulatedParameters]):
         if self._is_last:
             published += [topics.endpoint, topics.target, topics.encoders]
             published += [topics.temperature(each.name) for each in self._simulation.thermometers.values()]
+            published += [topics.acceleration(name) for name in self._simulation.accelerometers]
         if self._stage is not None:
             published.append(topics.stage)
         return published
@@ -135,6 +136,10 @@ class SimulatedSource(LiveSource[SimulatedParameters]):
         position = None if self._stage is None else self._stage.position_at(stamp_ns)
         truth = self._simulation.truth(ticks, None if position is None else position[None, :])
         scans = self._simulation.scans(joint, ticks, truth)
+        if self._is_last:  # before the scan, which needs them
+            for name, reading in self._simulation.accelerations(tick).items():
+                sigma = self._simulation.accelerometers[name].uncertainty.number
+                yield self._messages.acceleration(name, stamp_ns, reading, sigma)
         if scans.sent[0]:
             yield self._messages.raw_scan(joint, scans, 0)
         yield self._messages.joint_truth(joint, stamp_ns, truth, 0)

@@ -1,0 +1,139 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""vibration: endpoints of arms whose upper arm oscillates by 250 um at 30 to 150 Hz, against the independent truth.
+
+``make vibration`` draws arms of five_axis with accelerometers on the beams. Exit code 0: below the limit the dynamic
+chain has at most a quarter of the error of the static one and is inside its 95 % region as often as stated; beyond the
+limit no protection level is bounded; and the control with wrong natural frequencies is not inside.
+"""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from posor.arm_names import find_arm
+from posor.chain.arm_file import load_arm_file
+from posor.errors import ParameterError
+from posor.reporting.command_line_parser import CommandLineParser
+from posor.reporting.program_errors import reports_errors
+from posor.reporting.report_console import report_console
+from posor.reporting.report_table import ReportTable
+
+from posor_lab.output_files import check_writable, write_json
+from posor_lab.vibration.vibrating_arm import write_vibrating_arm
+from posor_lab.vibration.vibration_study import AMPLITUDE_M, DYNAMIC, STATIC, VibrationStudy, sample_vibration
+
+if TYPE_CHECKING:
+    import argparse
+    from collections.abc import Mapping, Sequence
+
+    from posor_lab.vibration.vibration_study import Case
+
+ARM, ARMS, SEED, MIN_ARMS = "five_axis", 60, 1985, 2
+FREQUENCIES_HZ = (30.0, 45.0, 60.0, 75.0, 85.0, 105.0, 120.0, 135.0, 150.0)  # whole numbers of periods in a run
+LEAST_GAIN = 4.0  # error of the static chain over that of the dynamic one
+STATED, TOLERANCE = 0.95, 0.03  # share of the poses inside their 95 % region, below the limit
+MOST_STATED = 1.0  # the stated uncertainty covers the largest vibration in its memory, so more may be inside
+CONTROL_HZ, CONTROL_ERROR = 75.0, 1.4  # natural frequencies that the chain is given, over the stated ones
+EDGE = 0.03  # relative distance from the limit within which the drawn frequency decides
+
+
+def failures(found: Mapping[float, Mapping[str, Case]], limit_hz: float, control: Case) -> list[str]:
+    """Return what does not hold, one clause each; ``control``: with wrong natural frequencies."""
+    wrong = []
+    for frequency, cases in found.items():
+        static, dynamic = cases[STATIC], cases[DYNAMIC]
+        if frequency <= (1.0 - EDGE) * limit_hz:
+            if not dynamic.rms_m * LEAST_GAIN <= static.rms_m:
+                wrong.append(f"{frequency:g} Hz: the error falls to 1/{static.rms_m / dynamic.rms_m:.1f}")
+            if not STATED - TOLERANCE <= dynamic.inside <= MOST_STATED:
+                wrong.append(f"{frequency:g} Hz: {dynamic.inside:.1%} inside; expected {STATED:.0%} or more")
+            if not dynamic.bounded:
+                wrong.append(f"{frequency:g} Hz: the protection level is not bounded")
+        elif frequency >= (1.0 + EDGE) * limit_hz and dynamic.bounded:
+            wrong.append(f"{frequency:g} Hz: {dynamic.bounded:.1%} of the levels bounded beyond the limit")
+    if not control.inside < STATED - TOLERANCE:
+        wrong.append(f"the control with wrong natural frequencies is not found: {control.inside:.1%} inside")
+    return wrong
+
+
+def draw(found: Mapping[float, Mapping[str, Case]], limit_hz: float, path: Path) -> None:
+    """Draw error of both chains and stated uncertainty of the dynamic one against frequency, with the limit."""
+    from matplotlib.figure import Figure  # noqa: PLC0415  slow to import
+
+    figure = Figure(figsize=(7.0, 4.0), layout="constrained")
+    panel, frequencies = figure.subplots(), list(found)
+    for name, colour in ((STATIC, "tab:red"), (DYNAMIC, "tab:blue")):
+        panel.semilogy(frequencies, [1e6 * found[f][name].rms_m for f in frequencies], "o-", color=colour, label=name)
+    stated = [1e6 * found[f][DYNAMIC].stated_m for f in frequencies]
+    panel.semilogy(frequencies, stated, "--", color="tab:blue", label="stated by the dynamic chain")
+    panel.axvline(limit_hz, color="black", linewidth=0.8, label=f"limit, {limit_hz:.0f} Hz")
+    panel.set(xlabel="frequency of the vibration [Hz]", ylabel="position of the endpoint, rms [um]")
+    panel.set_title(f"simulated: the upper arm oscillates by {1e6 * AMPLITUDE_M:.0f} um", fontsize=10)
+    panel.grid(visible=True, which="both", alpha=0.3)
+    panel.legend(fontsize=8)
+    figure.savefig(path)
+
+
+@reports_errors
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the program."""
+    parser = CommandLineParser(prog="vibration", description="Endpoint of an arm that vibrates, simulated.")
+    parser.add_argument("--arms", type=int, default=ARMS, help="arms drawn at each frequency (default: %(default)s)")
+    parser.add_argument("--output", type=Path, default=Path("build/vibration.json"))
+    parser.add_argument("--figure", type=Path, help="also draw the table into this file (PNG or SVG)")
+    options: argparse.Namespace = parser.parse_args(arguments)
+    if options.arms < MIN_ARMS:
+        raise ParameterError("too few arms", where="vibration", expected=f"at least {MIN_ARMS}")
+    for path in filter(None, (options.output, options.figure)):
+        check_writable(path)
+    with tempfile.TemporaryDirectory() as name:
+        arm, folder = load_arm_file(find_arm(ARM)), Path(name)
+        path = write_vibrating_arm(arm, folder / "stated")
+        limit_hz = VibrationStudy(path).limit_hz
+        found = {each: sample_vibration(path, each, options.arms, SEED) for each in FREQUENCIES_HZ}
+        wrong = write_vibrating_arm(arm, folder / "wrong", frequency_error=CONTROL_ERROR)
+        control = sample_vibration(path, CONTROL_HZ, options.arms, SEED, chain=wrong)[DYNAMIC]
+    rows = [
+        [
+            f"{frequency:g}",
+            *(f"{1e6 * value:.1f}" for value in (cases[STATIC].rms_m, cases[DYNAMIC].rms_m, cases[DYNAMIC].stated_m)),
+            *(f"{share:.1%}" for share in (cases[STATIC].inside, cases[DYNAMIC].inside, cases[DYNAMIC].bounded)),
+        ]
+        for frequency, cases in found.items()
+    ]
+    header = (
+        "frequency [Hz]",
+        "static, rms [µm]",
+        "dynamic, rms [µm]",
+        "dynamic, stated [µm]",
+        "static, inside 95 %",
+        "dynamic, inside 95 %",
+        "level bounded",
+    )
+    title = f"Simulated: {options.arms} arms of {ARM}, upper arm +-{1e6 * AMPLITUDE_M:.0f} µm; limit {limit_hz:.1f} Hz"
+    console = report_console(140)
+    ReportTable(title, header, rows).print(console)
+    text = f"Control, natural frequencies x {CONTROL_ERROR:g} at {CONTROL_HZ:g} Hz: {control.inside:.1%} inside 95 %."
+    console.print(text, markup=False)
+    clauses = failures(found, limit_hz, control)
+    for clause in clauses:
+        sys.stderr.write(f"vibration: {clause}\n")
+    if options.figure is not None:
+        draw(found, limit_hz, options.figure)
+        print(f"figure written to {options.figure}")
+    content = {
+        str(frequency): {name: case._asdict() for name, case in cases.items()} for frequency, cases in found.items()
+    }
+    write_json(
+        options.output,
+        {"arms": options.arms, "limit_hz": limit_hz, "frequencies": content, "control": control._asdict()},
+    )
+    return 1 if clauses else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
