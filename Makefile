@@ -1,7 +1,7 @@
 # POSOR for ROS 2. Every target sets the workspace up first; this takes a fraction of a second if nothing has changed.
 
 .DEFAULT_GOAL := help
-.PHONY: help setup environment audit bounds demo arm calibrate-demo faults commissioning time mutations fuzz foreign-bags instruments shop soak health statement-truth calibration-truth prediction correction test test-long test-noble coverage accuracy budgets thesis bench bench-core scaling data docs lint words lines rooms wheels lock clean
+.PHONY: help setup environment audit bounds demo arm calibrate-demo faults commissioning time mutations fuzz foreign-bags instruments shop soak health statement-truth calibration-truth prediction correction vibration test test-long test-noble coverage accuracy budgets thesis bench bench-core scaling data docs lint words lines rooms wheels lock clean
 
 BAG ?= ymo
 CAL ?= printed
@@ -36,6 +36,7 @@ help:
 	@echo "make calibration-truth [CALIBRATION_TRUTH='--arms 20 ...']   whole arms calibrated with a simulated tracker, against the truth"
 	@echo "make correction [CORRECTION='--robots 20 ...']         robots corrected by the measured endpoint, against the truth"
 	@echo "make prediction [PREDICTION='--arms 10 ...']            endpoint between scans by encoders, against the truth"
+	@echo "make vibration [VIBRATION='--arms 20 ...']           endpoint of an arm that vibrates, static and dynamic chain, against the truth"
 	@echo "make soak [SOAK='--seconds 120 ...']                   run an arm for an hour, find losses and growth"
 	@echo "make test [TESTS='path ...']                           linters and all tests, or only the tests of TESTS"
 	@echo "make test DCC_SCHEMA=folder                            with the tests that need the schema files of DCC and D-SI"
@@ -124,6 +125,9 @@ correction:
 
 prediction:
 	@./run posor_lab prediction_truth $(PREDICTION)
+
+vibration:
+	@./run posor_lab vibration $(VIBRATION)
 
 statement-truth:
 	@./run posor_lab statement_truth $(STATEMENT)
