@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
     from posor_lab.vibration.vibration_study import Case
 
-ARM, ARMS, SEED, MIN_ARMS = "five_axis", 60, 1985, 2
+ARM, ARMS, SEED, MIN_ARMS = "five_axis", 30, 1985, 2
 FREQUENCIES_HZ = (30.0, 45.0, 60.0, 75.0, 85.0, 105.0, 120.0, 135.0, 150.0)  # whole numbers of periods in a run
 LEAST_GAIN = 4.0  # error of the static chain over that of the dynamic one
 STATED, TOLERANCE = 0.95, 0.03  # share of the poses inside their 95 % region, below the limit

@@ -105,10 +105,10 @@ class VibrationStudy:
         seen, stamps_ns = truth.select(ticks), tick_stamp_ns(ticks, RATE) + NS
         found = []
         for name, posor in self._posors.items():
-            poses = seen.T_parent_child[name]
+            plates = seen.T_parent_child[name]
             posor.reset()
-            posor.confirm_theta(float(thetas_of(poses.rotations[:1])[0]), THETA_SIGMA)
-            found.append(posor.estimate_all(noisy_scans(posor, poses, random).with_fields({"stamps_ns": stamps_ns})))
+            posor.confirm_theta(float(thetas_of(plates.rotations[:1])[0]), THETA_SIGMA)
+            found.append(posor.estimate_all(noisy_scans(posor, plates, random).with_fields({"stamps_ns": stamps_ns})))
         parts = [
             np.stack([getattr(each, name) for each in found], axis=1)
             for name in ("poses", "covariances_random", "covariances_systematic")

@@ -69,8 +69,7 @@ def test_the_endpoint_follows_the_accelerometers_and_is_degraded_without(
         rig, states = ChainRig(graph), graph.collect(EndpointState, "endpoint/state")
         transforms = rig.joint_publisher("joint1")
         sensors = {name: graph.publisher(Imu, f"sense/{name}") for name in NAMES}
-        for publisher in sensors.values():
-            graph.wait_until(lambda own=publisher: own.get_subscription_count() > 0, "the subscription")
+        graph.wait_until(lambda: all(each.get_subscription_count() for each in sensors.values()), "the subscriptions")
 
         def answer(second: int, messages: list[tuple[str, Any]]) -> EndpointState:
             """Return the state of a scan after readings, and estimate the same scan."""

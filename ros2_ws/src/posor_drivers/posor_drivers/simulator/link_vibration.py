@@ -84,7 +84,7 @@ def drive_beam(
     sag, span = beam.entry.sag, beam.T_start_end.translation
     length, count = float(np.linalg.norm(span)), len(starts)
     near, far = np.zeros(2) if sag is None else sag.gimbals.array
-    frequencies = np.fft.rfftfreq(count, 1.0 / rate)
+    frequencies = np.arange(count // 2 + 1) * rate / count  # of the real Fourier series
     spectra = []
     for at in (near, far):
         place = pin.SE3(np.eye(3), at / length * span)
@@ -96,8 +96,8 @@ def drive_beam(
     difference = (spectra[1] - spectra[0]) * length / (far - near)
     field = np.fft.rfft(np.hstack([-mean, -difference]), axis=0)
     gains = link.vibration_gains(frequencies / pace)
-    motions = (np.fft.irfft(np.einsum("fij,fj->fi", gain, field), count, axis=0) for gain in gains)
-    return DrivenBeam(*motions, np.stack(spectra, axis=1))
+    start, end = (np.fft.irfft(np.einsum("fij,fj->fi", gain, field), count, axis=0) for gain in gains)
+    return DrivenBeam(start, end, np.stack(spectra, axis=1))
 
 
 class SharedBeam:
@@ -117,10 +117,10 @@ class SharedBeam:
         """Return the motions of the plates in steady vibration, as ``TrueLink.vibration_gains``."""
         beam, entry = self._beam, self._beam.entry.vibration
         ratio = frequencies / self.first_frequency
-        response = 1.0 / (1.0 - ratio**2 + 2j * (0.0 if entry is None else entry.damping.number) * ratio)
-        pairs = (beam.start_gain, beam.start_tilt_gain), (beam.end_gain, beam.end_tilt_gain)
-        start, end = (response[:, None, None] * np.hstack(pair) for pair in pairs)
-        return start, end
+        damping = 0.0 if entry is None else entry.damping.number
+        response = np.asarray(1.0 / (1.0 - ratio**2 + 2j * damping * ratio), dtype=np.complex128)
+        start = response[:, None, None] * np.hstack([beam.start_gain, beam.start_tilt_gain])
+        return start, response[:, None, None] * np.hstack([beam.end_gain, beam.end_tilt_gain])
 
 
 class BeamAccelerometers:

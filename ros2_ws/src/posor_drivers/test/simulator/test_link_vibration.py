@@ -84,7 +84,7 @@ def test_the_driver_of_the_last_joint_publishes_the_readings_before_its_scan(tmp
         values = installed_schema(IMU).values(message.data)
         assert message.topic.endswith(f"/acceleration/{name}")
         assert [values[f"linear_acceleration.{axis}"] for axis in "xyz"] == reading.tolist()
-        assert (values["header.frame_id"], values["orientation_covariance"][0]) == (name, -1.0)  # type: ignore[index]
+        assert (values["header.frame_id"], values["orientation_covariance"][0]) == (name, -1.0)
 
 
 @pytest.mark.parametrize(
