@@ -251,7 +251,7 @@ class ChainParameters(AlarmParameters):
     endpoint_frame: str = Field(default="endpoint", description="link of the URDF whose pose is published")
     beams: str = Field(
         default="",
-        description="path of the beams file: uncertainty, sag, temperature, vibration of the beams; empty: straight and exact",
+        description="path of the beams file: uncertainty, sag, temperature, vibration of beams; empty: straight, exact",
     )
     commissioning: str = Field(
         default="",
