@@ -57,7 +57,7 @@ FORMATS: dict[str, Callable[[dict[str, Any]], object]] = {
     "posor_scpi_dialect": Dialect.model_validate,
     "posor_table_map": TableMap.model_validate,
 }
-VERSIONS = (1, 2, 3)
+VERSIONS = (1, 2, 3, 4)
 EXTERNAL = {
     *(".", "cd", "done", "echo", "eval", "export", "for", "kill", "sleep", "source", "until", "wait"),
     *("cat", "cp", "grep", "head", "journalctl", "ls", "mkdir", "sed", "systemctl", "timeout", "true"),

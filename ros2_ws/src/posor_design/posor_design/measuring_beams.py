@@ -13,7 +13,6 @@ from posor.chain.beam_bending import PointForce, on_gimbals
 from posor.errors import ParameterError
 
 from posor_design.beam_section import make_section
-from posor_design.beam_vibration import Attachment, BeamModel, make_beam
 from posor_design.calculators import (
     MODES,
     MOST_MODES,
@@ -33,6 +32,7 @@ from posor_design.calculators import (
     Wall,
     calculator,
 )
+from posor_design.timoshenko_beam import Attachment, BeamModel, make_beam
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence

@@ -15,7 +15,6 @@ from scipy.constants import g as standard_gravity
 from scipy.optimize import brentq
 
 from posor_design.beam_section import make_section
-from posor_design.beam_vibration import Attachment, BeamModel, make_beam
 from posor_design.calculators import (
     MODES,
     NON_NEGATIVE,
@@ -30,6 +29,7 @@ from posor_design.calculators import (
     WeightDensity,
     calculator,
 )
+from posor_design.timoshenko_beam import Attachment, BeamModel, make_beam
 
 if TYPE_CHECKING:
     from collections.abc import Callable
