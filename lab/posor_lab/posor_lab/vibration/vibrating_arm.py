@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 FREQUENCY_SHARE = 0.01  # standard uncertainty of a natural frequency, relative
 DAMPING = 0.01
 MODEL_SHARE = 0.08  # relative standard uncertainty of what the oscillator adds: higher modes, shear
-LIMIT = 0.45  # of the natural frequency; beyond, higher modes exceed what MODEL_SHARE states
 READING = 0.03  # standard uncertainty of an accelerometer [m/s^2]
 SPREAD = 1.0  # of the acceleration without accelerometers [m/s^2]
 COMMENT = "Made by posor_lab vibration."
@@ -56,7 +55,6 @@ def _vibration(name: str, length: float, sag: SagFile, error: float) -> dict[str
         "frequency": {**quantity(frequency, "Hz"), "sigma": FREQUENCY_SHARE * frequency},
         "damping": quantity(DAMPING, "1"),
         "uncertainty": quantity(MODEL_SHARE, "1"),
-        "limit": quantity(LIMIT, "1"),
         "spread": quantity(SPREAD, "m/s^2"),
         "accelerometers": {
             "names": [f"{name}_near", f"{name}_far"],

@@ -285,7 +285,7 @@ class VibrationFile(FrozenModel):
     frequency: Annotated[Quantity, measured("Hz")]
     damping: Annotated[Quantity, measured("1")]
     uncertainty: Annotated[Quantity, measured("1")]
-    limit: Annotated[Quantity, measured("1")] = Quantity(value=0.5, unit="1")
+    limit: Annotated[Quantity, measured("1")] = Quantity(value=0.45, unit="1")
     spread: Annotated[Quantity, measured("m/s^2")]
     accelerometers: AccelerometersFile
 
