@@ -12,6 +12,7 @@ trajectories are also goals of the action ``follow_joint_trajectory``.
 from __future__ import annotations
 
 import time
+from collections import deque
 from pathlib import Path
 from threading import RLock
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -53,6 +54,7 @@ if TYPE_CHECKING:
 
 FEEDBACK_S = 0.1  # between two messages of feedback
 PLANNED_TOPIC, CORRECTED_TOPIC = "trajectory", "trajectory/corrected"
+MOST_PENDING = 256  # endpoints that wait for the angles of their time
 _POSE = (*(f"pose.position.{axis}" for axis in "xyz"), *(f"pose.orientation.{axis}" for axis in "xyzw"))
 
 
@@ -127,7 +129,7 @@ class CorrectionNode(PosorNode[CorrectionParameters]):
     _law: JointCorrection
     _encoders: AngleHistory
     _commands: AngleHistory
-    _pending: tuple[int, pin.SE3] | None
+    _pending: deque[tuple[int, pin.SE3]]
 
     def __init__(self, **options: Any) -> None:
         super().__init__(**options)
@@ -161,7 +163,7 @@ class CorrectionNode(PosorNode[CorrectionParameters]):
         self._law = JointCorrection(self._robot, parameters.offsets)
         self._reader = PositionReader(self._robot.joints)
         self._encoders, self._commands = AngleHistory(), AngleHistory()
-        self._plan, self._pending, self._identity, self._newest_ns = None, None, "", 0
+        self._plan, self._pending, self._identity, self._newest_ns = None, deque(maxlen=MOST_PENDING), "", 0
         self._refused = self._used = 0
         self._status.report(Level.STALE, "no trajectory received yet")
         self._output = IntraProcessPublisher(self, JointTrajectory, CORRECTED_TOPIC, result_qos(parameters))
@@ -186,7 +188,8 @@ class CorrectionNode(PosorNode[CorrectionParameters]):
         """Command nothing; the next trajectory starts again."""
         self._inputs.stop()
         with self._lock:
-            self._plan, self._pending = None, None
+            self._plan = None
+            self._pending.clear()
             self._law.stop("the node is inactive")
             self._end_goal("the node is inactive")
 
@@ -216,14 +219,18 @@ class CorrectionNode(PosorNode[CorrectionParameters]):
             self._plan = plan
             self._newest_ns, self._step_s, self._is_reported = 0, time.monotonic(), False
             self._feedback_s = self._step_s
+            self._pending.clear()
             self._law.start(self._step_s)
-            self._status.report(Level.OK, "following", self._counts())
+            wait_s = (plan.begin_ns - self.timing.now_ns()) / NS
+            self._status.report(Level.OK, f"begins in {wait_s:.1f} s" if wait_s > 0.0 else "following", self._counts())
             return True
 
     def _refuse(self, reason: str) -> None:
         """Count and report a trajectory that is refused."""
         self._refused += 1
         self.get_logger().error(f"trajectory refused: {reason}")
+        if self._plan is None:
+            self._status.report(Level.WARN, f"trajectory refused: {reason}", self._counts())
 
     def _end_goal(self, *failed: str) -> None:
         """End the goal of the action, if there is one; ``failed``: reason and error code."""
@@ -234,15 +241,19 @@ class CorrectionNode(PosorNode[CorrectionParameters]):
         """Return the plan of a trajectory that begins where the robot is."""
         joints, now_ns = self._robot.joints, self.timing.now_ns()
         times_s = np.array([each.time_from_start.sec + each.time_from_start.nanosec / NS for each in message.points])
-        stated = all(len(each.velocities) == len(message.joint_names) for each in message.points)
-        shapes = {len(each.positions) for each in message.points}
-        if shapes != {len(message.joint_names)}:
-            raise TopicError(f"points of {shapes} positions", expected=f"{len(message.joint_names)}, as joint_names")
+        stated, count = bool(message.points[0].velocities), len(message.joint_names)
+        for n, each in enumerate(message.points):
+            if len(each.positions) != count or len(each.velocities) != count * stated:
+                what = f"point {n + 1} has {len(each.positions)} positions and {len(each.velocities)} velocities"
+                expected = f"{count} and {count * stated}, as joint_names and the first point"
+                raise TopicError(what, expected=expected)
+        if times_s[0] < 0.0:
+            raise TopicError(f"time_from_start of point 1 is {times_s[0]:g} s", expected="0 s or later")
         angles = np.array([each.positions for each in message.points])
         velocities = np.array([each.velocities for each in message.points]) if stated else None
         source = f"topic {PLANNED_TOPIC}"
         path = JointPath(tuple(message.joint_names), times_s, angles, velocities, source).of_joints(joints)
-        present = self._present_angles()
+        present = self._present_angles(now_ns)
         if times_s[0] > 0.0:
             if present is None:
                 expected = "a first point at 0 s, or encoders"
@@ -263,12 +274,18 @@ class CorrectionNode(PosorNode[CorrectionParameters]):
             raise TopicError(f"begins {(now_ns - begin_ns) / NS:g} s ago", expected="a stamp of now or later, or zero")
         return Plan(path, begin_ns)
 
-    def _present_angles(self) -> FloatArray | None:
-        """Return where the robot is without offsets, by its encoders or by the present plan; None: not known."""
-        if self._encoders.newest_ns:
-            angles = self._encoders.at(self._encoders.newest_ns)
-            return None if angles is None else angles - self._law.offsets
-        return None if self._plan is None else self._plan.angles()
+    def _present_angles(self, now_ns: int) -> FloatArray | None:
+        """Return where the robot is without offsets, by its encoders or by the present plan; None: not known.
+
+        Raises TopicError: the encoders have no angles of now.
+        """
+        if not (topic := self.parameters.encoders):
+            return None if self._plan is None else self._plan.angles()
+        angles, limit_s = self._encoders.at(self._encoders.newest_ns), self.parameters.offsets.max_age
+        if angles is None or (now_ns - self._encoders.newest_ns) / NS > limit_s:
+            what = f"where the robot is is not known: no angles on {topic} in the last {limit_s:g} s"
+            raise TopicError(what, expected="readings of all joints")
+        return angles - self._law.offsets
 
     def _on_encoders(self, data: bytes) -> None:
         try:
@@ -302,7 +319,7 @@ class CorrectionNode(PosorNode[CorrectionParameters]):
                 self._law.refuse_endpoint(reason)
                 return
             stamp_ns = self._newest_ns = time_ns(values["header.stamp.sec"], values["header.stamp.nanosec"])
-            self._pending = stamp_ns, pin.XYZQUATToSE3(np.array([values[name] for name in _POSE]))
+            self._pending.append((stamp_ns, pin.XYZQUATToSE3(np.array([values[name] for name in _POSE]))))
             self._use_pending()
 
     def _reason_to_refuse(self, values: Mapping[str, Any]) -> str:
@@ -326,23 +343,21 @@ class CorrectionNode(PosorNode[CorrectionParameters]):
         return self._inputs.refusal(stamp_ns)
 
     def _use_pending(self) -> None:
-        """Use the newest endpoint once it is known where the controller had the robot then."""
-        if self._pending is None:
-            return
-        stamp_ns, pose = self._pending
-        topic, history, at_ns = self.parameters.encoders, self._encoders, stamp_ns
+        """Use each endpoint once it is known where the controller had the robot then; encoders may be later."""
+        topic, history, dead_ns = self.parameters.encoders, self._encoders, 0
         if not topic:
-            topic, history, at_ns = CORRECTED_TOPIC, self._commands, stamp_ns - round(NS * self.parameters.dead_time)
-        if at_ns > history.newest_ns:
-            self._law.refuse_endpoint(f"no angles on {topic} as new as the endpoint")
-            return
-        self._pending = None
-        angles = history.at(at_ns)
-        if angles is None:
-            self._law.refuse_endpoint(f"no angles on {topic} as old as the endpoint")
-            return
-        self._used += 1
-        self._law.add_endpoint(time.monotonic(), angles, pose)
+            topic, history, dead_ns = CORRECTED_TOPIC, self._commands, round(NS * self.parameters.dead_time)
+        while self._pending:
+            stamp_ns, pose = self._pending[0]
+            if stamp_ns - dead_ns > history.newest_ns:
+                self._law.refuse_endpoint(f"no angles on {topic} as new as the endpoint")
+                return
+            self._pending.popleft()
+            if (angles := history.at(stamp_ns - dead_ns)) is None:
+                self._law.refuse_endpoint(f"no angles on {topic} as old as the endpoint")
+                continue
+            self._used += 1
+            self._law.add_endpoint(time.monotonic(), angles, pose)
 
     def _command(self) -> None:
         """Publish the next point."""
@@ -352,6 +367,7 @@ class CorrectionNode(PosorNode[CorrectionParameters]):
                 return
             elapsed_s, self._step_s = now_s - self._step_s, now_s
             if self.timing.now_ns() < plan.begin_ns:
+                self._law.wait(now_s)
                 return
             if elapsed_s > parameters.offsets.max_age:  # the robot stands; it must not jump to where it would be
                 self._law.stop(f"no command for {elapsed_s:.2f} s, the process was late")

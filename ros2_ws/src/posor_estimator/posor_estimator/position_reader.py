@@ -33,7 +33,7 @@ class PositionReader:
     def read(self, data: bytes) -> tuple[bytes, FloatArray]:
         """Return the eight bytes of the stamp, and the angles of the joints [rad]; NaN: not in this message.
 
-        Raises TopicError: invalid bytes, no position of a joint, or one that is not finite; none of the joints.
+        Raises TopicError: invalid bytes, names without positions or repeated, no finite angle, none of the joints.
         """
         if not self._known or data[AFTER_STAMP : self._end] != self._known or len(data) < self._size:
             data = self._schema.normal(data)
@@ -49,11 +49,13 @@ class PositionReader:
         """Learn the names of a message and where its positions are."""
         names, layout = list(self._schema.values(data)["name"]), self._schema.layout(data)
         found = [(j, names.index(name)) for j, name in enumerate(self._names) if name in names]
+        if repeated := [name for name in self._names if names.count(name) > 1]:
+            raise TopicError(f"names {', '.join(repeated)} more than once", expected="each joint once")
         if not found:
             raise TopicError(f"names {', '.join(names) or 'are empty'}", expected=f"{', '.join(self._names)}")
         count = layout["position"].length
-        if missing := [names[row] for _, row in found if row >= count]:
-            raise TopicError(f"no position of {', '.join(missing)}", expected=f"{len(names)} positions")
+        if count != len(names):
+            raise TopicError(f"{count} positions of {len(names)} names", expected="a position of each name")
         self._columns, self._rows = np.array(found).T
         self._offset, self._count = layout["position"].offset, count
         self._end, self._size = layout.lengths["position"] + 4, layout.size

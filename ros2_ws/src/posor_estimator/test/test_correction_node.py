@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import time
+from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from importlib import import_module
@@ -14,6 +15,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from action_msgs.msg import GoalStatus
+from builtin_interfaces.msg import Duration
 from posor.chain.arm_file import load_arm_file
 from posor.correction.nominal_robot import NominalRobot
 from posor.numerics.array_types import FloatArray
@@ -52,6 +54,7 @@ class Robot:
         self.encoders = graph.publisher(JointState, "encoders", RELIABLE_QOS)
         graph.node.create_subscription(JointTrajectory, "trajectory/corrected", self._on_command, RELIABLE_QOS)
         self.angles = self.read = START  # where its motors are, and what their encoders read
+        self.readings: deque[tuple[int, FloatArray]] = deque()  # that are still on their way
         self.reset()
 
     def reset(self) -> None:
@@ -63,6 +66,7 @@ class Robot:
         }
         self.moved = np.zeros(3)  # what the POSORs see beyond the truth
         self.frozen, self.reads, self.stamp_ns = False, True, lambda now_ns: now_ns
+        self.late_ns = 0  # time that a reading of the encoders needs to the node
 
     def _on_command(self, message: Any) -> None:
         self.angles = np.array(message.points[0].positions)
@@ -72,7 +76,11 @@ class Robot:
         """Publish encoders and endpoint."""
         now_ns = time.time_ns()
         self.read = self.read if self.frozen else self.angles
-        read = JointState(name=list(self.nominal.joints), position=self.read.tolist())
+        self.readings.append((now_ns, self.read))
+        read_ns, angles = self.readings[0]
+        while now_ns - self.readings[0][0] >= max(self.late_ns, 1):
+            read_ns, angles = self.readings.popleft()
+        read = JointState(name=list(self.nominal.joints), position=angles.tolist())
         pose = self.nominal.endpoint(self.angles + WRONG)
         state = EndpointState(**self.state)
         state.header.frame_id = self.nominal.base_frame
@@ -81,7 +89,7 @@ class Robot:
         state.pose.orientation.x, state.pose.orientation.y = qx, qy
         state.pose.orientation.z, state.pose.orientation.w = qz, qw
         for message, publisher, stamp_ns in (
-            (read, self.encoders, now_ns),
+            (read, self.encoders, read_ns),
             (state, self.states, self.stamp_ns(now_ns)),
         )[not self.reads :]:
             message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, NS)
@@ -101,7 +109,7 @@ class Robot:
 
         def report_and_plan() -> None:
             self.report()
-            if any(each.name == STATUS and each.level == b"\x02" for each in self.graph.diagnostics):
+            if any(each.name == STATUS and each.level in {b"\x01", b"\x02"} for each in self.graph.diagnostics):
                 self.graph.diagnostics.clear()
                 here = self.angles if np.abs(self.angles - self.rows[0]).max() > FAR else self.rows[0]
                 self.plan(*(row + here - self.rows[0] for row in self.rows))
@@ -159,7 +167,11 @@ def position_error(robot: Robot) -> float:
     return float(np.linalg.norm(true - robot.nominal.endpoint(START).translation))
 
 
-def test_the_endpoint_comes_onto_the_plan(robot: Robot) -> None:
+@pytest.mark.parametrize("late_s", [0.0, 0.03])
+def test_the_endpoint_comes_onto_the_plan_though_encoders_are_later_than_scans(robot: Robot, late_s: float) -> None:
+    robot.reset()
+    robot.late_ns = round(late_s * NS)
+    robot.angles = robot.read = START
     uncorrected = position_error(robot)
     robot.follow(START, START)
     robot.run_until(lambda: position_error(robot) < 0.05 * uncorrected, "the corrected endpoint")
@@ -225,6 +237,7 @@ def test_a_robot_that_may_go_on_keeps_its_offsets() -> None:
 def test_trajectories_that_cannot_be_corrected_are_refused(robot: Robot) -> None:
     robot.reset()
     robot.follow(robot.angles, robot.angles)
+    before = int(values_of(robot.wait_for_level(b"\x00"))["trajectories_refused"])
     here, names = robot.angles, list(robot.nominal.joints)
     for rows, fields in (
         ((here + 0.1, here), {}),
@@ -232,13 +245,16 @@ def test_trajectories_that_cannot_be_corrected_are_refused(robot: Robot) -> None
         ((here[1:], here[1:]), {}),
         ((here, here), {"duration_s": 0.0}),
         ((np.full(6, np.nan), here), {}),
+        ((), {"points": [JointTrajectoryPoint(positions=here.tolist(), time_from_start=Duration(sec=-5))]}),
+        ((here,), {"points": [JointTrajectoryPoint(positions=here.tolist(), velocities=[0.0] * 6)]}),
     ):
         robot.plan(*rows, **fields)
 
-    def refused() -> set[str | None]:
-        return {values_of(each).get("trajectories_refused") for each in robot.graph.diagnostics if each.name == STATUS}
+    def refused() -> int:
+        own = [values_of(each) for each in robot.graph.diagnostics if each.name == STATUS]
+        return max((int(each.get("trajectories_refused", 0)) for each in own), default=0)
 
-    robot.run_until(lambda: "5" in refused(), "5 refused trajectories")
+    robot.run_until(lambda: refused() >= before + 7, "7 refused trajectories")
     count = len(robot.commands)
     robot.run_until(lambda: len(robot.commands) > count, "a command of the first trajectory")
     robot.planner.publish(JointTrajectory())

@@ -32,8 +32,13 @@ def test_positions_are_read_by_name_whatever_the_layout() -> None:
     np.testing.assert_array_equal(read(["b", "x", "a"], [4.0, 2.0, 3.0]), [3.0, 4.0])
     np.testing.assert_array_equal(read(["x", "b", "a"], [1.0, 2.0, 3.0], "base"), [3.0, 2.0])
     np.testing.assert_array_equal(read(["a"], [1.0]), [1.0, np.nan])
-    with pytest.raises(TopicError, match="no position of b"):
-        read(["a", "b"], [1.0])
+    for names, positions, text in (
+        (["a", "b"], [1.0], "1 positions of 2 names"),
+        (["a"], [1.0, 2.0], "2 positions of 1 names"),
+        (["a", "b", "a"], [1.0, 2.0, 3.0], "names a more than once"),
+    ):
+        with pytest.raises(TopicError, match=text):
+            read(names, positions)
 
 
 def test_a_message_in_big_endian_gives_the_same_stamp_and_positions() -> None:

@@ -68,6 +68,11 @@ def read_encoders(bag: Path, topic: str, names: Sequence[str]) -> RecordedEncode
                 for n in range(len(texts)):
                     own = table.select(np.flatnonzero(which == n))
                     found = list(schema.values(own.messages[0].tobytes())["name"])
+                    if repeated := sorted({name for name in found if found.count(name) > 1}):
+                        raise BagError(f"names {', '.join(repeated)} more than once", where=where, expected="once each")
+                    if (count := own["position"].shape[1]) not in (0, len(found)):
+                        what = f"{count} positions of {len(found)} names"
+                        raise BagError(what, where=where, expected="a position of each name")
                     parts.append(
                         (_stamps(own), *(_columns(own, field, found, names) for field in ("position", "effort")))
                     )

@@ -109,6 +109,10 @@ class JointCorrection:
         self._refusal = "none was received"
         self.stopped = ""
 
+    def wait(self, time_s: float) -> None:
+        """Command no offsets until a steady time [s]: their limited rate counts from then on."""
+        self._step_s = time_s
+
     def stop(self, reason: str) -> None:
         """Hold the offsets until the next start. The first reason stays."""
         self.stopped = self.stopped or reason

@@ -42,10 +42,14 @@ class JointPath:
 
     def __post_init__(self) -> None:
         """Check the rows. Raises DataFileError: times do not increase, or a number is not finite."""
-        columns = [self.times_s, self.angles, *([] if self.velocities is None else [self.velocities])]
-        if not self.angles.size or not all(np.isfinite(column).all() for column in columns):
-            what = "holds no joint or no row, or a number that is not finite"
-            raise DataFileError(what, where=self.source, expected="times and joint angles")
+        if not self.angles.size:
+            raise DataFileError("holds no joint or no row", where=self.source, expected="times and joint angles")
+        columns = [self.times_s, *self.angles.T, *([] if self.velocities is None else self.velocities.T)]
+        names = ["the time", *(f"{what} of {name}" for what in ("the angle", "the velocity") for name in self.joints)]
+        for name, column in zip(names, columns, strict=False):
+            if (wrong := np.flatnonzero(~np.isfinite(column))).size:
+                where = f"{self.source}, row {wrong[0] + 1}"
+                raise DataFileError(f"{name} is {column[wrong[0]]}", where=where, expected="a finite number")
         if (back := np.flatnonzero(np.diff(self.times_s) <= 0.0)).size:
             before, after = self.times_s[back[0] : back[0] + 2]
             what = f"time {after:g} s follows {before:g} s"
@@ -99,7 +103,7 @@ class JointPath:
         if not as_yaml:
             rows = np.column_stack([self.times_s, self.angles]).tolist()
             header = ",".join([f"{TIME} [s]", *(f"{name} [rad]" for name in self.joints)])
-            return "\n".join([header, *(",".join(f"{x:.12g}" for x in row) for row in rows), ""])
+            return "\n".join([header, *(",".join(map(repr, row)) for row in rows), ""])
         points = []
         for n, time_ns in enumerate(np.round(self.times_s * NS).astype(np.int64).tolist()):
             point: dict[str, Any] = {"positions": self.angles[n].tolist()}

@@ -45,6 +45,10 @@ def begin_of_program(path: JointPath, times_s: FloatArray, angles: FloatArray) -
 
     Raises DataFileError: the whole program is not among the angles.
     """
+    first_s, last_s = times_s[0] - path.times_s[0] - SLACK_S, times_s[-1] - path.times_s[-1] + SLACK_S
+    if last_s < first_s:  # a program in milliseconds would need more memory than there is
+        what = f"the measured angles last {np.ptp(times_s):g} s, the program {np.ptp(path.times_s):g} s"
+        raise DataFileError(what, where=path.source, expected="the recording of a whole run, and times in seconds")
     own_s = np.arange(path.times_s[0], path.times_s[-1] + STEP_S, STEP_S)
     wanted = path.sampler()(own_s)
 
@@ -52,12 +56,12 @@ def begin_of_program(path: JointPath, times_s: FloatArray, angles: FloatArray) -
         seen = np.column_stack([np.interp(begin_s + own_s, times_s, column) for column in angles.T])
         return float(np.sqrt(np.mean(np.square(seen - wanted))))
 
-    first_s, last_s = times_s[0] - path.times_s[0] - SLACK_S, times_s[-1] - path.times_s[-1] + SLACK_S
-    begins_s = np.arange(first_s, last_s, STEP_S)
+    begins_s = np.arange(first_s, last_s + STEP_S, STEP_S)
     misfits = [misfit(begin_s) for begin_s in begins_s]
-    if not misfits or min(misfits) > LARGEST_MISFIT:
-        nearest = f"; the nearest part differs by {min(misfits):.3g} rad rms" if misfits else ""
-        what = f"the joints do not run the program {path.source} from begin to end{nearest}"
+    if min(misfits) > LARGEST_MISFIT:
+        what = (
+            f"the joints do not run the program {path.source}: the nearest part differs by {min(misfits):.3g} rad rms"
+        )
         expected = f"at most {LARGEST_MISFIT:g} rad rms, and the program that ran"
         raise DataFileError(what, where="the measured angles", expected=expected)
     middle_s = begins_s[int(np.argmin(misfits))]

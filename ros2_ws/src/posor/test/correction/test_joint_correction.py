@@ -119,6 +119,16 @@ def test_offsets_change_at_their_rate_and_stand_after_a_stop(robot: NominalRobot
     assert np.abs(law.step(2.0 + 1.0 / RATE) - rows[-1]).max() == pytest.approx(0.01 / RATE)
 
 
+def test_offsets_do_not_jump_when_a_plan_begins_after_a_wait(robot: NominalRobot) -> None:
+    law, angles = JointCorrection(robot), np.array([0.3, -0.6, 0.9, 0.4, 0.7, 0.5])
+    law.start(0.0)
+    for time_s in np.arange(0.0, 10.0, 0.05):
+        law.add_endpoint(time_s, angles, robot.endpoint(angles + 1e-3))
+        law.wait(time_s)
+    assert np.abs(law.step(10.0)).max() <= 0.02 * 0.05 * (1.0 + 1e-9)
+    assert not law.stopped
+
+
 def test_a_refused_size_and_missing_endpoints_stop_the_correction_with_one_sentence(robot: NominalRobot) -> None:
     law = JointCorrection(robot, CorrectionLimits(max_offset=3e-4))
     law.start(0.0)

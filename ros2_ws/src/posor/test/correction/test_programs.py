@@ -37,6 +37,8 @@ def test_csv_in_any_unit_and_order_is_read_and_written(tmp_path: Path) -> None:
     again = read_path(written(tmp_path, path.text(as_yaml=False)))
     np.testing.assert_allclose(again.angles, path.angles, atol=1e-12)
     assert again.joints == ("a", "b")
+    late = JointPath(path.joints, 1.7e9 + path.times_s / 1e3, path.angles)
+    np.testing.assert_array_equal(read_path(written(tmp_path, late.text(as_yaml=False))).times_s, late.times_s)
     np.testing.assert_allclose(path.at_period(0.1).times_s, np.linspace(0.0, 0.5, 6))
 
 
@@ -69,7 +71,7 @@ def test_yaml_of_a_trajectory_keeps_its_velocities(tmp_path: Path) -> None:
         ("joint_names: [a]\npoints: []\n", "a.yaml", "points"),
         ("joint_names: [a]\npoints:\n- {positions: [1, 2]}\n", "a.yaml", "line 3, key points[0]"),
         ("joint_names: [a]\npoints:\n- {positions: [1], accelerations: [0]}\n", "a.yaml", "accelerations"),
-        ("joint_names: [a]\npoints:\n- {positions: [.nan]}\n", "a.yaml", "not finite"),
+        ("joint_names: [a]\npoints:\n- {positions: [.nan]}\n", "a.yaml", "row 1: the angle of a is nan"),
         ("joint_names: [a]\npoints:\n- {positions: [1], velocities: [0]}\n- {positions: [1]}\n", "a.yaml", "points[1]"),
     ],
 )
@@ -107,8 +109,11 @@ def test_the_begin_of_a_program_is_found_in_a_recording(robot: NominalRobot) -> 
     times_s = np.arange(0.0, 5.0, 0.005)
     angles = path.sampler()(times_s - 1.2345) + 1e-4
     assert begin_of_program(path, times_s, angles) == pytest.approx(1.2345, abs=1e-4)
-    with pytest.raises(DataFileError, match="do not run the program"):
+    with pytest.raises(DataFileError, match="the measured angles last"):
         begin_of_program(path, times_s[: len(times_s) // 4], angles[: len(times_s) // 4])
+    long = JointPath(path.joints, path.times_s * 1e9, path.angles)
+    with pytest.raises(DataFileError, match=r"last 4.995 s, the program 2e\+09 s"):
+        begin_of_program(long, times_s, angles)
     with pytest.raises(DataFileError, match="rad rms"):
         begin_of_program(path, times_s, angles[::-1])
 
