@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import json
 import re
+import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -16,7 +17,7 @@ import pyarrow.parquet
 import pytest
 from posor.arm_names import find_arm
 from posor.chain.arm_file import load_arm_file
-from posor.errors import DataFileError
+from posor.errors import DataFileError, OutputError
 from posor_bringup.health_command import main
 from posor_calibration.health.health_chart import chart_tests
 from posor_calibration.health.health_history import HealthHistory, read_history, write_history
@@ -109,6 +110,12 @@ def test_a_history_is_read_as_it_was_written(creeping: HealthHistory, tmp_path: 
     assert again.tests == creeping.tests
     assert (again.arm, again.identity, again.balls) == (creeping.arm, creeping.identity, creeping.balls)
     assert again.T_artefact_base.isApprox(creeping.T_artefact_base)
+    mode, before = path.stat().st_mode & 0o777, path.read_bytes()
+    write_history(path, replace(creeping, tests=creeping.tests[:3]), before)
+    with pytest.raises(OutputError, match="has been changed by another program"):
+        write_history(path, replace(creeping, tests=creeping.tests[:4]), before)
+    assert len(read_history(path).tests) == 3
+    assert (mode, list(tmp_path.iterdir())) == (0o644, [path])
 
 
 def changed(test: HealthTest, change: Callable[[int, str], float], *, sigma: float = 1.0) -> HealthTest:
@@ -136,6 +143,7 @@ MISTAKES: dict[str, tuple[Callable[[HealthTest], HealthTest], str]] = {
         r"y of ball at dwell 1 is 1 mm from the first test; expected at most 0.5 mm",
     ),
     "not finite": (lambda t: changed(t, lambda n, _: np.nan if n > 5 else 0.0), r"a number that is not finite"),
+    "clock not set": (lambda t: replace(t, stamp_ns=10**15), r"the test is of 1970-\S+; expected a clock that was set"),
     "no noise": (lambda t: changed(t, lambda *_: 0.0, sigma=0.0), r"or no noise"),
 }
 
@@ -169,11 +177,22 @@ def test_histories_of_other_arms_or_files_and_damaged_ones_are_refused(
     options = ["--history", str(path), "--output", str(tmp_path / "page")]
     write_history(path, creeping)
     whole = path.read_bytes()
+    table = pyarrow.parquet.read_table(path)
+    about = json.loads(table.schema.metadata[b"posor_health"])
+
+    def with_about(**changes: object) -> None:
+        """Write a history whose metadata are invalid."""
+        metadata = {"posor_health": json.dumps({**about, **changes})}
+        pyarrow.parquet.write_table(table.replace_schema_metadata(metadata), path)
+
     other = replace(creeping.identity, calibrations={**creeping.identity.calibrations, "elbow": "0" * 16})
     refused: dict[str, tuple[str, Callable[[], object]]] = {
         "is the history of arm 'five_axis'; expected that of 'six_axis'": ("six_axis", lambda: None),
         "calibration of elbow is": (ARM, lambda: write_history(path, replace(creeping, identity=other))),
         "is not a whole history": (ARM, lambda: path.write_bytes(whole[: len(whole) // 2])),
+        "is not a whole": (ARM, lambda: with_about(T_artefact_base=[0.0] * 7)),
+        "is not a whole h": (ARM, lambda: with_about(balls=[1])),
+        "not a whole": (ARM, lambda: pyarrow.parquet.write_table(table.slice(0, 0), path)),
         "not a whole history": (ARM, lambda: pyarrow.parquet.write_table(pa.table({"a": [1]}), path)),
         "does not exist": (ARM, path.unlink),
     }
@@ -186,7 +205,7 @@ def test_histories_of_other_arms_or_files_and_damaged_ones_are_refused(
 
 
 def test_the_program_makes_a_history_from_a_bag_and_adds_no_test_twice(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     files, path = tmp_path / "files", tmp_path / "history.parquet"
     write_calibration_recording(load_arm_file(find_arm(ARM)), files, 4, 3)
@@ -207,6 +226,13 @@ def test_the_program_makes_a_history_from_a_bag_and_adds_no_test_twice(
     assert re.search(r"expected a test after the last one", capsys.readouterr().err)
     assert path.read_bytes() == before
     lines = (files / "tracker.csv").read_text(encoding="utf-8").splitlines()
+    now_ns = time.time_ns()
+    with monkeypatch.context() as patch:
+        patch.setattr(time, "time_ns", lambda: now_ns - 100 * 366 * 86_400 * 10**9)
+        path.rename(files / "former.parquet")
+        assert main([*options, *seen]) == 1
+        assert "expected one before now" in capsys.readouterr().err
+        (files / "former.parquet").rename(path)
     (files / "tracker.csv").write_text("\n".join(lines[:4]) + "\n", encoding="utf-8")
     assert main([*options, *seen]) == 1
     assert "3 dwells; expected at least 4 in postures that differ" in capsys.readouterr().err

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import math
 import sys
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,17 +14,17 @@ import numpy as np
 from posor.arm_names import describe_argument
 from posor.bags.offline_pipeline import load_arm
 from posor.bags.result_folder import prepare_outputs, writing
-from posor.errors import DataFileError, ParameterError
+from posor.errors import DataFileError, OutputError, ParameterError
 from posor.reporting.command_line_parser import CommandLineParser
 from posor.reporting.program_errors import reports_errors
 from posor.tables.table_readings import load_readings
 from posor_calibration.arm.endpoint_references import Uncertainty, references_of
 from posor_calibration.commissioning.file_checks import arm_identity
 from posor_calibration.health.health_chart import FALSE_ALARM, REFERENCE_TESTS, chart_tests
-from posor_calibration.health.health_history import HealthHistory, read_history, write_history
+from posor_calibration.health.health_history import HealthHistory, content_of, read_history, write_history
 from posor_calibration.health.health_model import HealthModel
 from posor_calibration.health.health_report import HealthReport
-from posor_calibration.health.health_test import HealthArm
+from posor_calibration.health.health_test import HealthArm, date_text
 from posor_design.arm_uncertainty import chain_at
 
 from posor_bringup.reference_options import check_names, named_numbers
@@ -41,6 +42,7 @@ PAGE, NUMBERS = "report.html", "report.json"
 CHANGED = 3
 """Exit code of an arm that has changed."""
 POINT = 3
+DAY_NS = 86_400 * 10**9
 
 
 def parse_options(arguments: Sequence[str] | None) -> argparse.Namespace:
@@ -98,10 +100,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     calibrations = {joint.name: arm.calibration(joint.name) for joint in chain.path_joints}
     folder = options.output or Path("build/health") / arm.name
     prepare_outputs(folder, (PAGE, NUMBERS))
+    before = content_of(options.history)
     history = _known_history(options.history, arm, calibrations)
     if options.bag is not None:
+        if not options.history.resolve().parent.is_dir():
+            raise OutputError("its folder does not exist", where=str(options.history), expected="an existing folder")
         history = _with_test(options, arm, chain, calibrations, history)
-        write_history(options.history, history)
+        write_history(options.history, history, before)
     if history is None:
         raise DataFileError(
             "does not exist", where=str(options.history), expected="a first test: --bag, --table, --map"
@@ -156,6 +161,9 @@ def _with_test(
     estimates = arm.estimate(options.bag, false_alarm=0.0)  # the charts judge the residuals
     first = None if history is None else history.T_artefact_base
     test, T = health_arm.measure(estimates, references, options.window, str(options.bag), first)
+    if test.stamp_ns > (now_ns := time.time_ns()) + DAY_NS:  # no later test could follow
+        what, expected = f"the test is of {date_text(test.stamp_ns)}", f"one before now, {date_text(now_ns)}"
+        raise DataFileError(what, where=str(options.bag), expected=expected)
     history = history or HealthHistory(arm.name, arm_identity(arm, calibrations), T, balls)
     return history.with_test(test, str(options.bag))
 

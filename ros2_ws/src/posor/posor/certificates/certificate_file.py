@@ -87,10 +87,15 @@ class CertificateFile(FrozenModel):
     persons: Annotated[tuple[Person, ...], Field(min_length=1)]
     customer: Contact
 
+    @property
+    def day_of_issue(self) -> str:
+        """Day of the certificate: as stated, or today."""
+        return self.issued or dt.datetime.now(dt.UTC).date().isoformat()
+
     @model_validator(mode="after")
     def _check_order(self) -> CertificateFile:
-        for key, first, last in (("end", self.begin, self.end), ("issued", self.end, self.issued)):
-            if last is not None and last < first:
+        for key, first, last in (("end", self.begin, self.end), ("issued", self.end, self.day_of_issue)):
+            if last < first:
                 raise EntryError(f"{last} is before {first}", key=(key,), expected="begin, end, issued in this order")
         return self
 

@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import datetime as dt
 import math
 import re
 from dataclasses import dataclass
@@ -163,7 +162,7 @@ def _core_data(stated: CertificateFile) -> ET.Element:
         _dcc("beginPerformanceDate", stated.begin),
         _dcc("endPerformanceDate", stated.end),
         _dcc("performanceLocation", stated.place),
-        _dcc("issueDate", stated.issued or dt.datetime.now(dt.UTC).date().isoformat()),
+        _dcc("issueDate", stated.day_of_issue),
     )
 
 

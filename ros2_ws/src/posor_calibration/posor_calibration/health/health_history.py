@@ -4,9 +4,11 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
 import os
 import tempfile
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, replace
 from importlib import import_module
 from pathlib import Path
@@ -20,11 +22,13 @@ from posor.errors import DataFileError, OutputError, ParameterError
 from posor_calibration.health.health_test import HealthTest, Number, date_text
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterator, Mapping
 
 FORMAT, VERSION = "posor_health", 1
+UNIT = 1e-6  # by which the norm of a quaternion may differ from 1
 SAME_POSTURE = 0.02  # largest difference of a joint's angle from that of the first test [rad]
 SAME_SEAT = 5e-4  # largest difference of a place or residual from that of the first test [m]
+FIRST_YEAR = np.datetime64("2000-01-01", "ns").astype(int)  # an earlier stamp is that of a clock that was not set
 COLUMNS = ("stamp_ns", *Number._fields)
 
 
@@ -47,6 +51,9 @@ class HealthHistory:
         if not (np.isfinite(test.values).all() and (test.sigmas > 0.0).all()):
             what = f"the test of {date_text(test.stamp_ns)} has a number that is not finite, or no noise"
             raise DataFileError(what, where=where)
+        if test.stamp_ns < FIRST_YEAR:
+            what, expected = f"the test is of {date_text(test.stamp_ns)}", "a clock that was set when it was recorded"
+            raise DataFileError(what, where=where, expected=expected)
         if self.tests:
             last, first = self.tests[-1], self.tests[0]
             if test.stamp_ns <= last.stamp_ns:
@@ -79,24 +86,32 @@ def read_history(path: Path) -> HealthHistory:
     pyarrow, parquet = _pyarrow("pyarrow"), _pyarrow("pyarrow.parquet")
     tests: dict[int, list[Number]] = {}
     try:
-        table = parquet.read_table(path)
+        table = parquet.read_table(pyarrow.BufferReader(path.read_bytes()))
         about: dict[str, Any] = json.loads(table.schema.metadata[FORMAT.encode()])
         if about["version"] != VERSION:
             what = f"has version {about['version']}"
             raise DataFileError(what, where=str(path), expected=f"a history of version {VERSION}, made by posor health")
         for stamp_ns, *number in zip(*(table.column(name).to_pylist() for name in COLUMNS), strict=True):
             tests.setdefault(int(stamp_ns), []).append(Number(*number))
-        T = pin.XYZQUATToSE3(np.array(about["T_artefact_base"]))
-        history = HealthHistory(about["arm"], ArmIdentity(**about["identity"]), T, about["balls"])
-        for stamp_ns, numbers in tests.items():
+        pose, balls = np.array(about["T_artefact_base"], dtype=float), dict(about["balls"])
+        places = np.array(list(balls.values()), dtype=float)
+        sound = pose.shape == (7,) and places.shape == (len(balls), 3) and np.isfinite(places).all()
+        if not (tests and sound and abs(np.linalg.norm(pose[3:]) - 1.0) < UNIT):
+            raise ValueError  # noqa: TRY301  as if it were missing
+        history = HealthHistory(about["arm"], ArmIdentity(**about["identity"]), pin.XYZQUATToSE3(pose), balls)
+        for stamp_ns, numbers in sorted(tests.items()):
             history = history.with_test(HealthTest(stamp_ns, tuple(numbers)), str(path))
     except (OSError, ValueError, KeyError, TypeError, IndexError, pyarrow.ArrowException) as error:
         raise DataFileError("is not a whole history of health tests", where=str(path)) from error
     return history
 
 
-def write_history(path: Path, history: HealthHistory) -> None:
-    """Replace a file by a history, atomically. Raises OutputError: it cannot be written; ParameterError: no pyarrow."""
+def write_history(path: Path, history: HealthHistory, replaces: bytes | None = None) -> None:
+    """Replace a file by a history, atomically.
+
+    ``replaces``: content of the file when the history was read, empty: there was no file; None: not compared. Raises
+    OutputError: it cannot be written, or has another content; ParameterError: no pyarrow.
+    """
     pyarrow, parquet = _pyarrow("pyarrow"), _pyarrow("pyarrow.parquet")
     about = {
         "version": VERSION,
@@ -110,13 +125,42 @@ def write_history(path: Path, history: HealthHistory) -> None:
     table = pyarrow.table(columns).replace_schema_metadata({FORMAT: json.dumps(about)})
     target = path.resolve()
     try:
-        with tempfile.NamedTemporaryFile(dir=target.parent, prefix=f".{target.name}.", delete=False) as file:
-            parquet.write_table(table, file, compression="zstd")
-            file.flush()
-            os.fsync(file.fileno())
-        Path(file.name).replace(target)
+        with _locked(target.parent):
+            if replaces is not None and content_of(target) != replaces:
+                what = "has been changed by another program since it was read"
+                raise OutputError(what, where=str(path), expected="one program at a time: run this test again")
+            with tempfile.NamedTemporaryFile(dir=target.parent, prefix=f".{target.name}.", delete=False) as file:
+                written = Path(file.name)
+                try:
+                    parquet.write_table(table, file, compression="zstd")
+                    file.flush()
+                    os.fsync(file.fileno())
+                    written.chmod(target.stat().st_mode & 0o777 if target.exists() else 0o644)
+                    written.replace(target)
+                finally:
+                    with suppress(FileNotFoundError):
+                        written.unlink()
     except OSError as error:
         raise OutputError(f"cannot be written: {error.strerror}", where=str(path)) from error
+
+
+def content_of(path: Path) -> bytes:
+    """Return the content of a file; empty: there is no file. Raises DataFileError: it cannot be read."""
+    try:
+        return path.read_bytes() if path.exists() else b""
+    except OSError as error:
+        raise DataFileError(f"cannot be read: {error.strerror}", where=str(path)) from error
+
+
+@contextmanager
+def _locked(folder: Path) -> Iterator[None]:
+    """Let no other program replace a history of a folder meanwhile."""
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(descriptor)
 
 
 def _pyarrow(name: str) -> Any:

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from posor_calibration.health.health_chart import HealthChart
 
 MONTH_NS = 365.25 / 12.0 * 86400e9
+FAR_MONTHS = 240.0  # beyond which a creep is not extrapolated
 LEAST_TESTS = 4  # after the reference, from which a step and a creep are distinguished
 CHANCE = 1e-4  # probability below which the creep of any part is no chance, and is extrapolated
 COLOURS = (ORANGE, BLUE, GREEN, LIGHT_BLUE, GREY)
@@ -129,6 +130,8 @@ class HealthReport:
         if first is None:
             return "no creep is seen: no calibration is due before the next test."
         months = max(0.0, (2.0 * first.sigma - abs(first.drift)) / abs(first.rate))  # until the drift is its U
+        if months > FAR_MONTHS:
+            return f"no calibration is due in the next {FAR_MONTHS / 12.0:g} years: {first.part}, {first.describe()}."
         date = date_text(int(self.chart.stamps_ns[-1] + months * MONTH_NS))
         return f"calibrate before {date}: {first.part} then leaves its stated uncertainty, {first.describe()}."
 
