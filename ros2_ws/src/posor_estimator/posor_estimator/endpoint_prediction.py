@@ -188,7 +188,8 @@ class EndpointPrediction:
         arm = self._with_arm(SOUND)
         disagrees = self._used if DISAGREES in predictor.faults else 0
         states = tuple(joint.state for joint in self._joints), tuple(self._newest_states.values())
-        key = predictor.faults.tobytes(), predictor.held.tobytes(), states, arm, disagrees
+        publishers = self._subscription.publishers
+        key = predictor.faults.tobytes(), predictor.held.tobytes(), states, arm, disagrees, publishers
         if key != self._key:
             self._key = key
             self._verdict = self._with_arm(self._of_joints(usable=usable)) if arm.has_pose else arm
@@ -205,6 +206,8 @@ class EndpointPrediction:
             for joint, reason in reasons.items():
                 names.setdefault(f"{reason}{newest[joint]}", []).append(joint)
             text = "; ".join(f"{listed(each)} {reason}" for reason, each in names.items())
+            if (count := self._subscription.publishers) > 1:  # of other joints, or the cause
+                text += f"; {count} publishers on {self._subscription.topic_name}"
             return EndpointVerdict(EndpointState.STATE_LOST, 0, next(iter(reasons), ""), text)
         verdict = degraded_verdict(self._joints) if any(joint.state for joint in self._joints) else SOUND
         if held := predictor.held_joints:

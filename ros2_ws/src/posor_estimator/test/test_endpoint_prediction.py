@@ -82,8 +82,7 @@ def test_the_endpoint_is_predicted_carried_through_a_gap_and_not_beyond() -> Non
         state = read(3, 0.02)
         assert (state.state, state.joint) == (EndpointState.STATE_DEGRADED, "joint1")
         assert state.reason == "degraded: joint1: carried on by encoders, no transform for more than 1 s"
-        count = len(poses)
-        state = read(6, 0.02)
+        count, state = len(poses), read(6, 0.02)
         reason = "joint1 has no transform for more than 4 s (the newest is LOST)"
         assert (state.state, state.reason) == (EndpointState.STATE_LOST, reason)
         use(transform_of(6, pin.SE3(pin.utils.rotate("z", 0.02), np.zeros(3))))
@@ -91,6 +90,10 @@ def test_the_endpoint_is_predicted_carried_through_a_gap_and_not_beyond() -> Non
         assert len(poses) == count + 1
         encoders.publish(reading(8, float("nan")))
         graph.wait_for_status("/chain_node: prediction", "/drive: the position of joint1 is not a number")
+        other = graph.publisher(JointState, "drive")  # whose clock is late
+        graph.wait_until(lambda: other.get_subscription_count() > 0, "the subscription to the other encoders")
+        other.publish(reading(6, 0.02))
+        graph.wait_until(lambda: any(s.reason.endswith("; 2 publishers on /drive") for s in states), "both publishers")
         encoders.publish(reading(8, 0.0, "elbow"))
         graph.wait_for_status("/chain_node: prediction", "/drive: names other, elbow; expected joint1")
         assert node.end() == 0

@@ -126,7 +126,7 @@ def _carry(
     grown = times(kept, turn[0]), times(kept, turn[1]), times(kept, turn[2])
     blocks = add_rotated(ZERO_COVARIANCE, grown, covariance)
     slope = square(settings["slope"] * change) + square((to.rate - state["used_rate"]) * settings["stamp_sigma"])
-    sigma = math.sqrt(to.variance + slope + square(most - least) / 12.0)
+    sigma = math.sqrt(state["used_variance"] + to.variance + slope + square(most - least) / 12.0)
     blocks = add_outer_product(blocks, 1.0, times(sigma, shift), times(sigma, axis))
     blocks = _widened(blocks, square(RADIAL_SLOPE * change), square(TILT_SLOPE * change))
     write_covariance(blocks, prior)
@@ -209,7 +209,7 @@ def _use(encoders: EncoderFilter, arm: ArmGeometry, measurements: JointMeasureme
     else:
         _begin(encoders, arm, j, pose, random)
     state["used_ns"], state["used_angle"], state["used_rate"] = stamp_ns, to.angle, to.rate
-    state["used_low"], state["used_high"], state["jumped"] = to.low, to.high, 0
+    state["used_low"], state["used_high"], state["used_variance"], state["jumped"] = to.low, to.high, to.variance, 0
     return USED
 
 

@@ -53,6 +53,7 @@ STATE = np.dtype(
         ("used_low", float),  # least and largest angle of the joint within the play then [rad]
         ("used_high", float),
         ("used_rate", float),  # [rad/s]
+        ("used_variance", float),  # of ``used_angle`` by interpolation [rad^2]
         ("seen", np.int64),  # number of transforms
         ("error", float),  # estimated, of the reading at that time [rad]
         ("offset", float),  # encoder minus POSOR at the last one [rad]
@@ -235,7 +236,10 @@ def add_reading(encoders: EncoderFilter, j: int, stamp_ns: int, angle: float) ->
 
 @inlined
 def angle_at(encoders: EncoderFilter, j: int, stamp_ns: int) -> Angle:
-    """Return the angle at a time between readings, by a cubic with their rates; NaN: before the history."""
+    """Return the angle at a time between readings, by a cubic with their rates; NaN: before the history.
+
+    Tracked rates lag where the motion changes: their mean is then not that of the readings, which bounds the error.
+    """
     stamps, n, used = encoders.stamps_ns[j], encoders.states[j]["readings"] - 1, encoders.states[j]["used_angle"]
     first = max(0, n - HISTORY + 1)
     while n > first and stamps[n % HISTORY] > stamp_ns:
@@ -250,6 +254,8 @@ def angle_at(encoders: EncoderFilter, j: int, stamp_ns: int) -> Angle:
     s = (stamp_ns - stamps[n % HISTORY]) * 1e-9 / step
     change = after[0] - here[0]
     bend = s * (1.0 - s) * ((1.0 - s) * (step * here[4] - change) + s * (change - step * after[4]))
+    lag = s * (1.0 - s) * (0.5 * step * (here[4] + after[4]) - change)
     angle, rate = here[0] + s * change + bend, here[4] + s * (after[4] - here[4])
     half = encoders.settings[j]["half_backlash"]
-    return Angle(angle, within_play(here[1], angle, half), within_play(here[2], angle, half), rate, 0.0, angle == used)
+    low, high = within_play(here[1], angle, half), within_play(here[2], angle, half)
+    return Angle(angle, low, high, rate, square(lag), angle == used)

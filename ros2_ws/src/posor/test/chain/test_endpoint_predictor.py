@@ -115,6 +115,28 @@ def test_the_covariances_are_those_of_the_errors() -> None:
     assert 0.2 < np.mean(np.square(rates)) < 2.0
 
 
+def corners(seconds: float) -> FloatArray:
+    return np.array([np.interp(seconds % 1.0, [0.0, 0.2, 0.7, 1.0], [0.0, 0.0, 0.4, 0.0]), 0.5])
+
+
+@pytest.mark.parametrize(("period_ms", "path"), [(5, corners), (90, lambda seconds: swing(3.0 * seconds))])
+def test_the_covariance_contains_what_happens_between_slow_readings(
+    period_ms: int, path: Callable[[float], FloatArray]
+) -> None:
+    """Scans lie between the readings, whose tracked rates lag where the motion changes."""
+    arm, squares = Arm(), []
+    for ms in range(6, 2000):
+        if ms % period_ms == 0:
+            reading = path(1e-3 * ms) + READING * arm.random.normal(size=2)
+            if arm.predictor.read(ms * MS, reading) and ms > 300:
+                own, error = arm.predictor.present, arm.error(arm.predictor.present.pose, path(1e-3 * ms))
+                squares.append(error @ np.linalg.solve(own.covariance_random, error))
+        if ms % 5 == 2:
+            arm.use(ms - 4, path(1e-3 * (ms - 4)))
+    assert len(squares) > 10
+    assert np.mean(squares) < 9.0
+
+
 def test_the_random_covariance_is_below_that_of_a_scan_and_the_systematic_one_stays_whole() -> None:
     arm, angles = Arm(), np.array([0.2, 0.4])
     arm.move(lambda _: angles, 1, 300)
