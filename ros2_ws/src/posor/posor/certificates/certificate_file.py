@@ -96,7 +96,8 @@ class CertificateFile(FrozenModel):
     def _check_order(self) -> CertificateFile:
         for key, first, last in (("end", self.begin, self.end), ("issued", self.end, self.day_of_issue)):
             if last < first:
-                raise EntryError(f"{last} is before {first}", key=(key,), expected="begin, end, issued in this order")
+                what = f"{last} is before {first}" if getattr(self, key) else f"{key} today, {last}, is before {first}"
+                raise EntryError(what, key=(key,), expected="begin, end, issued in this order")
         return self
 
 
