@@ -60,13 +60,15 @@ def test_an_arm_of_the_first_version_is_read_with_all_its_files() -> None:
     assert load_calibration(arm.calibrations["joint1"]).version == 1
 
 
-def test_beams_of_all_versions_are_the_same_but_for_the_temperature() -> None:
-    one, two, three = (load_beams(FORMATS / f"version_{version}/beams.yaml").beams[0] for version in (1, 2, 3))
+def test_beams_of_all_versions_are_the_same_but_for_temperature_and_vibration() -> None:
+    one, *others = (load_beams(FORMATS / f"version_{version}/beams.yaml").beams[0] for version in (1, 2, 3, 4))
     assert one.temperature is None
-    for other, has_thermometer in ((two, False), (three, True)):
+    for version, other in enumerate(others, start=2):
         assert other.temperature is not None
-        assert (other.thermometer is not None) == has_thermometer
-        assert one.model_dump(mode="json") == other.model_copy(update={"temperature": None}).model_dump(mode="json")
+        assert (other.thermometer is not None) == (version >= 3)
+        assert (other.vibration is not None) == (version == 4)
+        rest = other.model_copy(update={"temperature": None, "vibration": None})
+        assert one.model_dump(mode="json") == rest.model_dump(mode="json")
 
 
 def test_a_bag_of_the_first_version_gives_the_same_results_as_that_of_today(tmp_path: Path) -> None:
@@ -94,7 +96,7 @@ def test_a_calibration_from_before_the_kinds_of_maps_says_what_to_add() -> None:
     ("name", "load", "newest"),
     [
         ("version_3/calibration.yaml", load_calibration, 3),
-        ("version_3/beams.yaml", load_beams, 3),
+        ("version_4/beams.yaml", load_beams, 4),
         ("version_1/arm.yaml", load_arm_file, 1),
         ("version_1/scenario.yaml", load_scenario, 1),
     ],

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import os
 import subprocess
+from collections.abc import Mapping
 from contextlib import ExitStack
 from fnmatch import fnmatchcase
 from importlib import import_module
@@ -24,6 +25,7 @@ from posor_lab.harness.graph import Graph
 from posor_lab.harness.in_process_nodes import NodeProcess, run_refused_node
 from posor_lab.harness.program import Program, installed
 from posor_lab.shop.shop_arm import write_shop_arm
+from posor_lab.vibration.vibrating_arm import write_vibrating_arm
 from posor_ros.lifecycle_node import PosorNode
 from rclpy.node import Node
 
@@ -137,14 +139,16 @@ def not_opened(entities: set[Entity], rules: set[Entity]) -> set[Entity]:
     return {rule for rule in rules if not any(matches(entity, rule) for entity in entities)}
 
 
-def opened_by_nodes(arm: str = "five_axis", **changes: object) -> dict[str, set[Entity]]:
+def opened_by_nodes(
+    arm: str = "five_axis", all_topics: Mapping[str, dict[str, object]] = WITH_ALL_TOPICS, **changes: object
+) -> dict[str, set[Entity]]:
     """Return what the nodes of the chain and of one joint open, by enclave; each has a process of its own."""
     found = {}
     with ExitStack() as stack:
         for program in arm_programs(load_checked_arm(arm)):
             if program.name not in ("chain_node", f"{JOINT}/posor_node", f"{JOINT}/driver_node"):
                 continue
-            own = WITH_ALL_TOPICS[program.executable]
+            own = all_topics[program.executable]
             process = stack.enter_context(NodeProcess())
             parameters = {**program.parameters, **own, **changes}
             node = process.start(CLASSES[program.executable], program.namespace, parameters)
@@ -179,8 +183,12 @@ def test_policies_have_the_format_of_sros2(keystore: Path, executable: str) -> N
 
 def test_policies_allow_what_the_nodes_open_and_no_more(keystore: Path, tmp_path: Path) -> None:
     compose = allowed(load_policy(keystore, "/five_axis/compose"))
-    found = opened_by_nodes(str(write_shop_arm(load_checked_arm("five_axis"), tmp_path)))  # its beams have thermometers
+    warm = write_shop_arm(load_checked_arm("five_axis"), tmp_path / "warm")  # its beams have thermometers
+    found = opened_by_nodes(str(warm))
     assert len(found) == len(CLASSES)
+    arm = write_vibrating_arm(load_checked_arm("five_axis"), tmp_path / "vibrating")  # accelerometers exclude encoders
+    for enclave, entities in opened_by_nodes(str(arm), {**WITH_ALL_TOPICS, "chain_node": {}}).items():
+        found[enclave] |= entities
     for enclave, entities in found.items():
         rules = allowed(load_policy(keystore, enclave))
         assert not_allowed(entities, rules) == set()

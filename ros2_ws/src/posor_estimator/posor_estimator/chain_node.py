@@ -5,9 +5,9 @@
 Subscribes to ``<joint>/transform`` (posor_msgs/JointTransform) for every floating joint of the URDF. Publishes
 ``endpoint/pose``, ``endpoint/pose_with_covariance`` and ``joint_states``, the angles about the joints' nominal axes.
 /tf has the frames of the arm with the stamp of each pose; /tf_static and ``robot_description`` have what is fixed.
-It also subscribes to the thermometers of the beams file, and keeps the beams at their temperatures, and to the
-accelerometers, with which the beams vibrate. With the parameter
-``encoders.topic`` it predicts the endpoint between scans, see ``endpoint_prediction``.
+It also subscribes to the thermometers of the beams file, at whose temperatures it keeps the beams, and to the
+accelerometers, with which the beams vibrate. With the parameter ``encoders.topic`` it predicts the endpoint between
+scans, see ``endpoint_prediction``.
 Transforms are joined by equal stamps. Without a usable transform of every joint in time there is no pose.
 ``endpoint/state`` (posor_msgs/EndpointState) is published for every scan, for every transform that is refused, and
 every 0.08 s during a silence of the input; it and the diagnostics name the joint and the reason. Those who watch have
