@@ -36,6 +36,7 @@ from posor.numerics.compiled import in_place, inlined
 from posor.numerics.vector import (
     IDENTITY,
     ZERO_MATRIX,
+    ZERO_VECTOR,
     Matrix,
     Vector,
     applied,
@@ -234,13 +235,17 @@ def _add_beam_terms(arm: ArmGeometry, b: int, force: Vector, parent: Matrix, eff
 
 
 @inlined
-def _add_vibration(
-    systematic: Blocks, arm: ArmGeometry, vibrations: RecordArray, scan: int, b: int, parent: Matrix
+def _add_bend(
+    systematic: Blocks, arm: ArmGeometry, vibrations: RecordArray, scan: int, b: int, force: Vector, parent: Matrix
 ) -> Blocks:
-    """Return the sum with the covariance of the sag under the uncertain specific force of beam b, if it is stated."""
+    """Return the sum with the covariance of the bend of beam b: of its stiffness, and of an uncertain force."""
+    beam = arm.beams[b]
+    shift = applied(parent, applied(matrix(beam["sigma_shift_gain"], 0), force))
+    turn_vector = applied(parent, applied(matrix(beam["sigma_turn_gain"], 0), force))
+    systematic = add_outer_product(systematic, 1.0, shift, turn_vector)
     if vibrations.shape[1] == 0:
         return systematic
-    beam, vibration = arm.beams[b], vibrations[scan, b]
+    vibration = vibrations[scan, b]
     systematic = _add_force(
         systematic,
         vibration["sigma_mean"],
@@ -297,24 +302,23 @@ def bent_beam(
     ``force``: of gravity and motion, is written into ``history``; the beam follows the measured one where
     ``vibrations`` (n, b) have it.
     """
-    beam = arm.beams[b]
-    start_turn = applied(matrix(beam["start_turn_gain"], 0), force)
-    shift, end_turn = applied(matrix(beam["shift_gain"], 0), force), applied(matrix(beam["end_turn_gain"], 0), force)
+    beam, tilt = arm.beams[b], ZERO_VECTOR  # increase of the force along the beam
     if vibrations.shape[1] > 0:
         put(history.static_forces, b, 0, force)
-    if vibrations.shape[1] > 0 and math.isfinite(vibrations[scan, b]["mean"][0]):
-        force, tilt = at(vibrations[scan, b]["mean"], 0), at(vibrations[scan, b]["difference"], 0)
-        start_turn = plus(
-            applied(matrix(beam["start_turn_gain"], 0), force), applied(matrix(beam["tilt_start_turn_gain"], 0), tilt)
-        )
-        shift = plus(applied(matrix(beam["shift_gain"], 0), force), applied(matrix(beam["tilt_shift_gain"], 0), tilt))
-        end_turn = plus(
-            applied(matrix(beam["end_turn_gain"], 0), force), applied(matrix(beam["tilt_end_turn_gain"], 0), tilt)
-        )
+        if math.isfinite(vibrations[scan, b]["mean"][0]):
+            force, tilt = at(vibrations[scan, b]["mean"], 0), at(vibrations[scan, b]["difference"], 0)
+    start_turn = _bend(beam["start_turn_gain"], force, beam["tilt_start_turn_gain"], tilt)
+    end_turn = _bend(beam["end_turn_gain"], force, beam["tilt_end_turn_gain"], tilt)
+    shift = _bend(beam["shift_gain"], force, beam["tilt_shift_gain"], tilt)
     rotation = turned_by(IDENTITY, times(-1.0, start_turn))
     translation = applied(rotation, plus(at(beam["translation"], 0), shift))
-    rotation = product(rotation, matrix(beam["rotation"], 0))
-    return turned_by(rotation, end_turn), translation, force
+    return turned_by(product(rotation, matrix(beam["rotation"], 0)), end_turn), translation, force
+
+
+@inlined
+def _bend(gain: FloatArray, force: Vector, tilt_gain: FloatArray, tilt: Vector) -> Vector:
+    """Return a motion of a plate under a force at the beam's centre and its increase along the beam."""
+    return plus(applied(matrix(gain, 0), force), applied(matrix(tilt_gain, 0), tilt))
 
 
 @inlined
@@ -364,11 +368,7 @@ def compute_endpoint(
             lever = minus(translation, last)
             random = moved_along(random, lever)
             systematic = add_rotated(moved_along(systematic, lever), parent, beam["covariance"])
-            shift = applied(parent, applied(matrix(beam["sigma_shift_gain"], 0), force))
-            turn_vector = applied(parent, applied(matrix(beam["sigma_turn_gain"], 0), force))
-            systematic = _add_vibration(
-                add_outer_product(systematic, 1.0, shift, turn_vector), arm, measurements.vibrations, scan, b, parent
-            )
+            systematic = _add_bend(systematic, arm, measurements.vibrations, scan, b, force, parent)
             _move_effects(effects, lever)
             _add_beam_terms(arm, b, force, parent, effects)
         else:
