@@ -23,7 +23,6 @@ from posor.reporting.program_errors import reports_errors
 from posor.reporting.report_console import report_console
 from posor.reporting.report_table import ReportTable
 from posor_calibration.encoder_errors import SETTLED_TURN, encoder_errors
-from posor_drivers.simulator.nominal_arm import NominalArm
 
 if TYPE_CHECKING:
     import argparse
@@ -104,9 +103,12 @@ def _gravity_in_plates(chain: Chain, angles: FloatArray) -> list[FloatArray]:
     amount = float(np.linalg.norm(chain.gravity))
     if chain.joints != chain.path_joints or not amount:
         return []
-    direction = chain.gravity / amount
-    plates = NominalArm(chain).target_plates(angles)
-    return [np.tile(direction, (len(angles), 1)), *(plate.rotate_back(direction) for plate in plates)]
+    found = [np.tile(chain.gravity / amount, (len(angles), 1))]
+    for link, joint, angle in zip(chain.links, chain.joints, angles.T, strict=False):  # the last link ends the arm
+        x, y, z = (found[-1] @ link.T_nominal.rotation @ joint.T_parent_joint.rotation).T
+        cosine, sine = np.cos(angle), np.sin(angle)
+        found.append(np.column_stack([cosine * x + sine * y, cosine * y - sine * x, z]))
+    return found
 
 
 def write_table(path: Path, found: Mapping[str, EncoderErrors]) -> None:

@@ -98,8 +98,9 @@ def encoder_errors(
     angles, direction, difference, gravity = (each[moving] for each in (angles, direction, difference, gravity))
     if not len(angles):
         return EncoderErrors(0, 0.0, *(math.nan,) * 7, [])
-    span, which = float(np.ptp(angles)), _bins_of(angles, bins)
-    table = _table(angles, which, direction, difference, bins)
+    span, edges = float(np.ptp(angles)), np.linspace(angles.min(), angles.max(), bins + 1)
+    which = np.clip(np.searchsorted(edges, angles, side="right") - 1, 0, bins - 1)
+    table = _table(edges, which, direction, difference)
     columns = {"offset": np.ones(len(angles))}
     if span >= LEAST_RANGE:
         columns["slope"] = angles - angles.mean()
@@ -128,11 +129,6 @@ def encoder_errors(
     )
 
 
-def _bins_of(angles: FloatArray, bins: int) -> IntArray:
-    edges = np.linspace(angles.min(), angles.max(), bins + 1)
-    return np.clip(np.searchsorted(edges, angles, side="right") - 1, 0, bins - 1)
-
-
 def _beyond(gravity: FloatArray, own: FloatArray) -> FloatArray:
     """Return what the columns ``own`` (n, m) do not explain of combinations of columns (n, k), where that is much."""
     left = gravity - own @ np.linalg.lstsq(own, gravity, rcond=None)[0]
@@ -140,11 +136,10 @@ def _beyond(gravity: FloatArray, own: FloatArray) -> FloatArray:
     return np.asarray(left @ directions[sizes >= LEAST_GRAVITY * math.sqrt(len(gravity))].T)
 
 
-def _table(angles: FloatArray, which: IntArray, direction: IntArray, difference: FloatArray, bins: int) -> list[Row]:
-    edges = np.linspace(angles.min(), angles.max(), bins + 1)
+def _table(edges: FloatArray, which: IntArray, direction: IntArray, difference: FloatArray) -> list[Row]:
     rows = []
     for sign in (FORWARD, BACKWARD):
-        for b in range(bins):
+        for b in range(len(edges) - 1):
             if (own := difference[(direction == sign) & (which == b)]).size:
                 middle = 0.5 * float(edges[b] + edges[b + 1])
                 rows.append(Row(sign, middle, float(own.mean()), float(own.std()), len(own)))
