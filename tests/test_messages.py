@@ -8,9 +8,9 @@ import math
 from collections.abc import Callable
 from typing import Any
 
-import numpy as np
 import pytest
 from posor_lab.harness.graph import Graph
+from posor_lab.harness.message_conversion import message_content
 from posor_msgs.msg import JointTransform, RawScan
 
 
@@ -35,13 +35,6 @@ def joint_transform() -> Any:
     return transform
 
 
-def content(message: Any) -> dict[str, Any]:
-    """Return the fields of a message, numbers by their bits: padding in serialised messages may be anything."""
-    fields = {name: getattr(message, name) for name in message.get_fields_and_field_types()}
-    is_message = {name: hasattr(value, "get_fields_and_field_types") for name, value in fields.items()}
-    return {name: value if is_message[name] else np.asarray(value).tobytes() for name, value in fields.items()}
-
-
 @pytest.mark.parametrize("make", [raw_scan, joint_transform])
 @pytest.mark.usefixtures("ros_domain")
 def test_a_message_passes_dds_unchanged(make: Callable[[], Any]) -> None:
@@ -51,4 +44,4 @@ def test_a_message_passes_dds_unchanged(make: Callable[[], Any]) -> None:
         publisher = sender.publisher(type(sent), "message")
         publisher.publish(sent)
         receiver.wait_until(lambda: bool(received), "the message")
-    assert content(received[0]) == content(sent)
+    assert message_content(received[0]) == message_content(sent)

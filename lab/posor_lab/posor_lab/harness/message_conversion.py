@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from geometry_msgs.msg import Pose
@@ -25,6 +25,13 @@ if TYPE_CHECKING:
     from posor.estimation.fault_model import JointCauses
     from posor.estimation.posor import Posor
     from sensor_msgs.msg import JointState
+
+
+def message_content(message: Any) -> dict[str, Any]:
+    """Return the fields of a message, numbers by their bits; serialised messages differ in the bytes between fields."""
+    fields = {name: getattr(message, name) for name in message.get_fields_and_field_types()}
+    arrays = {name: np.asarray(value) for name, value in fields.items()}
+    return {name: arrays[name].tobytes() if arrays[name].dtype.kind in "biuf" else fields[name] for name in fields}
 
 
 def scan_from_message(message: RawScan) -> Scan:
