@@ -195,20 +195,24 @@ def test_sections_of_parameter_files_name_nodes_of_the_arm(tmp_path: Path) -> No
     assert f"{file}, line 4, key /**.ros__parameters.lossles" in found[1]
 
 
-def test_an_instruments_file_is_compared_with_the_calibrations(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+@pytest.fixture
+def instrument_arm(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Path:
+    """Make an arm of two joints with the instruments file i.yaml."""
     folder = make_arm(tmp_path / "own", count=2)
     source = "source: instruments\n  parameters: {instruments.file: '{folder}/i.yaml', instruments.joint: '{joint}'}\n"
     change(folder, "arm.yaml", "source: simulated ", source)
     assert instruments(["start", str(folder / "arm.yaml")]) == 0
-    text = capsys.readouterr().out
-    (folder / "i.yaml").write_text(text, encoding="utf-8")
+    (folder / "i.yaml").write_text(capsys.readouterr().out, encoding="utf-8")
+    return folder
+
+
+def test_an_instruments_file_is_compared_with_the_calibrations(instrument_arm: Path) -> None:
+    folder = instrument_arm
     programs = check_arm(str(folder)).programs
     assert len(programs) == 5
     topics = [each.parameters["instruments.temperature_topic"] for each in programs if each.executable == "driver_node"]
     assert topics == ["/own/temperature"] * 2
-    content = yaml.safe_load(text)
+    content = yaml.safe_load((folder / "i.yaml").read_text(encoding="utf-8"))
     del content["joints"]["joint1"]["gap_voltages"][1]
     content["joints"]["joint1"]["frame_id"] = "elsewhere"
     content["joints"]["joint3"] = content["joints"].pop("joint2")
@@ -220,14 +224,9 @@ def test_an_instruments_file_is_compared_with_the_calibrations(
     assert len(found) == 3
 
 
-def test_thermometers_of_an_instruments_file_are_compared_with_the_beams_file(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    folder = make_arm(tmp_path / "own", count=2)
-    source = "source: instruments\n  parameters: {instruments.file: '{folder}/i.yaml', instruments.joint: '{joint}'}\n"
-    change(folder, "arm.yaml", "source: simulated ", source)
-    assert instruments(["start", str(folder / "arm.yaml")]) == 0
-    content = yaml.safe_load(capsys.readouterr().out)
+def test_thermometers_of_an_instruments_file_are_compared_with_the_beams_file(instrument_arm: Path) -> None:
+    folder = instrument_arm
+    content = yaml.safe_load((folder / "i.yaml").read_text(encoding="utf-8"))
     channels = {f"heat{n}": {"unit": "V", "scale": 1.0} for n in range(2)}
     device = next(iter(content["devices"]))
     content["devices"][device]["channels"] |= channels
