@@ -35,8 +35,7 @@ if TYPE_CHECKING:
 ARM, ARMS, SEED, MIN_ARMS = "five_axis", 30, 1985, 2
 FREQUENCIES_HZ = (30.0, 45.0, 60.0, 75.0, 85.0, 105.0, 120.0, 135.0, 150.0)  # whole numbers of periods in a run
 LEAST_GAIN = 4.0  # error of the static chain over that of the dynamic one
-STATED, TOLERANCE = 0.95, 0.03  # share of the poses inside their 95 % region, below the limit
-MOST_STATED = 1.0  # the stated uncertainty covers the largest vibration in its memory, so more may be inside
+STATED, TOLERANCE = 0.95, 0.03  # least share inside the 95 % region, which contains the largest recent vibration
 CONTROL_HZ, CONTROL_ERROR = 75.0, 1.4  # natural frequencies that the chain is given, over the stated ones
 EDGE = 0.03  # relative distance from the limit within which the drawn frequency decides
 
@@ -49,7 +48,7 @@ def failures(found: Mapping[float, Mapping[str, Case]], limit_hz: float, control
         if frequency <= (1.0 - EDGE) * limit_hz:
             if not dynamic.rms_m * LEAST_GAIN <= static.rms_m:
                 wrong.append(f"{frequency:g} Hz: the error falls to 1/{static.rms_m / dynamic.rms_m:.1f}")
-            if not STATED - TOLERANCE <= dynamic.inside <= MOST_STATED:
+            if not dynamic.inside >= STATED - TOLERANCE:
                 wrong.append(f"{frequency:g} Hz: {dynamic.inside:.1%} inside; expected {STATED:.0%} or more")
             if not dynamic.bounded:
                 wrong.append(f"{frequency:g} Hz: the protection level is not bounded")

@@ -13,7 +13,6 @@ from posor.numerics.stamps import NO_TIME
 from posor_ros.message_classes import schema_of_class
 from sensor_msgs.msg import Imu
 
-AFTER_STAMP = STAMP.stop  # where the frame of a message, and what is before it, begins
 _ACCELERATION = struct.Struct("<4d")  # three numbers, then the first of their covariance
 MISSING = -1.0  # first number of a covariance without measurement (sensor_msgs/Imu)
 
@@ -30,13 +29,13 @@ class AccelerationReader:
 
         Raises TopicError: invalid bytes, a stamp of zero, or no acceleration in the message.
         """
-        if not self._known or data[AFTER_STAMP : self._end] != self._known or len(data) < self._size:
+        if not self._known or data[STAMP.stop : self._end] != self._known or len(data) < self._size:
             data = self._schema.normal(data)
             layout = self._schema.layout(data)
             self._frame = str(self._schema.values(data)["header.frame_id"])
             frame = layout["header.frame_id"].part
             self._offset, self._size, self._end = layout["linear_acceleration.x"].offset, layout.size, frame.stop
-            self._known = bytes(data[AFTER_STAMP : self._end])
+            self._known = bytes(data[STAMP.stop : self._end])
         x, y, z, variance = _ACCELERATION.unpack_from(data, self._offset)
         if variance == MISSING:
             raise TopicError("has no linear acceleration", expected="linear_acceleration, whose covariance is not -1")

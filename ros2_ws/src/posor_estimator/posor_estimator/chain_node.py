@@ -62,7 +62,7 @@ from sensor_msgs.msg import Imu, JointState, Temperature
 from posor_estimator.acceleration_reader import AccelerationReader
 from posor_estimator.alarm_rate import AlarmRate
 from posor_estimator.endpoint_prediction import EndpointPrediction, JointMessage
-from posor_estimator.endpoint_verdict import SOUND, JointStatus, degraded_verdict, unusable_verdict, with_clauses
+from posor_estimator.endpoint_verdict import SOUND, JointStatus, degraded_verdict, unusable_verdict, with_beam_faults
 from posor_estimator.frame_publisher import FramePublisher
 from posor_estimator.identity_check import IdentityCheck
 
@@ -219,7 +219,7 @@ class ChainNode(PosorNode[ChainParameters]):
         if self._identity.refuses:
             return self._identity.verdict
         reasons = self._temperatures.reason, self._vibrations.reason
-        return with_clauses(self._identity.degraded(verdict), "; ".join(filter(None, reasons)))
+        return with_beam_faults(self._identity.degraded(verdict), "; ".join(filter(None, reasons)))
 
     def _on_inputs_checked(self, is_new: bool) -> None:  # noqa: FBT001  a callback
         """Report that no transform arrives, and publish the state while there is no scan."""

@@ -44,7 +44,7 @@ def degraded_verdict(joints: Sequence[JointStatus]) -> EndpointVerdict:
     return EndpointVerdict(EndpointState.STATE_DEGRADED, _all_faults(degraded), degraded[0].name, f"degraded: {reason}")
 
 
-def with_clauses(verdict: EndpointVerdict, reason: str) -> EndpointVerdict:
+def with_beam_faults(verdict: EndpointVerdict, reason: str) -> EndpointVerdict:
     """Return the verdict on a scan with a pose, with what is wrong with the beams; empty: nothing."""
     if not reason:
         return verdict

@@ -18,8 +18,6 @@ if TYPE_CHECKING:
 
     from posor.numerics.array_types import FloatArray
 
-AFTER_STAMP = STAMP.stop  # where the names of a JointState, and what is before them, begin
-
 
 class PositionReader:
     """Reads the positions of joints from serialised JointState messages."""
@@ -35,7 +33,7 @@ class PositionReader:
 
         Raises TopicError: invalid bytes, names without positions or repeated, no finite angle, none of the joints.
         """
-        if not self._known or data[AFTER_STAMP : self._end] != self._known or len(data) < self._size:
+        if not self._known or data[STAMP.stop : self._end] != self._known or len(data) < self._size:
             data = self._schema.normal(data)
             self._learn(data)
         angles = np.full(len(self._names), np.nan)
@@ -59,4 +57,4 @@ class PositionReader:
         self._columns, self._rows = np.array(found).T
         self._offset, self._count = layout["position"].offset, count
         self._end, self._size = layout.lengths["position"] + 4, layout.size
-        self._known = bytes(data[AFTER_STAMP : self._end])
+        self._known = bytes(data[STAMP.stop : self._end])

@@ -102,9 +102,7 @@ class ArmEstimator:
         if self.endpoint is None:
             return []
         total = self.endpoint.poses
-        return [
-            f"{reason}: {count:,} of {total:,} poses" for reason, count in self.endpoint.without_thermometer.items()
-        ]
+        return [f"{reason}: {count:,} of {total:,} poses" for reason, count in self.endpoint.affected_by_beams.items()]
 
     def summarise(self) -> tuple[dict[str, JointSummary], EndpointSummary | None]:
         """Return the counts of the joints' scans and of the endpoint's stamps."""
@@ -153,7 +151,7 @@ class EndpointPipeline:
         poses: Number of poses.
         temperatures: Of the beams with thermometers.
         reasons: What is wrong with thermometers, see ``BeamTemperatures.reason``, by period of the stamps.
-        without_thermometer: Number of poses by what is wrong with thermometers, or not read.
+        affected_by_beams: Number of poses by what is wrong with thermometers, or not read of the beams.
         degraded: Number of poses that depend on a DEGRADED joint, or on a thermometer that cannot be used.
         unusable: Number of complete stamps without a pose, and of transforms with an invalid stamp.
         refused: The same, by the joint whose transform cannot be used.
@@ -184,7 +182,7 @@ class EndpointPipeline:
         self._estimator = chain.estimator(parameters.acceleration_window)
         self.temperatures = BeamTemperatures(chain.beams, self._estimator, chain.plates)
         self.reasons: dict[int, str] = {}
-        self.without_thermometer: Counter[str] = Counter()
+        self.affected_by_beams: Counter[str] = Counter()
         own = [transforms[name] for name in self.joints]
         self._estimator.use_terms([each.shared for each in own])
         self._estimator.use_causes([each.causes for each in own])
@@ -271,7 +269,7 @@ class EndpointPipeline:
         unread = UNREAD if self._estimator.vibrations.size else ""
         if reason := "; ".join(filter(None, (self.temperatures.reason, unread))):
             degraded[:] = True
-            self.without_thermometer[reason] += len(degraded)
+            self.affected_by_beams[reason] += len(degraded)
         self.degraded += int(np.count_nonzero(degraded))
 
     def _endpoint_estimates(self, complete: Sequence[NDArray[np.void]], endpoints: Endpoints) -> EndpointEstimates:
