@@ -175,6 +175,7 @@ class _Accelerometer:
     waiting: deque[tuple[int, float, float, float]] = field(default_factory=lambda: deque(maxlen=MOST_WAITING))
     refusal: str = ""  # why the newest reading was refused
     began_ns: int = 0  # since when readings have followed each other; zero: there is none
+    gap_s: float = 0.0  # before that, if there were readings [s]
     last_ns: int = 0  # of the last reading in use
     last: tuple[float, ...] = ()
     same_ns: int = 0  # since when it reads the same
@@ -185,7 +186,7 @@ class _Accelerometer:
 
     def forget(self) -> None:
         """Forget what has been read; readings that wait stay."""
-        self.refusal, self.began_ns, self.last_ns, self.last, self.same_ns = "", 0, 0, (), 0
+        self.refusal, self.began_ns, self.gap_s, self.last_ns, self.last, self.same_ns = "", 0, 0.0, 0, (), 0
         self.mean, self.mean_ns, self.largest = [0.0, 0.0, 0.0], 0, 0.0
 
     def refusal_of(self, values: tuple[float, ...]) -> str:
@@ -211,7 +212,8 @@ class _Accelerometer:
         if math.hypot(*self.mean) > GRAVITY_TOLERANCE * STANDARD_GRAVITY + RIPPLE * self.largest:
             return "does not read gravity as the arm stands: check its unit, its axes, and whether it is exchanged"
         if (self.last_ns - self.began_ns) / NS < self.settling_s:
-            return "has begun to read; the beam is not yet followed"
+            apart = f"has readings {self.gap_s:g} s apart, more than {age:g} s" if self.gap_s else "has begun to read"
+            return f"{apart}; the beam is not yet followed"
         return ""
 
     @property
@@ -306,8 +308,10 @@ class BeamVibrations:
             own.refusal = own.refusal_of(reading)
             if own.refusal or at_ns <= own.last_ns:
                 continue
-            if own.last_ns and at_ns - own.last_ns > round(own.entry.accelerometers.age.number * NS):
+            gap_ns = at_ns - own.last_ns if own.last_ns else 0
+            if gap_ns > round(own.entry.accelerometers.age.number * NS):
                 self._forget(own)
+                own.gap_s = gap_ns / NS
             own.began_ns = own.began_ns or at_ns
             if reading != own.last:
                 own.same_ns, own.last = at_ns, reading

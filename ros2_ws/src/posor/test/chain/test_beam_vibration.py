@@ -161,7 +161,11 @@ CAUSES: dict[str, tuple[Any, str]] = {
     "begins": (lambda rig: rig.feed(GOOD[:200]), "has begun to read; the beam is not yet followed"),
     "a gap": (
         lambda rig: (rig.feed(GOOD), rig.feed(GOOD[:200], 1.6)),
-        "has begun to read; the beam is not yet followed",
+        f"has readings {0.1 + 1.0 / RATE:g} s apart, more than {AGE_S:g} s; the beam is not yet followed",
+    ),
+    "too slow": (
+        lambda rig: [rig.feed(GOOD[n : n + 1], 1.0 + 0.01 * n) for n in range(100)],
+        f"has readings 0.01 s apart, more than {AGE_S:g} s; the beam is not yet followed",
     ),
     "not a number": (lambda rig: rig.feed(np.concatenate([GOOD, [np.full((2, 3), np.nan)]])), "does not read numbers"),
     "too large": (lambda rig: rig.feed(np.concatenate([GOOD, 60.0 * GOOD[-40:-39]])), "reads more than 200 m/s^2"),
