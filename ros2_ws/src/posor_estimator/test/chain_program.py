@@ -14,7 +14,7 @@ from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 from posor.model.native_coordinates import native_from_rotation
 from posor_lab.harness.graph import Graph, set_stamp, values_of, wait_for_value
 from posor_lab.harness.program import HAND_FED, Program, installed
-from posor_msgs.msg import JointTransform
+from posor_msgs.msg import EndpointState, JointTransform
 from posor_ros.ros_arguments import ros_arguments
 from sensor_msgs.msg import JointState
 
@@ -60,6 +60,8 @@ class ChainRig:
 
     def __init__(self, graph: Graph) -> None:
         self.graph = graph
+        # Without a count of its listeners: subscribed to first, and so discovered before the topics that are waited for.
+        self.states: list[Any] = graph.collect(EndpointState, "endpoint/state")
         self.poses: list[Any] = graph.collect(PoseStamped, "endpoint/pose")
         self.with_covariance: list[Any] = graph.collect(PoseWithCovarianceStamped, "endpoint/pose_with_covariance")
         self.joint_states: list[Any] = graph.collect(JointState, "joint_states")

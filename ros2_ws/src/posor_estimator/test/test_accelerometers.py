@@ -66,7 +66,7 @@ def test_the_endpoint_follows_the_accelerometers_and_is_degraded_without(
     estimator = chain.estimator()
     vibrations = BeamVibrations(chain.beams, estimator)
     with chain_node(urdf=str(URDF), beams=str(beams), acceleration_topic="sense", **LOSSLESS) as node, Graph() as graph:
-        rig, states = ChainRig(graph), graph.collect(EndpointState, "endpoint/state")
+        rig = ChainRig(graph)
         transforms = rig.joint_publisher("joint1")
         sensors = {name: graph.publisher(Imu, f"sense/{name}") for name in NAMES}
         graph.wait_until(lambda: all(each.get_subscription_count() for each in sensors.values()), "the subscriptions")
@@ -85,14 +85,14 @@ def test_the_endpoint_follows_the_accelerometers_and_is_degraded_without(
             for publisher in sensors.values():
                 assert publisher.wait_for_all_acked()
             transforms.publish(transform := transform_of(second))
-            graph.wait_until(lambda: any(s.header.stamp.sec == second and s.state < 2 for s in states), "the state")
+            graph.wait_until(lambda: any(s.header.stamp.sec == second and s.state < 2 for s in rig.states), "the state")
             stamp_ns = second * NS + OFFSET_NS
             vibrations.update(stamp_ns)
             parts = (transform.covariance_random, transform.covariance_systematic)
             random, systematic = (np.reshape(part, (6, 6)) for part in parts)
             estimator.set_measurements({"joint1": MeasuredJoint(pin.SE3.Identity(), random, systematic)})
             assert estimator.estimate(stamp_ns)
-            return next(s for s in states if s.header.stamp.sec == second and s.state < 2)
+            return next(s for s in rig.states if s.header.stamp.sec == second and s.state < 2)
 
         def readings(second: int, scale: float = 1.0) -> list[tuple[str, Any]]:
             stamps = second * NS + OFFSET_NS - STEP_NS * np.arange(READINGS)[::-1]

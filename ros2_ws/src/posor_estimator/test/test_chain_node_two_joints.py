@@ -32,7 +32,6 @@ class TwoJoints(ChainRig):
     """A chain_node of two joints, its states, and the publishers of the transforms."""
 
     def __init__(self, graph: Graph) -> None:
-        self.states = graph.collect(EndpointState, "endpoint/state")
         super().__init__(graph)
         self.publishers = {name: self.joint_publisher(name) for name in PLATES}
 

@@ -42,12 +42,12 @@ def reading(second: int, angle: float, name: str = "joint1") -> Any:
 def test_the_endpoint_is_predicted_carried_through_a_gap_and_not_beyond() -> None:
     chain = load_chain(URDF, "endpoint")
     with chain_node(urdf=str(URDF), **PARAMETERS, **LOSSLESS) as node, Graph() as graph:
-        rig = ChainRig(graph)
         states, poses = (
             graph.collect(EndpointState, "endpoint/predicted_state"),
             graph.collect(Odometry, "endpoint/predicted"),
         )
         ahead = graph.collect(Odometry, "endpoint/predicted_ahead")
+        rig = ChainRig(graph)  # subscribes and waits after the others
         transforms, encoders = rig.joint_publisher("joint1"), graph.publisher(JointState, "drive")
         graph.wait_until(lambda: encoders.get_subscription_count() > 0, "the subscription to the encoders")
 

@@ -20,9 +20,9 @@ from posor.model.scan import Scans
 from posor.numerics.array_types import FloatArray
 from posor_lab.harness.endpoint_effects import endpoint_effects, expansion_shifts
 from posor_lab.harness.graph import Graph
-from posor_msgs.msg import EndpointState, JointTransform
+from posor_msgs.msg import JointTransform
 
-from .chain_program import LOSSLESS, chain_node, transform_of
+from .chain_program import LOSSLESS, ChainRig, chain_node, transform_of
 from .test_posor_services import NodeRig
 
 pytestmark = pytest.mark.usefixtures("ros_domain")
@@ -61,8 +61,8 @@ def test_chain_node_bounds_the_endpoint_by_the_faults_of_the_same_scan() -> None
     matrix, expansion = endpoint_effects(chain, poses)["joint1"], np.abs(expansion_shifts(chain, poses)).sum(axis=0)
     assert expansion.max() == pytest.approx(5.0 * 23e-6 * 0.84836)
     with chain_node(urdf=str(URDF), beams=str(BEAMS), **LOSSLESS), Graph() as graph:
-        states = graph.collect(EndpointState, "endpoint/state")
-        transforms = graph.publisher(JointTransform, "joint1/transform")
+        rig = ChainRig(graph)
+        transforms = rig.joint_publisher("joint1")
         seconds = 0
 
         def answer(change: Any) -> Any:
@@ -73,13 +73,12 @@ def test_chain_node_bounds_the_endpoint_by_the_faults_of_the_same_scan() -> None
             change(transform)
 
             def has_answer() -> bool:
-                return any(each.header.stamp.sec == seconds for each in states)
+                return any(each.header.stamp.sec == seconds for each in rig.states)
 
             transforms.publish(transform)
             graph.wait_until(has_answer, "the state of a scan")
-            return next(each for each in states if each.header.stamp.sec == seconds)
+            return next(each for each in rig.states if each.header.stamp.sec == seconds)
 
-        graph.wait_until(lambda: transforms.get_subscription_count() > 0, "the chain")
         assert np.isnan(answer(lambda _: None).protection_level).all()
         for scale in (1.0, 3.0):  # with each scan, not with an old one
             state = answer(lambda message, scale=scale: with_effects(message, effects * ([scale] * 6 + [1.0])))

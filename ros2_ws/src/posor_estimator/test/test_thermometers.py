@@ -42,7 +42,7 @@ def test_the_endpoint_follows_the_thermometer_and_is_degraded_without(tmp_path: 
     chain = load_chain(URDF, "endpoint", beams)
     parameters = {"urdf": str(URDF), "beams": str(beams), "temperature_topic": "shop", **LOSSLESS}
     with chain_node(**parameters) as node, Graph() as graph:
-        rig, states = ChainRig(graph), graph.collect(EndpointState, "endpoint/state")
+        rig = ChainRig(graph)
         transforms, readings = rig.joint_publisher("joint1"), graph.publisher(Temperature, "shop/skin")
         graph.wait_until(lambda: readings.get_subscription_count() > 0, "the subscription to the thermometer")
 
@@ -52,8 +52,8 @@ def test_the_endpoint_follows_the_thermometer_and_is_degraded_without(tmp_path: 
                 readings.publish(set_stamp(Temperature(temperature=celsius), second - 2))
                 assert readings.wait_for_all_acked()
             transforms.publish(transform_of(second))
-            graph.wait_until(lambda: any(s.header.stamp.sec == second and s.state < 2 for s in states), "the state")
-            return next(s for s in states if s.header.stamp.sec == second and s.state < 2)
+            graph.wait_until(lambda: any(s.header.stamp.sec == second and s.state < 2 for s in rig.states), "the state")
+            return next(s for s in rig.states if s.header.stamp.sec == second and s.state < 2)
 
         name = "degraded: thermometer 'skin' of beam 'measuring_beam' "
         for second, celsius, kelvin, reason in (
