@@ -37,17 +37,8 @@ from posor.chain.encoder_track import (
     extrapolated_variances,
     within_play,
 )
-from posor.chain.forward_kinematics import (
-    ZERO_COVARIANCE,
-    Blocks,
-    add_outer_product,
-    add_rotated,
-    compute_endpoint,
-    is_finite,
-    joint_angle,
-    write_covariance,
-    write_nan,
-)
+from posor.chain.error_propagation import ZERO_COVARIANCE, Blocks, add_outer_product, add_rotated, write_covariance
+from posor.chain.forward_kinematics import compute_endpoint, is_finite, joint_angle, write_nan
 from posor.chain.joint_measurements import measurement_fault, read_joint, shared_fault
 from posor.numerics.compiled import in_place, inlined
 from posor.numerics.matrix import cholesky_factorise, solve_lower_triangular

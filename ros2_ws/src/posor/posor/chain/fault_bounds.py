@@ -29,19 +29,20 @@ from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 import numpy as np
 from scipy.special import ndtri
 
-from posor.estimation.fault_effects import in_double, largest_of_pair
 from posor.estimation.fault_model import ALWAYS, SECOND, SHARED
 from posor.numerics.compiled import in_place, inlined
 from posor.numerics.vector import (
     applied,
     at,
     cross,
+    in_double,
     matrix,
     minus,
     plus,
     product,
     put,
     rotation_of_pose,
+    square,
     transposed,
     within,
 )
@@ -257,6 +258,23 @@ def _largest(first: float, second: float, cut: float, other_cut: float, least: f
         elif abs(effect) > own_least:
             return math.inf
     return bounded
+
+
+@inlined
+def largest_of_pair(first: float, second: float, first_cut: float, second_cut: float) -> float:
+    """Return the largest effect of a hypothesis of two parameters from the effects of its columns along one axis."""
+    f, g, c, d = abs(first), abs(second), first_cut, second_cut
+    if g == 0.0:
+        return f
+    if c == 1.0 and d == 1.0:
+        return math.sqrt(f * f + g * g)
+    if d > 0.0 and c * f * f + square(g / d) <= f * f + g * g / d:
+        return math.sqrt(f * f + g * g / d)  # on the first ellipse, inside of the second
+    if c > 0.0 and square(f / c) + d * g * g <= f * f / c + g * g:
+        return math.sqrt(f * f / c + g * g)
+    return (f * math.sqrt(max(1.0 - d, 0.0)) + g * math.sqrt(max(1.0 - c, 0.0))) / math.sqrt(
+        1.0 - c * d
+    )  # in the corner
 
 
 @inlined

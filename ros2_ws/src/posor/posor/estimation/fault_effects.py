@@ -18,7 +18,7 @@ an encoder, a fault that turns theta by more than the encoder's test passes with
 and a number ``cut``. With f1, f2 the effects of both columns of a hypothesis along any axis and c1, c2 their cuts, the
 largest effect of the hypothesis is the largest f1 u1 + f2 u2 with
 
-    u1^2 + c2 u2^2 <= 1    and    c1 u1^2 + u2^2 <= 1    (``largest_of_pair``),
+    u1^2 + c2 u2^2 <= 1    and    c1 u1^2 + u2^2 <= 1    (``chain.fault_bounds``),
 
 of one column |f1|. ``cut`` is infinite where the column is not bounded: any effect is infinite.
 
@@ -54,7 +54,7 @@ from posor.model.readings import DIODE_CURRENTS, GAP_VOLTAGES, PYTHON
 from posor.model.scan import CONTACTS
 from posor.model.spot_map import spot_position
 from posor.numerics.compiled import in_place, inlined
-from posor.numerics.vector import applied, matrix, plus, put, square, times, within
+from posor.numerics.vector import applied, in_double, matrix, plus, put, square, times, within
 
 if TYPE_CHECKING:
     from posor.estimation.workspace import Model
@@ -72,29 +72,6 @@ LOST, ILL_CONDITIONED = int(State.LOST), int(Fault.ILL_CONDITIONED)
 def noncentrality(redundant: int, limit: float, missed_detection: float) -> float:
     """Return the non-centrality at which chi-square of ``redundant`` degrees of freedom is below a limit so rarely."""
     return float(chndtrinc(limit, redundant, missed_detection))
-
-
-@inlined
-def in_double(value: float) -> float:
-    """Convert float32 to float64, in compiled and in Python code."""
-    return float(value) * 1.0
-
-
-@inlined
-def largest_of_pair(first: float, second: float, first_cut: float, second_cut: float) -> float:
-    """Return the largest effect of a hypothesis of two parameters from the effects of its columns along one axis."""
-    f, g, c, d = abs(first), abs(second), first_cut, second_cut
-    if g == 0.0:
-        return f
-    if c == 1.0 and d == 1.0:
-        return math.sqrt(f * f + g * g)
-    if d > 0.0 and c * f * f + square(g / d) <= f * f + g * g / d:
-        return math.sqrt(f * f + g * g / d)  # on the first ellipse, inside of the second
-    if c > 0.0 and square(f / c) + d * g * g <= f * f / c + g * g:
-        return math.sqrt(f * f / c + g * g)
-    return (f * math.sqrt(max(1.0 - d, 0.0)) + g * math.sqrt(max(1.0 - c, 0.0))) / math.sqrt(
-        1.0 - c * d
-    )  # in the corner
 
 
 @in_place

@@ -28,6 +28,12 @@ IDENTITY: Matrix = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 
 @inlined
+def in_double(value: float) -> float:
+    """Convert float32 to float64, in compiled and in Python code."""
+    return float(value) * 1.0
+
+
+@inlined
 def square(value: float) -> float:
     """Return the square; ``**`` rounds differently where it is not compiled."""
     return value * value

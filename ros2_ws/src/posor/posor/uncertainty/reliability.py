@@ -27,8 +27,8 @@ import numpy as np
 from scipy.special import chdtrc
 
 from posor.calibration.causes import EXCEEDED
-from posor.chain.fault_bounds import SMALLEST
-from posor.estimation.fault_effects import LEAST_SHOWN_SHARE, MISSED_DETECTION, largest_of_pair
+from posor.chain.fault_bounds import SMALLEST, largest_of_pair
+from posor.estimation.fault_effects import LEAST_SHOWN_SHARE, MISSED_DETECTION
 from posor.estimation.fault_model import SECOND
 from posor.model.native_coordinates import native_from_rotation
 from posor.model.scan import Scans

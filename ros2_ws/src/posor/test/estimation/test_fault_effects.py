@@ -12,7 +12,7 @@ import pinocchio as pin
 import pytest
 from posor.calibration.causes import Cause
 from posor.calibration.designs import sized_design
-from posor.estimation.fault_effects import largest_of_pair
+from posor.chain.fault_bounds import largest_of_pair
 from posor.estimation.posor import Posor
 from posor.model.scan import Scans
 from posor.uncertainty.budget_poses import scan_at
