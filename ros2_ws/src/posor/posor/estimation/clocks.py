@@ -18,6 +18,19 @@ The tracker has a time of its own that only moves forward, so a step of the cloc
 
 A step of the stamps shows that they were or are wrong by as much. Until an acknowledgement, the largest error of the
 stamps is taken as at least this step.
+
+A stamp with the standard uncertainty s displaces the pose along its motion: the random covariance grows by
+``s^2 (xi xi' + diag(sigma_xi^2))``.
+
+A stamp that is wrong by at most L displaces the pose too. Let r be the mean rate along or about an axis over the last
+interval d, A the largest acceleration and V the largest velocity that the calibration states. The rate is within
+``A d / 2`` of r at the present pose, and changes by at most ``A L`` within L, so the displacement is at most
+
+    min(L V, L (|r| + A (d + L) / 2) + n),
+
+without a stated acceleration or a previous pose L V, without motion limits infinite. The noise n of the rate is
+``NOISE_SIGMAS s L / d`` for a pose with the random standard deviation s, so that the bound holds beside the coverage
+factor of the protection level.
 """
 
 from __future__ import annotations
@@ -25,11 +38,15 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any
 
+from posor.estimation.tracking import renew_twist
+from posor.model.fault import Fault
 from posor.numerics.compiled import in_place, inlined
-from posor.numerics.vector import square
+from posor.numerics.vector import cross, minus, square, wrapped
 
 if TYPE_CHECKING:
     from posor.estimation.workspace import Model
+    from posor.numerics.array_types import FloatArray
+    from posor.numerics.vector import Vector
 
 IN_ORDER, LATE, CONTRADICTORY = 0, -103, -104
 """Results of ``follow_clocks``, and codes of the estimate of a refused scan."""
@@ -45,6 +62,9 @@ LEAST_DEVIATION, GREATEST_DEVIATION = 0.5, 8.0  # limits of the deviation that c
 CLOCK_DRIFT = 1e-4  # largest change of the ratio of both clocks while no scan comes
 SCATTER_SIGMAS = 5.0  # standard deviations of the scatter that a stamp may deviate from the line
 DEVIATION_SIGMAS = 3.0  # the deviation of one stamp counts as at most as many standard deviations
+TIME_SHARE = 0.5  # TIME is set where the part from time exceeds this share of the rest of the standard uncertainty
+TIME_FAULT = int(Fault.TIME)
+NOISE_SIGMAS = 5.0 * math.sqrt(2.0)  # of the difference of two poses
 SCATTER_LIMIT = 0.02  # scatter in periods above which an unstated stamp is replaced by its number times the period
 
 
@@ -60,6 +80,12 @@ def scatter_of(tracker: Any) -> float:
     """Return the standard deviation of the stamps from the line [s]; zero while there is no line."""
     clocks = tracker.clocks
     return math.sqrt(clocks.variance) if clocks.fitted >= 3 else 0.0  # noqa: PLR2004  two scans fit any line
+
+
+@inlined
+def stamp_is_valid(scan: Any) -> bool:
+    """Return whether the uncertainty and the limit that a scan states of its stamp are valid."""
+    return bool(0.0 <= scan.stamp_uncertainty < math.inf and 0.0 <= scan.stamp_limit < math.inf)
 
 
 @inlined
@@ -251,3 +277,67 @@ def _doubt_count(model: Model) -> None:
     workspace = model.workspace[0]
     if workspace.settings.period > 0.0:
         workspace.tracker.counted = 0
+
+
+@in_place
+def add_stamp_variance(
+    workspace: Any, sigma: float, theta: float, elapsed: float, random: FloatArray, systematic: FloatArray
+) -> int:
+    """Add the covariance from the standard uncertainty of the stamp, ``sigma`` [s], to ``random`` (ROS order).
+
+    ``theta``: of the pose [rad]; ``elapsed``: time since the tracker's pose [s], NaN: the motion from there is unknown.
+    Return the fault TIME where a variance grows by more than TIME_SHARE allows, else 0.
+    """
+    fault = 0
+    if elapsed > 0.0:
+        renew_twist(workspace, theta, elapsed)
+    for i in range(6):
+        added = square(sigma) * (square(workspace.twist[i]) + square(workspace.twist_sigmas[i]))
+        if added > square(TIME_SHARE) * (random[i, i] + systematic[i, i]):
+            fault = TIME_FAULT
+        random[i, i] += square(sigma * workspace.twist_sigmas[i])
+        for j in range(6):
+            random[i, j] += square(sigma) * workspace.twist[i] * workspace.twist[j]
+    return fault
+
+
+@inlined
+def _axis_of(rotation: FloatArray) -> Vector:
+    """Return the target's Z axis."""
+    return rotation[0, 2], rotation[1, 2], rotation[2, 2]
+
+
+@inlined
+def _largest_shift(
+    limit: float, elapsed: float, fastest: float, acceleration: float, moved: float, noise: float
+) -> float:
+    """Return the largest displacement within ``limit`` [s] after a motion in ``elapsed`` [s]; NaN: unknown."""
+    if not elapsed > 0.0:
+        return limit * fastest
+    after = limit * (abs(moved) / elapsed + 0.5 * acceleration * (elapsed + limit))
+    return min(limit * fastest, after + NOISE_SIGMAS * noise * limit / elapsed)
+
+
+@in_place
+def write_stamp_shift(workspace: Any, limit: float, theta: float, elapsed: float, estimate: Any) -> None:
+    """Write the largest error of the pose in the workspace by a stamp that is wrong by up to ``limit`` [s].
+
+    ``theta``: of the pose [rad]; ``elapsed``: time since the tracker's pose [s], NaN: the motion from there is unknown;
+    ``estimate``: record of dtype ESTIMATE, its ``stamp_shift`` is written: ROS order, axes of the parent [m], [rad].
+    """
+    settings, previous, pose = workspace.settings, workspace.tracker.pose, workspace.pose
+    axis = _axis_of(pose.rotation)
+    spin = wrapped(theta - workspace.tracker.theta)
+    lean = cross(axis, minus(axis, _axis_of(previous.rotation)))
+    for k in range(3):
+        fastest, acceleration = settings.max_lean_rate, settings.max_lean_acceleration
+        if axis[k] != 0.0:
+            fastest += settings.max_theta_rate * abs(axis[k])
+            acceleration += settings.max_theta_acceleration * abs(axis[k])
+        noise = math.sqrt(estimate.random[3 + k, 3 + k])
+        moved = spin * axis[k] + lean[k]
+        estimate.stamp_shift[3 + k] = _largest_shift(limit, elapsed, fastest, acceleration, moved, noise)
+        fastest, acceleration = settings.max_velocity, settings.max_acceleration
+        noise = math.sqrt(estimate.random[k, k])
+        moved = pose.translation[k] - previous.translation[k]
+        estimate.stamp_shift[k] = _largest_shift(limit, elapsed, fastest, acceleration, moved, noise)

@@ -12,7 +12,16 @@ import math
 from typing import TYPE_CHECKING, Any
 
 from posor.estimation.ambient import NO_DARK_SCAN, NO_POSE, add_common_effects, follow_ambient
-from posor.estimation.clocks import IN_ORDER, elapsed_at, follow_clocks, motion_allowance, stamp_sigma
+from posor.estimation.clocks import (
+    IN_ORDER,
+    TIME_FAULT,
+    add_stamp_variance,
+    elapsed_at,
+    follow_clocks,
+    motion_allowance,
+    stamp_sigma,
+    write_stamp_shift,
+)
 from posor.estimation.covariance import (
     add_shared_terms,
     add_systematic_covariance,
@@ -20,7 +29,7 @@ from posor.estimation.covariance import (
     write_covariances,
     write_shared_effects,
 )
-from posor.estimation.exposure import TIME_FAULT, add_stamp_variance, move_to_stamp, write_stamp_shift, write_twist
+from posor.estimation.exposure import move_to_stamp
 from posor.estimation.fault_effects import write_fault_effects
 from posor.estimation.frozen import NOT_FROZEN, count_repetitions
 from posor.estimation.linearise import add_unmeasured, environment_is_valid, linearise_scan, missing, unmeasured
@@ -47,6 +56,7 @@ from posor.estimation.tracking import (
     turn_about_z,
     update_tracker,
     write_start,
+    write_twist,
 )
 from posor.model.fault import Fault, State
 from posor.model.reading_rows import begin_scan, differentiate_by_parameters, pair_spots, prepare_row, turn_row

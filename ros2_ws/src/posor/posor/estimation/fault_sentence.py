@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 from posor.estimation.ambient import NO_DARK_SCAN, NO_POSE
 from posor.estimation.clocks import CONTRADICTORY, LATE, SCATTER_LIMIT
 from posor.estimation.estimate import NO_STAMP, OTHER_FRAME
-from posor.estimation.exposure import INVALID_EXPOSURE, LONGEST_OFFSET_S
+from posor.estimation.exposure import LONGEST_OFFSET_S
 from posor.estimation.frozen import ALL
-from posor.estimation.linearise import ANY_FINITE, REFERENCE_MEASURED
+from posor.estimation.linearise import ANY_FINITE, INVALID_TIME, REFERENCE_MEASURED
 from posor.model.fault import Fault
 from posor.model.scan import NO_SOURCE
 from posor.numerics.stamps import NO_TIME
@@ -46,7 +46,7 @@ def fault_sentence(stack: Stack, settings: Any, tracker: Any, scan: Scan, estima
         CONTRADICTORY: "its stamp contradicts its number, given the scans before; expected the time of exposure",
         NO_DARK_SCAN: "the ambient light is unknown; expected a dark scan before, or STATUS_DARK_SUBTRACTED",
         NO_POSE: "no light source is lit (a dark scan) while no pose is known; expected lit scans around it",
-        INVALID_EXPOSURE: "its exposures or its stamp's uncertainty are invalid; expected no offset or one for each "
+        INVALID_TIME: "its exposures or its stamp's uncertainty are invalid; expected no offset or one for each "
         f"channel, at most {LONGEST_OFFSET_S:g} s or NaN, and times that are not negative",
     }
     if code in refusals:

@@ -15,7 +15,8 @@ import sys
 from typing import TYPE_CHECKING, Any
 
 from posor.estimation.ambient import check_dark_currents, is_dark, subtract_ambient, write_ambient_effects
-from posor.estimation.exposure import INVALID_EXPOSURE, begin_exposures, write_spot_offsets, write_voltage_offset
+from posor.estimation.clocks import stamp_is_valid
+from posor.estimation.exposure import begin_exposures, write_spot_offsets, write_voltage_offset
 from posor.model.diode import CODES, OUTSIDE_X, find_ratios
 from posor.model.fault import Fault
 from posor.model.readings import (
@@ -43,6 +44,7 @@ if TYPE_CHECKING:
 
 
 BAD_READING = int(Fault.BAD_READING)
+INVALID_TIME = -105  # code of the estimate: offsets, span, or uncertainty or limit of the stamp are invalid
 SUPPLY, TEMPERATURE = 0, 1
 REFERENCE_MEASURED = 4  # of ``missing``: the known voltage of the converter
 ANY_FINITE = (-sys.float_info.max, sys.float_info.max)  # range of a calibration that states none
@@ -200,8 +202,10 @@ def linearise_scan(model: Model, scan: Any, estimate: Any) -> bool:
     workspace = model.workspace[0]
     workspace.is_dark = 1 if workspace.settings.dark_age > 0.0 and is_dark(scan) else 0
     workspace.ambient_unknown = workspace.ambient_old = 0
-    if not begin_exposures(model, scan):
-        estimate.code, estimate.faults = INVALID_EXPOSURE, BAD_READING
+    workspace.has_offsets = 0
+    at_stamp = scan.offset_count == 0 and scan.exposure_span == 0.0
+    if not (stamp_is_valid(scan) and (at_stamp or begin_exposures(workspace, scan))):
+        estimate.code, estimate.faults = INVALID_TIME, BAD_READING
         return False
     for s in range(model.sensors.shape[0]):
         sensor = model.sensors[s]

@@ -1,6 +1,6 @@
 # Copyright 2026 POSOR maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""From scan to scan: the previous pose, prediction of the next one, and the prior where readings are blind."""
+"""From scan to scan: the previous pose, the motion, prediction of the next pose, the prior where readings are blind."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from posor.model.reading_rows import AFFINE
 from posor.numerics.compiled import in_place, inlined
-from posor.numerics.vector import square
+from posor.numerics.vector import square, wrapped
 
 if TYPE_CHECKING:
     from posor.numerics.array_types import FloatArray
@@ -126,6 +126,37 @@ def rate_is_known(tracker: Any, elapsed: float) -> bool:
 def uniform_sigma(largest: float) -> float:
     """Return the standard uncertainty of a rate within a motion limit; zero where the motion is not limited."""
     return largest / math.sqrt(3.0) if largest < math.inf else 0.0
+
+
+@inlined
+def write_twist(workspace: Any, elapsed: float) -> None:
+    """Write the twist of the target and its standard uncertainties, ROS order, ``elapsed`` [s] after the previous pose.
+
+    The inclinations hardly change; their rates are taken as zero. An unknown rate is taken as zero too, with the
+    uncertainty of a uniform distribution over the largest motion, or zero where the calibration states no limit.
+    """
+    settings, tracker, rotation = workspace.settings, workspace.tracker, workspace.pose.rotation
+    known = rate_is_known(tracker, elapsed)
+    turn, turn_sigma = tracker.theta_rate, tracker.rate_sigmas[3]
+    if not known:
+        turn, turn_sigma = 0.0, uniform_sigma(settings.max_theta_rate)
+    for i in range(3):
+        workspace.twist[i], workspace.twist_sigmas[i] = tracker.velocity[i], tracker.rate_sigmas[i]
+        if not known:
+            workspace.twist[i], workspace.twist_sigmas[i] = 0.0, uniform_sigma(settings.max_velocity)
+        workspace.twist[3 + i], workspace.twist_sigmas[3 + i] = turn * rotation[i, 2], turn_sigma * abs(rotation[i, 2])
+
+
+@inlined
+def renew_twist(workspace: Any, theta: float, elapsed: float) -> None:
+    """Write the twist over the last interval; its change from that before is part of the uncertainty."""
+    previous, pose = workspace.tracker.pose, workspace.pose
+    turn = wrapped(theta - workspace.tracker.theta)
+    for i in range(6):
+        moved = turn * pose.rotation[i - 3, 2] if i >= 3 else pose.translation[i] - previous.translation[i]  # noqa: PLR2004  translation first
+        change = moved / elapsed - workspace.twist[i]
+        workspace.twist[i] += change
+        workspace.twist_sigmas[i] = max(abs(change), workspace.twist_sigmas[i])
 
 
 @inlined
