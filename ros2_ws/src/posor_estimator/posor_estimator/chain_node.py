@@ -425,7 +425,7 @@ class ChainNode(PosorNode[ChainParameters]):
             self._pose_with_covariance.publish(writer.write_pose_with_covariance(stamp))
         if self._joint_states.has_subscriptions:
             self._joint_states.publish(writer.joint_states.write(stamp))
-        if self._frames is not None:
+        if self._frames is not None and self._frames.publisher.has_subscriptions:
             self._frames.publish(stamp)
 
     def _verdict_of_pose(self, scan: dict[str, JointMessage], worst: int) -> EndpointVerdict:

@@ -53,7 +53,12 @@ class TransformWriter:
 
 
 class FramePublisher:
-    """Publishes the frames of an arm while its node is configured."""
+    """Publishes the frames of an arm while its node is configured.
+
+    Attributes:
+        publisher: Of the frames that move; the node asks whether somebody subscribes.
+
+    """
 
     def __init__(self, node: PosorNode[ChainParameters], chain: Chain, estimator: EndpointEstimator) -> None:
         """Publish the frames that do not move, also while the node is inactive; ``estimator``: of the poses."""
@@ -62,7 +67,7 @@ class FramePublisher:
         self._period_ns = round(NS / node.parameters.tf_rate)
         joints = (*chain.joints, *chain.beam_joints)
         self._writer = TransformWriter([(prefix + joint.parent, prefix + joint.child) for joint in joints])
-        self._publisher = IntraProcessPublisher(node, TFMessage, TF_TOPIC, TF_QOS)
+        self.publisher = IntraProcessPublisher(node, TFMessage, TF_TOPIC, TF_QOS)
         fixed = TransformWriter([(prefix + each.parent, prefix + each.child) for each in chain.fixed_transforms])
         poses = [pin.SE3ToXYZQUAT(each.T_parent_child) for each in chain.fixed_transforms]
         stamp = np.array(divmod(node.timing.now_ns(), NS), dtype=np.uint32).tobytes()
@@ -74,10 +79,10 @@ class FramePublisher:
             node.add_cleanup(node.destroy_publisher, publisher)
 
     def publish(self, stamp: bytes) -> None:
-        """Publish the transforms of the present scan, unless the last are too recent or nobody subscribes."""
+        """Publish the transforms of the present scan, unless the last are too recent."""
         now_ns = time.monotonic_ns()
-        if now_ns < self._next_ns or not self._publisher.has_subscriptions:
+        if now_ns < self._next_ns:
             return
         self._next_ns = now_ns + self._period_ns
         poses = np.concatenate([self._estimator.poses, self._estimator.beam_transforms])
-        self._publisher.publish(self._writer.write(stamp, poses))
+        self.publisher.publish(self._writer.write(stamp, poses))
