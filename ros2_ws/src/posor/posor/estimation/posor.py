@@ -11,32 +11,28 @@ from operator import index as whole_number
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.special import chdtri
 
-from posor.calibration.calibration_file import Calibration, Environment, TiltAngle
-from posor.calibration.causes import EXCEEDED, FALSE_ALARM
+from posor.calibration.calibration_file import Calibration
+from posor.calibration.causes import FALSE_ALARM
 from posor.calibration.parameter_covariance import CovarianceSquareRoot, shared_effects, stated_correlation
 from posor.errors import ParameterError, ShapeError, check_probability, check_type
 from posor.estimation.estimate import ESTIMATE, Estimate, Estimates, estimate_of
 from posor.estimation.estimate_scan import DONE, START, estimate_scans
-from posor.estimation.fault_effects import MISSED_DETECTION, noncentrality, write_fault_effects
+from posor.estimation.fault_effects import write_fault_effects
 from posor.estimation.fault_hypotheses import Hypotheses
 from posor.estimation.fault_model import EFFECT
 from posor.estimation.fault_sentence import fault_sentence
-from posor.estimation.frozen import evidence_of_repetition
-from posor.estimation.linearise import ANY_FINITE, linearise_scan
+from posor.estimation.linearise import linearise_scan
 from posor.estimation.plain_sensors import PlainSensors
 from posor.estimation.sensor_stack import Stack
+from posor.estimation.settings import write_settings
 from posor.estimation.solver import CONVERGED, SINGULAR, solve_start
 from posor.estimation.start_poses import start_poses
 from posor.model.fault import Fault
 from posor.model.native_coordinates import native_from_rotation
-from posor.model.readings import DIODE_CURRENTS, PYTHON
 from posor.model.scan import CONTACTS, Scan, ScanBuffer, Scans
 from posor.numerics.compiled import bind, record_view
 from posor.numerics.vector import wrapped
-from posor.sensors.diodes import DiodesCalibration
-from posor.sensors.gap_probes import GapProbesCalibration
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -49,10 +45,6 @@ if TYPE_CHECKING:
 PHASE_GUESSES = 8  # starts in closed form within one bump
 LIKELY_RUNOUT = 1e-4  # [m]; of starts that fit alike, as with three ring probes, that of the least runout is taken
 LARGEST_SIGMA = 0.1  # largest standard uncertainty of a reference of theta, in periods: five of them are half a period
-_MOTION_LIMITS = (  # settings of the largest velocities and accelerations, in the order of the calibration file
-    ("max_velocity", "max_lean_rate", "max_theta_rate"),
-    ("max_acceleration", "max_lean_acceleration", "max_theta_acceleration"),
-)
 COUNT_WINDOW = 0.52  # largest distance of a solution from a theta that is known to half a bump, in bumps
 
 
@@ -90,7 +82,6 @@ class Posor:
         self.stack = Stack([sensor.build() for sensor in calibration.sensors])
         self.redundancy = max(self.stack.readings - 6, 0)
         self._false_alarm = false_alarm
-        self._slip_angle = max(sensor.slip_angle for sensor in calibration.sensors)
         correlated = any(record.covariances for record in calibration.fits)
         self._square_root = CovarianceSquareRoot.of(
             self.stack.parameter_sigmas,
@@ -112,77 +103,7 @@ class Posor:
         self._plain = PlainSensors(self.stack, self.model, self.parameter_square_root)
         self._known_theta: float | None = None
         self._one = _OneScan(self)
-        settings, motion = self.settings, self.calibration.motion
-        settings["residual_limit"] = settings["noncentrality_root"] = math.inf
-        if self.redundancy > 0 and self._false_alarm > 0.0:
-            settings["residual_limit"] = largest = float(chdtri(self.redundancy, EXCEEDED * self._false_alarm))
-            settings["noncentrality_root"] = math.sqrt(noncentrality(self.redundancy, largest, MISSED_DETECTION))
-        acceleration = None if motion is None else motion.acceleration
-        velocities, accelerations = _MOTION_LIMITS
-        for names, limits in ((velocities, motion), (accelerations, acceleration)):
-            for name, key in zip(names, ("translation", "lean", "theta"), strict=True):
-                settings[name] = math.inf if limits is None else getattr(limits, key).number
-        for sensor in self.calibration.sensors:
-            if sensor.bump_angle > 0.0 and settings["bump_angle"] == 0.0:
-                settings["bump_angle"], settings["home_theta"] = sensor.bump_angle, sensor.home_theta
-        settings["period"] = settings["bump_angle"] or self._slip_angle
-        self._prepare_environment(settings)
-        self._prepare_frozen(settings)
-        self._prepare_common_effects(settings)
-        settings["tilt_lags"] = self.calibration.tilt_angle is TiltAngle.PREVIOUS_SCAN
-
-    def _prepare_environment(self, settings: Any) -> None:
-        environment = self.calibration.environment or Environment()
-        for k, part in enumerate((environment.supply, environment.temperature)):
-            settings["environment"][k] = ANY_FINITE if part is None else part.range.array
-            settings["spreads"][k] = 0.0 if part is None else part.spread.number
-        workspace, channels = self.model.workspace[0], self.model.channels
-        for sensor in self.model.sensors:
-            if sensor["source"] not in {DIODE_CURRENTS, PYTHON}:
-                reading, channel, count = (int(sensor[name]) for name in ("first_reading", "first_channel", "count"))
-                for k, name in enumerate(("supply_sensitivity", "temperature_sensitivity")):
-                    by = channels[name][channel : channel + count]
-                    workspace["sensitivities"][reading : reading + count, k] = by
-
-    def _prepare_common_effects(self, settings: Any) -> None:
-        """Write what dark scans and the reference voltage need; none without them in the calibration."""
-        workspace = self.model.workspace[0]
-        for sensor in self.calibration.sensors:
-            if isinstance(sensor, DiodesCalibration) and sensor.ambient is not None:
-                ambient = sensor.ambient
-                settings["dark_age"], settings["dark_noise"] = ambient.max_age.number, ambient.noise.number
-                settings["dark_drift"] = ambient.drift.number
-            elif isinstance(sensor, GapProbesCalibration) and sensor.reference is not None:
-                reference = sensor.reference
-                settings["reference_voltage"] = reference.voltage.number
-                settings["reference_sigma"] = reference.relative_sigma
-                settings["gain_spread"], settings["gain_limit"] = reference.spread.number, reference.limit.number
-        workspace["has_common_effects"] = settings["dark_age"] > 0.0 or settings["reference_voltage"] > 0.0
-        partners = workspace["spot_partners"]
-        partners[:] = np.arange(len(partners))
-        for sensor in self.model.sensors:
-            if sensor["source"] == DIODE_CURRENTS:
-                first, end = int(sensor["first_reading"]), int(sensor["first_reading"] + 2 * sensor["count"])
-                partners[first:end] = partners[first:end].reshape(-1, 2)[:, ::-1].ravel()
-
-    def _prepare_frozen(self, settings: Any) -> None:
-        """Write the evidence of each reading's repetition; none without the converter's steps."""
-        converter, model, workspace = self.calibration.converter, self.model, self.model.workspace[0]
-        if converter is None:
-            return
-        for sensor in model.sensors:
-            first, channel = int(sensor["first_reading"]), int(sensor["first_channel"])
-            for i in range(int(sensor["count"])):
-                if sensor["source"] == DIODE_CURRENTS:
-                    diode = model.diodes[channel + i]
-                    for axis, noise in enumerate(0.5 * diode["least_sum"] * diode["noise"]):
-                        workspace["evidence"][first + 2 * i + axis] = evidence_of_repetition(
-                            converter.current.number, float(noise)
-                        )
-                elif sensor["source"] != PYTHON:
-                    noise = float(model.channels[channel + i]["noise"])
-                    workspace["evidence"][first + i] = evidence_of_repetition(converter.voltage.number, noise)
-        settings["all_evidence"] = workspace["evidence"].sum()
+        write_settings(self.model, self.calibration, self.redundancy, self._false_alarm)
 
     def with_parameter_values(self, values: FloatArray) -> Posor:
         """Return the same POSOR with another parameter vector of its stack (shape (p,)), and nothing remembered.
