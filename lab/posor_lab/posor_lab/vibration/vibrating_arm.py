@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from posor.chain.arm_file import ArmFile
-    from posor.chain.beams_file import SagFile
+    from posor.chain.beam_entries import SagFile
 
 FREQUENCY_SHARE = 0.01  # standard uncertainty of a natural frequency, relative
 DAMPING = 0.01

@@ -37,7 +37,8 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from posor.chain.arm_file import ArmFile
-    from posor.chain.beams_file import BeamFile, BeamsFile
+    from posor.chain.beam_entries import BeamFile
+    from posor.chain.beams_file import BeamsFile
     from posor.numerics.array_types import FloatArray
 
     from posor_design.endpoint_budget import Spread

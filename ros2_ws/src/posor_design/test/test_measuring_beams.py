@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
-from posor.chain.beams_file import BeamFile
+from posor.chain.beam_entries import BeamFile
 from posor.chain.measuring_beam import MeasuringBeam
 from posor_design.beam_section import make_section
 from posor_design.measuring_beams import beam_frequencies, beam_sag, sag_correction

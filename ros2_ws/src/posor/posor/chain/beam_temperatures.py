@@ -23,13 +23,13 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from posor.chain.beams_file import DELAY_S, PERIOD_S
+from posor.chain.beam_entries import DELAY_S, PERIOD_S
 from posor.numerics.stamps import NS
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from posor.chain.beams_file import PlateThermometerFile, ThermometerFile
+    from posor.chain.beam_entries import PlateThermometerFile, ThermometerFile
     from posor.chain.endpoint_estimator import EndpointEstimator
     from posor.chain.measuring_beam import MeasuringBeam
 

@@ -30,14 +30,14 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from posor.chain.beams_file import STANDARD_GRAVITY
+from posor.chain.beam_entries import STANDARD_GRAVITY
 from posor.numerics.compiled import bind, in_place, inlined
 from posor.numerics.stamps import NS
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from posor.chain.beams_file import VibrationFile
+    from posor.chain.beam_entries import VibrationFile
     from posor.chain.endpoint_estimator import EndpointEstimator
     from posor.chain.joint_measurements import RecordArray
     from posor.chain.measuring_beam import MeasuringBeam

@@ -16,7 +16,8 @@ import numpy as np
 import pinocchio as pin
 
 from posor.chain.arm_geometry import ArmGeometry
-from posor.chain.beams_file import STANDARD_GRAVITY, load_beams
+from posor.chain.beam_entries import STANDARD_GRAVITY
+from posor.chain.beams_file import load_beams
 from posor.chain.endpoint_estimator import EndpointEstimator
 from posor.chain.measuring_beam import MeasuringBeam, beam_faults
 from posor.chain.robot_model import FreeJoint, RobotModel

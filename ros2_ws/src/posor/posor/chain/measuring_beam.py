@@ -20,7 +20,7 @@ import pinocchio as pin
 
 from posor.calibration.shared_terms import effect_on
 from posor.chain.beam_bending import PointForce, Tube, on_gimbals
-from posor.chain.beams_file import STANDARD_GRAVITY
+from posor.chain.beam_entries import STANDARD_GRAVITY
 from posor.errors import ChainError
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
     from posor.calibration.shared_terms import SharedTerm
     from posor.chain.beam_bending import BentBeam
-    from posor.chain.beams_file import BeamFile, SagFile
+    from posor.chain.beam_entries import BeamFile, SagFile
     from posor.chain.robot_model import FreeJoint
     from posor.numerics.array_types import FloatArray
 

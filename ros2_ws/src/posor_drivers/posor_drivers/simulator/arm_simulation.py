@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
     from posor.chain.arm_file import ArmFile
-    from posor.chain.beams_file import AccelerometersFile, BeamThermometerFile
+    from posor.chain.beam_entries import AccelerometersFile, BeamThermometerFile
     from posor.numerics.array_types import FloatArray, IntArray
 
     from posor_drivers.simulator.faults import SimulatedFault

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from posor.chain.beams_file import GradientFile
+from posor.chain.beam_entries import GradientFile
 from posor.errors import CalibrationError, similar_name
 from scipy.spatial.transform import Rotation
 
@@ -22,7 +22,7 @@ from posor_drivers.simulator.imperfections import RandomStream, shared_errors
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from posor.chain.beams_file import TemperatureFile
+    from posor.chain.beam_entries import TemperatureFile
     from posor.chain.kinematic_chain import Chain
     from posor.chain.measuring_beam import MeasuringBeam
     from posor.numerics.array_types import FloatArray

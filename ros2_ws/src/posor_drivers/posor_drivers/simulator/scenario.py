@@ -18,7 +18,7 @@ from posor.calibration.calibration_file import Provenance
 from posor.calibration.file_model import EntryError, FrozenModel
 from posor.calibration.quantity import ANY, Quantity, measured
 from posor.calibration.yaml_document import load_document
-from posor.chain.beams_file import TubeFile
+from posor.chain.beam_entries import TubeFile
 from posor.errors import ParameterError
 from pydantic import Field, model_validator
 
