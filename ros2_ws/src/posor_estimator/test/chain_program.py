@@ -60,7 +60,7 @@ class ChainRig:
 
     def __init__(self, graph: Graph) -> None:
         self.graph = graph
-        # Without a count of its listeners: subscribed to first, and so discovered before the topics that are waited for.
+        # Its listeners are not counted: subscribed to first, and so discovered before the topics that are waited for.
         self.states: list[Any] = graph.collect(EndpointState, "endpoint/state")
         self.poses: list[Any] = graph.collect(PoseStamped, "endpoint/pose")
         self.with_covariance: list[Any] = graph.collect(PoseWithCovarianceStamped, "endpoint/pose_with_covariance")
