@@ -41,6 +41,8 @@ WHERE = "health"
 PAGE, NUMBERS = "report.html", "report.json"
 CHANGED = 3
 """Exit code of an arm that has changed."""
+NO_VERDICT = 4
+"""Exit code while there are too few tests."""
 POINT = 3
 DAY_NS = 86_400 * 10**9
 
@@ -93,7 +95,7 @@ def parse_options(arguments: Sequence[str] | None) -> argparse.Namespace:
 
 @reports_errors
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the program; exit code 0: no part has changed; 3: one has."""
+    """Run the program; exit code 0: no part has changed; 3: one has; 4: too few tests for a verdict."""
     options = parse_options(arguments)
     arm = load_arm(options.arm)
     chain = chain_at(arm, options.temperature_deviation)
@@ -114,7 +116,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     missing = options.reference_tests + 1 - len(history.tests)
     if missing > 0:
         print(f"{len(history.tests)} tests of {arm.name}: {missing} more and there is a verdict")
-        return 0
+        return NO_VERDICT
     balls = {name: np.array(place) for name, place in history.balls.items()}
     model = HealthModel(HealthArm(chain, calibrations, balls), history.tests[0], history.T_artefact_base)
     report = HealthReport(arm.name, chart_tests(model, history.tests, options.reference_tests, options.false_alarm))
