@@ -90,7 +90,10 @@ class _Thermometer:
         if not math.isfinite(reading.kelvin):
             return "does not read a number"
         if not least <= reading.kelvin <= most:
-            return f"reads a temperature outside {least:g} to {most:g} K"
+            celsius = reading.kelvin - CELSIUS
+            units = {"kelvin": celsius, "degrees Fahrenheit": (celsius - 32.0) / 1.8 + CELSIUS}
+            fitting = " or ".join(unit for unit, kelvin in units.items() if least <= kelvin <= most)
+            return f"reads a temperature outside {least:g} to {most:g} K" + (f" (in {fitting}?)" if fitting else "")
         if last is None:
             return ""
         elapsed_s = (reading.stamp_ns - last.stamp_ns) / NS

@@ -158,6 +158,8 @@ FAULTS: list[tuple[Callable[[str, int], float | None], dict[str, str]]] = [
     (only("b", lambda _: math.nan), {"b": "does not read a number"}),
     (only("b", lambda s: 295.0 if s < 20 else math.inf), {"b": "does not read a number"}),
     (only("c", lambda _: 22.0), {"c": "reads a temperature outside 273 to 313 K"}),
+    (only("c", lambda _: 273.15 + 295.0), {"c": "reads a temperature outside 273 to 313 K (in kelvin?)"}),
+    (only("c", lambda _: 273.15 + 71.6), {"c": "reads a temperature outside 273 to 313 K (in degrees Fahrenheit?)"}),
     (only("c", lambda s: 295.0 if s < 14 else 299.0), {"c": "changes faster than 0.5 K/s"}),
     (rising, {"a": "still reads the same after 'b' has changed by more than 1 K"}),
     (
