@@ -27,6 +27,7 @@ FREQUENCY_SHARE = 0.01  # standard uncertainty of a natural frequency, relative
 DAMPING = 0.01
 MODEL_SHARE = 0.08  # relative standard uncertainty of what the oscillator adds: higher modes, shear
 READING = 0.03  # standard uncertainty of an accelerometer [m/s^2]
+DELAY = 1e-6  # standard uncertainty of the time of a reading [s]; the simulated stamps are exact
 SPREAD = 1.0  # of the acceleration without accelerometers [m/s^2]
 COMMENT = "Made by posor_lab vibration."
 
@@ -59,6 +60,7 @@ def _vibration(name: str, length: float, sag: SagFile, error: float) -> dict[str
         "accelerometers": {
             "names": [f"{name}_near", f"{name}_far"],
             "uncertainty": quantity(READING, "m/s^2"),
+            "delay": quantity(DELAY, "s"),
             "range": quantity(1000.0, "m/s^2"),
             "age": quantity(0.002, "s"),
         },

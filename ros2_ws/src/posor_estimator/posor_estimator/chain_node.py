@@ -185,13 +185,15 @@ class ChainNode(PosorNode[ChainParameters]):
         self._joint_of_topic[subscription.topic_name] = joint.name
 
     def _subscribe_to_beams(self) -> None:
+        self._accelerometers: dict[str, IntraProcessSubscription] = {}
         for name in self._temperatures.names:
             topic, callback = f"{self.parameters.temperature_topic}/{name}", partial(self._on_temperature, name)
             subscription = self.create_subscription(Temperature, topic, callback, input_qos(self.parameters))
             self.add_cleanup(self.destroy_subscription, subscription)
         for name in self._vibrations.names:
             topic, read = f"{self.parameters.acceleration_topic}/{name}", partial(self._on_acceleration, name)
-            IntraProcessSubscription(self, Imu, topic, input_qos(self.parameters), partial(read, AccelerationReader()))
+            qos, callback = input_qos(self.parameters), partial(read, AccelerationReader())
+            self._accelerometers[name] = IntraProcessSubscription(self, Imu, topic, qos, callback)
 
     def activate(self) -> None:
         """Expect transforms with present stamps, and new readings of the thermometers, from now on."""
@@ -280,11 +282,15 @@ class ChainNode(PosorNode[ChainParameters]):
 
     def _on_acceleration(self, name: str, reader: AccelerationReader, data: bytes) -> None:
         """Add a reading of an accelerometer; the scans that follow check and use it."""
+        publishers = self._accelerometers[name].publishers
         with self._lock:
+            if publishers > 1:
+                self._vibrations.refuse(name, f"has {publishers} publishers on its topic; expected one")
+                return
             try:
                 stamp_ns, reading, frame = reader.read(data)
             except TopicError as error:
-                self._vibrations.refuse(name, str(error).rstrip("."))
+                self._vibrations.refuse(name, f"has sent an invalid message: {str(error).rstrip('.')}")
                 return
             self._vibrations.add(name, stamp_ns, reading, frame)
 

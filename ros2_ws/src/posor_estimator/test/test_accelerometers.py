@@ -41,10 +41,11 @@ VIBRATION = """\
       accelerometers:
         names: [near, far]
         uncertainty: {value: 0.02, unit: m/s^2}
+        delay: {value: 5.0e-5, unit: s}
         range: {value: 200.0, unit: m/s^2}
-        age: {value: 0.02, unit: s}
+        age: {value: 0.005, unit: s}
 """
-STEP_NS, READINGS = 10_000_000, 40
+STEP_NS, READINGS = 4_000_000, 60
 OFFSET_NS = 250_000_000  # of the stamps of ``set_stamp`` after whole seconds
 
 
@@ -56,12 +57,17 @@ def imu(stamp_ns: int, reading: np.ndarray) -> Any:
     return message
 
 
+def vibrating_beams(folder: Path) -> Path:
+    former = Path(__file__).with_name("warm_beam.yaml").read_text(encoding="utf-8")
+    beams = folder / "beams.yaml"
+    beams.write_text(former.replace("version: 2", "version: 4") + VIBRATION, encoding="utf-8")
+    return beams
+
+
 def test_the_endpoint_follows_the_accelerometers_and_is_degraded_without(
     tmp_path: Path, rng: np.random.Generator
 ) -> None:
-    beams = tmp_path / "beams.yaml"
-    former = Path(__file__).with_name("warm_beam.yaml").read_text(encoding="utf-8")
-    beams.write_text(former.replace("version: 2", "version: 4") + VIBRATION, encoding="utf-8")
+    beams = vibrating_beams(tmp_path)
     chain = load_chain(URDF, "endpoint", beams)
     estimator = chain.estimator()
     vibrations = BeamVibrations(chain.beams, estimator)
@@ -77,7 +83,8 @@ def test_the_endpoint_follows_the_accelerometers_and_is_degraded_without(
                 sensors[name].publish(message)
                 if message.linear_acceleration_covariance[0] < 0.0:
                     expected = "linear_acceleration, whose covariance is not -1"
-                    vibrations.refuse(name, f"has no linear acceleration; expected {expected}")
+                    reason = f"has sent an invalid message: has no linear acceleration; expected {expected}"
+                    vibrations.refuse(name, reason)
                     continue
                 stamp, a = message.header.stamp, message.linear_acceleration
                 reading = stamp.sec * NS + stamp.nanosec, (a.x, a.y, a.z), message.header.frame_id
@@ -104,7 +111,7 @@ def test_the_endpoint_follows_the_accelerometers_and_is_degraded_without(
             message.linear_acceleration_covariance[0] = -1.0
         swapped = readings(11)
         swapped[-2][1].header.frame_id = "far"
-        missing = "has no reading whose stamp is at most 0.02 s old"
+        missing = "has no reading whose stamp is at most 0.005 s old"
         for second, messages, fault in (
             (3, [], missing),
             (4, None, ""),
@@ -125,4 +132,21 @@ def test_the_endpoint_follows_the_accelerometers_and_is_degraded_without(
             np.testing.assert_array_equal([position.x, position.y, position.z], estimator.pose[:3])
             systematic = np.reshape(state.covariance_systematic, (6, 6))
             np.testing.assert_array_equal(systematic, estimator.covariance_systematic)
+        assert node.end() == 0
+
+
+def test_an_accelerometer_with_two_publishers_is_not_used(tmp_path: Path) -> None:
+    beams = vibrating_beams(tmp_path)
+    with chain_node(urdf=str(URDF), beams=str(beams), **LOSSLESS) as node, Graph() as graph:
+        rig = ChainRig(graph)
+        transforms = rig.joint_publisher("joint1")
+        sensors = [graph.publisher(Imu, f"acceleration/{name}") for name in ("near", "near", "far")]
+        graph.wait_until(lambda: all(each.get_subscription_count() for each in sensors), "the subscriptions")
+        for publisher in sensors:
+            publisher.publish(imu(3 * NS, np.array([0.0, 0.0, 9.8])))
+            assert publisher.wait_for_all_acked()
+        transforms.publish(transform_of(3))
+        graph.wait_until(lambda: any(s.state == EndpointState.STATE_DEGRADED for s in rig.states), "the state")
+        (reason,) = {s.reason for s in rig.states if s.state == EndpointState.STATE_DEGRADED}
+        assert "accelerometer 'near' of beam 'measuring_beam' has 2 publishers on its topic; expected one" in reason
         assert node.end() == 0

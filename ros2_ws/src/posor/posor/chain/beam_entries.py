@@ -60,6 +60,7 @@ _DAMPING = _Range(1e-5, 0.3, {"in percent": 0.01})
 _ACCELERATION = _Range(1e-4, 1e3, {"in mm/s^2": 1e-3, "in standard gravities": STANDARD_GRAVITY})
 _LARGEST_ACCELERATION = _Range(15.0, 1e5, {"in standard gravities": STANDARD_GRAVITY})
 _SAMPLE_AGE = _Range(1e-4, 0.1, {"in ms": 1e-3})
+_DELAY = _Range(1e-7, 0.02, {"in ms": 1e-3, "in us": 1e-6})
 _LIMIT = _Range(0.05, 0.9, {"in percent": 0.01})
 GRAVITY = _Range(1.5, 25.0, {"in mm/s^2": 1e-3, "in standard gravities": STANDARD_GRAVITY}, or_zero=True)
 
@@ -236,6 +237,7 @@ class AccelerometersFile(FrozenModel):
 
     names: Annotated[tuple[str, ...], Field(min_length=2, max_length=2)]
     uncertainty: Annotated[Quantity, measured("m/s^2")]  # standard uncertainty of a reading, bias and noise
+    delay: Annotated[Quantity, measured("s")]  # standard uncertainty of the time of a reading, the sensor's filter too
     range: Annotated[Quantity, measured("m/s^2")]  # largest plausible amount along an axis
     age: Annotated[Quantity, measured("s")]  # largest age of a reading in use, and time between two readings
 
@@ -245,6 +247,7 @@ class AccelerometersFile(FrozenModel):
             if not is_ros_name(name):
                 raise EntryError(f"name '{name}'", key=("names", index), expected=ROS_NAME_RULE)
         _ACCELERATION.check("uncertainty", self.uncertainty)
+        _DELAY.check("delay", self.delay)
         _LARGEST_ACCELERATION.check("range", self.range)
         _SAMPLE_AGE.check("age", self.age)
         return self
@@ -278,6 +281,10 @@ class VibrationFile(FrozenModel):
         _SHARE.check("uncertainty", self.uncertainty)
         _LIMIT.check("limit", self.limit)
         _ACCELERATION.check("spread", self.spread)
+        age, longest = self.accelerometers.age.number, 0.5 / self.frequency.number
+        if age > longest:
+            expected = f"at most {longest:.3g} s, half a period of 'frequency': slower readings do not show a vibration"
+            raise EntryError(f"age {age:g} s", key=("accelerometers", "age"), expected=expected)
         return self
 
 

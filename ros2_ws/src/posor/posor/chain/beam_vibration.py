@@ -11,11 +11,12 @@ solved exactly for readings that are connected by straight lines. The sag is the
 and the increase along the beam act apart (``MeasuringBeam.start_gain``, ``start_tilt_gain``). Well below w, u - f is
 about r^2 u, with r the frequency of the vibration over w. The standard uncertainty of the force is
 
-    sqrt(s^2 + (u - f)^2 ((2 d / (1 - r^2))^2 + e^2) + (w_v^2 h^2 u / 12)^2)
+    sqrt(s^2 + (u - f)^2 ((2 d / (1 - r^2))^2 + e^2) + (w_v^2 h^2 u / 12)^2 + (u' t)^2)
 
 s: of the accelerometers, whose noise the resonance enlarges, d: of w over w, e: ``uncertainty`` of the beams file,
-w_v = r w, h: time between two readings. Beyond ``limit`` r the whole of u - f counts as uncertain, and the protection
-level of the endpoint is not bounded. r^2 is w^2 (u - f)^2 / u'^2, both of the largest amounts of the last ``MEMORY_S``.
+w_v = r w, h: time between two readings, t: ``delay`` of the beams file, of the time of a reading. Beyond ``limit`` r
+the whole of u - f counts as uncertain, and the protection level of the endpoint is not bounded. r^2 is
+w^2 (u - f)^2 / u'^2, both of the largest amounts of the last ``MEMORY_S``.
 
 Source: Meirovitch, Elements of Vibration Analysis (1975), first mode of a beam with moving supports; exact solution of
 the oscillator under a linear force. The independent judge is ``posor_lab/vibration``.
@@ -46,7 +47,8 @@ if TYPE_CHECKING:
 MEMORY_S = 0.1  # time constant with which the largest amounts are forgotten
 NOISE_FACTOR = 6.0  # standard uncertainties of the accelerometers up to which u - f is noise
 SETTLED = 5.0  # time constants of the decay after which an oscillator has forgotten how it began
-FROZEN_S = 0.1  # a sound accelerometer does not read the same to the last bit for so long
+FROZEN_S = 0.1  # a sound accelerometer does not read the same to the last bit for so long, nor the same as another
+OTHER_CLOCK_S = 1.0  # stamps that differ more from those of the scans come from another clock
 GRAVITY_S = 1.0  # time constant of the mean that has to be gravity
 GRAVITY_TOLERANCE = 0.1  # of standard gravity
 RIPPLE = 0.02  # share of vibration from 15 Hz on that may be left in the mean
@@ -56,10 +58,10 @@ OSCILLATOR = np.dtype([(name, float) for name in ("angular", "decay", "excess", 
 """Of an accelerometer: w [rad/s]; z w [1/s]; largest (u - f)^2 [m^2/s^4] and u'^2 [m^2/s^6]; time between readings
 [s]."""
 BEAM_FIELD = np.dtype(
-    [(name, float) for name in ("far_share", "stretch", "reading", "frequency", "model", "limit", "angular")]
+    [(name, float) for name in ("far_share", "stretch", "reading", "delay_s", "frequency", "model", "limit", "angular")]
 )
 """Of a beam: share of the second accelerometer in the field at its centre; its length over the distance of the gimbals;
-standard uncertainties of a reading [m/s^2], of w and of u - f, both relative; ``limit``; w [rad/s]."""
+standard uncertainties of a reading [m/s^2], of its time [s], of w and of u - f, both relative; ``limit``; w [rad/s]."""
 
 
 class Oscillators(NamedTuple):
@@ -159,10 +161,11 @@ def write_vibration(oscillators: Oscillators, vibrations: RecordArray, b: int, s
         unknown += between * between  # of w_v^2 h^2 u / 12, where u is (u - f) / r^2
     # The largest amounts are amplitudes, whose squares are twice the mean squares.
     both = 0.5 * (math.sqrt(numbers[near]["excess"]) + math.sqrt(numbers[far]["excess"]))
+    fastest = 0.5 * (math.sqrt(numbers[near]["speed"]) + math.sqrt(numbers[far]["speed"]))
     mean_weight = (1.0 - share) * (1.0 - share) + share * share
-    stretch = own["stretch"] * own["stretch"]
-    vibration["sigma_mean"] = math.sqrt(noise * mean_weight + 0.5 * unknown * both * both)
-    vibration["sigma_difference"] = math.sqrt(stretch * (2.0 * noise + 0.5 * unknown * excess))
+    stretch, late = own["stretch"] * own["stretch"], own["delay_s"] * own["delay_s"]
+    vibration["sigma_mean"] = math.sqrt(noise * mean_weight + 0.5 * (unknown * both * both + late * fastest * fastest))
+    vibration["sigma_difference"] = math.sqrt(stretch * (2.0 * noise + 0.5 * (unknown * excess + late * speed)))
 
 
 @dataclass
@@ -172,28 +175,31 @@ class _Accelerometer:
     index: int  # of its oscillator
     beam: MeasuringBeam
     entry: VibrationFile
-    waiting: deque[tuple[int, float, float, float]] = field(default_factory=lambda: deque(maxlen=MOST_WAITING))
+    waiting: deque[tuple[int, tuple[float, ...], str]] = field(default_factory=lambda: deque(maxlen=MOST_WAITING))
     refusal: str = ""  # why the newest reading was refused
     began_ns: int = 0  # since when readings have followed each other; zero: there is none
     gap_s: float = 0.0  # before that, if there were readings [s]
     last_ns: int = 0  # of the last reading in use
     last: tuple[float, ...] = ()
-    same_ns: int = 0  # since when it reads the same
+    same_ns: list[int] = field(default_factory=lambda: [0, 0, 0])  # since when it reads the same along each axis
+    twin: str | None = None  # another accelerometer that reads the same; empty: there is none; None: not yet compared
+    twin_ns: int = 0  # since when
+    clock: str = ""  # how the stamp of the newest reading contradicts those of the scans
     mean: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])  # of readings plus computed gravity [m/s^2]
+    weight: float = 0.0  # of what has been read in the mean, else zero
     mean_ns: int = 0
     largest: float = 0.0  # amount of a reading plus computed gravity [m/s^2], which is forgotten as the mean is
-    other: str = ""  # another accelerometer, whose readings arrive
 
     def forget(self) -> None:
         """Forget what has been read; readings that wait stay."""
-        self.refusal, self.began_ns, self.gap_s, self.last_ns, self.last, self.same_ns = "", 0, 0.0, 0, (), 0
-        self.mean, self.mean_ns, self.largest = [0.0, 0.0, 0.0], 0, 0.0
+        self.refusal, self.began_ns, self.gap_s, self.last_ns, self.last, self.twin = "", 0, 0.0, 0, (), None
+        self.mean, self.weight, self.mean_ns, self.largest = [0.0, 0.0, 0.0], 0.0, 0, 0.0
 
-    def refusal_of(self, values: tuple[float, ...]) -> str:
-        """Return why a reading cannot be used; else empty."""
+    def refusal_of(self, values: tuple[float, ...], other: str) -> str:
+        """Return why a reading cannot be used; else empty. ``other``: another accelerometer that its message names."""
         largest = self.entry.accelerometers.range.number
-        if self.other:
-            return f"receives the readings of '{self.other}'"
+        if other:
+            return f"receives the readings of '{other}'"
         if not all(map(math.isfinite, values)):
             return "does not read numbers"
         if max(map(abs, values)) > largest:
@@ -206,20 +212,29 @@ class _Accelerometer:
             return self.refusal
         age = self.entry.accelerometers.age.number
         if not self.last_ns or stamp_ns - self.last_ns > round(age * NS):
-            return f"has no reading whose stamp is at most {age:g} s old"
-        if self.last_ns - self.same_ns >= FROZEN_S * NS:
-            return f"has read the same for {FROZEN_S:g} s"
-        if math.hypot(*self.mean) > GRAVITY_TOLERANCE * STANDARD_GRAVITY + RIPPLE * self.largest:
+            return f"has no reading whose stamp is at most {age:g} s old{self.clock}"
+        if repeated := self._repetition(stamp_ns):
+            return repeated
+        if math.hypot(*self.mean) > GRAVITY_TOLERANCE * STANDARD_GRAVITY * self.weight + RIPPLE * self.largest:
             return "does not read gravity as the arm stands: check its unit, its axes, and whether it is exchanged"
         if (self.last_ns - self.began_ns) / NS < self.settling_s:
             apart = f"has readings {self.gap_s:g} s apart, more than {age:g} s" if self.gap_s else "has begun to read"
             return f"{apart}; the beam is not yet followed"
         return ""
 
+    def _repetition(self, stamp_ns: int) -> str:
+        """Return what the accelerometer has read for too long; else empty."""
+        for axis, same_ns in zip("XYZ", self.same_ns, strict=True):
+            if self.last_ns - same_ns >= FROZEN_S * NS:
+                return f"has read the same along {axis} for {FROZEN_S:g} s"
+        if self.twin and stamp_ns - self.twin_ns >= FROZEN_S * NS:
+            return f"has read the same as '{self.twin}' for {FROZEN_S:g} s"
+        return ""
+
     @property
     def settling_s(self) -> float:
-        """Time after which the oscillator does not depend on how it began [s]."""
-        return SETTLED / (2.0 * math.pi * self.entry.frequency.number * self.entry.damping.number)
+        """Time after which the oscillator does not depend on how it began, and the readings have been checked [s]."""
+        return max(SETTLED / (2.0 * math.pi * self.entry.frequency.number * self.entry.damping.number), FROZEN_S)
 
 
 class BeamVibrations:
@@ -249,27 +264,38 @@ class BeamVibrations:
             numbers["decay"][2 * b : 2 * b + 2] = angular * entry.damping.number
             relative = float(entry.frequency.sigmas) / entry.frequency.number
             shares = (0.5 * length - near) / (far - near), length / (far - near)
-            stated = entry.accelerometers.uncertainty.number, relative, entry.uncertainty.number, entry.limit.number
+            own = entry.accelerometers
+            stated = own.uncertainty.number, own.delay.number, relative, entry.uncertainty.number, entry.limit.number
             fields[b] = (*shares, *stated, angular)
             for i, name in enumerate(entry.accelerometers.names):
                 self._all[name] = _Accelerometer(2 * b + i, beam, entry)
         self.names = tuple(self._all)
+        self._scan_ns = 0  # stamp of the last scan
         self._reading = np.zeros(3)
         self._follow = bind(follow_reading, (self._oscillators, self._reading))
         self.reason = ""
 
     def add(self, name: str, stamp_ns: int, reading: tuple[float, float, float], frame: str = "") -> None:
         """Add a reading [m/s^2] of an accelerometer, (3,), which is upward at rest; ``frame``: of its message."""
-        own = self._all[name]
-        own.other = frame if frame != name and frame in self._all else ""
-        own.waiting.append((stamp_ns, *reading))
+        own, other = self._all[name], frame if frame != name and frame in self._all else ""
+        while own.waiting and own.waiting[-1][0] >= stamp_ns:  # a wrong stamp would hold up the readings that follow
+            own.waiting.pop()
+        own.waiting.append((stamp_ns, reading, other))
+        own.clock = ""
+        if self._scan_ns and abs(stamp_ns - self._scan_ns) > OTHER_CLOCK_S * NS:
+            side = "ahead of" if stamp_ns > self._scan_ns else "behind"
+            own.clock = f": its stamps are more than {OTHER_CLOCK_S:g} s {side} those of the scans"
 
     def refuse(self, name: str, reason: str) -> None:
-        """Note why a message of an accelerometer cannot be read: its beam is at rest until the next that can be."""
-        self._all[name].refusal = f"has sent an invalid message: {reason}"
+        """Note why a message of an accelerometer cannot be used: its beam is at rest until the next that can be.
+
+        ``reason``: clause that follows the name of the accelerometer.
+        """
+        self._all[name].refusal = reason
 
     def restart(self) -> None:
         """Forget all readings."""
+        self._scan_ns = 0
         for each in self._all.values():
             each.waiting.clear()
             self._forget(each)
@@ -282,6 +308,8 @@ class BeamVibrations:
         """Write the specific forces that bend the beams at the stamp of a scan [ns], from the readings up to then."""
         for each in self._all.values():
             self._read_until(each, stamp_ns)
+        self._scan_ns = stamp_ns
+        self._find_twins(stamp_ns)
         vibrations, clauses = self._estimator.vibrations, []
         for b, beam in self._beams:
             faults = {
@@ -303,9 +331,8 @@ class BeamVibrations:
         if own.last_ns > stamp_ns:  # a replay has started again
             self._forget(own)
         while own.waiting and own.waiting[0][0] <= stamp_ns:
-            at_ns, *values = own.waiting.popleft()
-            reading = tuple(values)
-            own.refusal = own.refusal_of(reading)
+            at_ns, reading, other = own.waiting.popleft()
+            own.refusal = own.refusal_of(reading, other)
             if own.refusal or at_ns <= own.last_ns:
                 continue
             gap_ns = at_ns - own.last_ns if own.last_ns else 0
@@ -313,12 +340,27 @@ class BeamVibrations:
                 self._forget(own)
                 own.gap_s = gap_ns / NS
             own.began_ns = own.began_ns or at_ns
-            if reading != own.last:
-                own.same_ns, own.last = at_ns, reading
+            before = own.last or (math.nan,) * 3
+            own.same_ns = [
+                since if new == old else at_ns for since, new, old in zip(own.same_ns, reading, before, strict=True)
+            ]
+            own.last = reading
             self._reading[:] = reading
             self._follow(own.index, at_ns)
             self._compare_with_gravity(own, at_ns)
             own.last_ns = at_ns
+
+    def _find_twins(self, stamp_ns: int) -> None:
+        """Find accelerometers that read the same, as one sensor with the topics of two does."""
+        owners: dict[tuple[float, ...], list[str]] = {}
+        for name, own in self._all.items():
+            if own.last:
+                owners.setdefault(own.last, []).append(name)
+        for name, own in self._all.items():
+            twin = next((each for each in owners.get(own.last, ()) if each != name), "")
+            since_ns = own.began_ns if own.twin is None else stamp_ns
+            if own.last and twin != own.twin:
+                own.twin, own.twin_ns = twin, since_ns
 
     def _compare_with_gravity(self, own: _Accelerometer, at_ns: int) -> None:
         """Keep the mean of what is left of a reading without gravity in the axes of the beam in the last scan."""
@@ -327,5 +369,6 @@ class BeamVibrations:
             own.mean_ns = own.mean_ns or at_ns
             share = min((at_ns - max(own.last_ns, own.mean_ns)) / NS / GRAVITY_S, 1.0)
             left = [reading + g for reading, g in zip(own.last, gravity.tolist(), strict=True)]
+            own.weight += share * (1.0 - own.weight)
             own.mean = [mean + share * (each - mean) for mean, each in zip(own.mean, left, strict=True)]
             own.largest = max((1.0 - share) * own.largest, math.hypot(*left))

@@ -36,6 +36,7 @@ LARGEST_SAG, LARGEST_SLOPE = 0.01, 0.01  # of a beam's length, [rad]: beyond, th
 LARGEST_MASS = 30.0  # of a plate, in masses of the beam's tube
 LARGEST_PLATE_OFFSET = 0.05  # of a plate's centre of mass from the link of its name [m]
 _PLACES = 65  # along a beam, where sag and slope are compared with them
+LEAST_FREQUENCY, MOST_FREQUENCY = 0.3, 1.5  # natural frequency of a beam, in those of its tube and plates
 
 
 class MeasuringBeam:
@@ -273,10 +274,32 @@ def beam_faults(entry: BeamFile, joint: FreeJoint, source: str) -> list[ChainErr
     deflection = STANDARD_GRAVITY * max(abs(bent.deflection(x)) for x in places)
     slope = STANDARD_GRAVITY * max(abs(bent.slope(x)) for x in places)
     if deflection <= LARGEST_SAG * length and slope <= LARGEST_SLOPE:
-        return []
+        return _frequency_faults(entry, sag, length, where)
     expected = (
         f"at most {LARGEST_SAG * length:.3g} m and {LARGEST_SLOPE:g} rad, as far as the linear theory holds (modulus "
         "in GPa, diameters in mm, density in g/cm^3 or masses in g?)"
     )
     what = f"sags by {deflection:.3g} m, with a slope of {slope:.3g} rad, under its weight"
     return [ChainError(what, where=where, expected=expected)]
+
+
+def _frequency_faults(entry: BeamFile, sag: SagFile, length: float, where: str) -> list[ChainError]:
+    """Return what is wrong with the natural frequency of a beam: it is far from that of its tube and plates.
+
+    That is Rayleigh's upper bound, with the static shape: work of the loads over the motion of the masses.
+    """
+    if entry.vibration is None:
+        return []
+    bent, tube = _bent(sag, length), _tube(sag)
+    places = (np.arange(_PLACES) + 0.5) * length / _PLACES
+    masses = [(float(x), tube.mass_per_length * length / _PLACES) for x in places]
+    masses += [(plate.at.number, plate.mass.number) for plate in sag.plates]
+    work, motion = (math.fsum(m * bent.deflection(x) ** power for x, m in masses) for power in (1, 2))
+    bound, stated = math.sqrt(work / motion) / (2.0 * math.pi), entry.vibration.frequency.number
+    if LEAST_FREQUENCY * bound <= stated <= MOST_FREQUENCY * bound:
+        return []
+    expected = (
+        f"{LEAST_FREQUENCY * bound:.4g} to {MOST_FREQUENCY * bound:.4g} Hz; that of its tube and plates is about "
+        f"{bound:.4g} Hz (in rad/s, or is a plate missing in 'sag'?)"
+    )
+    return [ChainError(f"natural frequency {stated:.4g} Hz", where=where, expected=expected)]

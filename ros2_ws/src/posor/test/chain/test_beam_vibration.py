@@ -15,6 +15,7 @@ import pytest
 from posor.chain.beam_vibration import FROZEN_S, BeamVibrations
 from posor.chain.joint_measurements import MeasuredJoint
 from posor.chain.kinematic_chain import Chain
+from posor.errors import ChainError
 from posor.estimation.fault_model import JointCauses
 from posor.numerics.array_types import FloatArray
 from posor.numerics.stamps import NS
@@ -33,6 +34,7 @@ def vibrating_beam(*, sag: bool = True, version: int = 4, **changes: Any) -> Any
     accelerometers = {
         "names": list(NAMES),
         "uncertainty": quantity(0.01, "m/s^2"),
+        "delay": quantity(1e-5, "s"),
         "range": quantity(200.0, "m/s^2"),
         "age": quantity(AGE_S, "s"),
     } | changes.pop("accelerometers", {})
@@ -81,9 +83,9 @@ class Rig:
 
 
 def sines(frequency: float, near: float, far: float, seconds: float) -> FloatArray:
-    """Return accelerations of both gimbals along Y, which is across the beam, (n, 2, 3)."""
-    out = np.zeros((round(seconds * RATE), 2, 3))
-    out[:, :, 1] = np.sin(2.0 * math.pi * frequency * np.arange(len(out)) / RATE)[:, None] * (near, far)
+    """Return accelerations of both gimbals along Y, which is across the beam, (n, 2, 3), with a trace of noise."""
+    out = 1e-6 * np.random.default_rng(7).normal(size=(round(seconds * RATE), 2, 3))
+    out[:, :, 1] += np.sin(2.0 * math.pi * frequency * np.arange(len(out)) / RATE)[:, None] * (near, far)
     return out
 
 
@@ -156,8 +158,9 @@ def test_beyond_the_limit_the_level_is_not_bounded() -> None:
 
 
 GOOD = sines(30.0, 5.0, 5.0, 0.5)
+OLD = f"has no reading whose stamp is at most {AGE_S:g} s old"
 CAUSES: dict[str, tuple[Any, str]] = {
-    "missing": (lambda rig: rig.vibrations.update(2 * NS), f"has no reading whose stamp is at most {AGE_S:g} s old"),
+    "missing": (lambda rig: rig.vibrations.update(2 * NS), OLD),
     "begins": (lambda rig: rig.feed(GOOD[:200]), "has begun to read; the beam is not yet followed"),
     "a gap": (
         lambda rig: (rig.feed(GOOD), rig.feed(GOOD[:200], 1.6)),
@@ -171,7 +174,20 @@ CAUSES: dict[str, tuple[Any, str]] = {
     "too large": (lambda rig: rig.feed(np.concatenate([GOOD, 60.0 * GOOD[-40:-39]])), "reads more than 200 m/s^2"),
     "frozen": (
         lambda rig: rig.feed(np.concatenate([GOOD, np.repeat(GOOD[-1:], round(FROZEN_S * RATE) + 2, axis=0)])),
-        f"has read the same for {FROZEN_S:g} s",
+        f"has read the same along X for {FROZEN_S:g} s",
+    ),
+    "one axis frozen": (lambda rig: rig.feed(GOOD * [1.0, 1.0, 0.0]), f"has read the same along Z for {FROZEN_S:g} s"),
+    "one sensor with both topics": (
+        lambda rig: [rig.feed(GOOD[n : n + 20, [0, 0]], 1.0 + n / RATE) for n in range(0, len(GOOD), 20)],
+        f"has read the same as 'far' for {FROZEN_S:g} s",
+    ),
+    "asked once, one sensor with both topics": (
+        lambda rig: rig.feed(GOOD[:, [0, 0]]),
+        f"has read the same as 'far' for {FROZEN_S:g} s",
+    ),
+    "another clock": (
+        lambda rig: (rig.vibrations.update(1000 * NS), rig.feed(GOOD), rig.vibrations.update(1001 * NS)),
+        OLD + ": its stamps are more than 1 s behind those of the scans",
     ),
     "without gravity": (
         lambda rig: rig.feed(GOOD + rig.gravity),
@@ -207,7 +223,7 @@ def test_exchanged_plugs_a_replay_and_a_refused_message_are_noticed() -> None:
     assert "has no reading" in rig.vibrations.reason
     rig.feed(GOOD)
     assert not rig.vibrations.reason
-    rig.vibrations.refuse("near", "too short")
+    rig.vibrations.refuse("near", "has sent an invalid message: too short")
     rig.vibrations.update(stamp_ns)
     sentence = "has sent an invalid message: too short"
     assert str(rig.vibrations.reason) == f"accelerometer 'near' of beam 'upper_arm' {sentence}"
@@ -217,6 +233,45 @@ def test_exchanged_plugs_a_replay_and_a_refused_message_are_noticed() -> None:
     rig.vibrations.restart()
     rig.feed(GOOD, 3.0)
     assert not rig.vibrations.reason
+
+
+def test_a_reading_of_another_accelerometer_and_one_of_the_future_change_nothing() -> None:
+    found = []
+    for is_foreign in (False, True):
+        rig = Rig()
+        stamp_ns = rig.feed(GOOD)
+        if is_foreign:
+            rig.vibrations.add("near", stamp_ns + 200_000, (99.0, 0.0, 9.8), "far")
+            rig.vibrations.add("near", stamp_ns + 10**15, (99.0, 0.0, 9.8), "near")
+        rig.feed(GOOD[:2], stamp_ns / NS + 1.0 / RATE)
+        assert not rig.vibrations.reason
+        found.append(rig.estimator.vibrations[0].copy())
+    np.testing.assert_array_equal(*found)
+
+
+def test_the_uncertainty_of_the_time_enters_that_of_the_force() -> None:
+    """The force changes by at most its amplitude times 2 pi times its frequency."""
+    frequency, amplitude, delay_s = 30.0, 5.0, 1e-3
+    sigmas = []
+    for each in (1e-7, delay_s):
+        rig = Rig(accelerometers={"delay": quantity(each, "s")})
+        rig.feed(sines(frequency, amplitude, amplitude, 0.5))
+        sigmas.append(rig.estimator.vibrations["sigma_mean"][0, 0])
+    added = math.sqrt(sigmas[1] ** 2 - sigmas[0] ** 2)
+    gain = 1.0 / (1.0 - (frequency / FREQUENCY) ** 2)
+    np.testing.assert_allclose(added, gain * amplitude * 2.0 * math.pi * frequency * delay_s / 2.0**0.5, rtol=0.05)
+
+
+def test_gravity_is_looked_for_before_a_quick_oscillator_is_used() -> None:
+    """The oscillator forgets its beginning in 5 ms, but a sensor that leaves gravity out is not used even then."""
+    quick = {"frequency": {**quantity(FREQUENCY, "Hz"), "sigma": 1.0}, "damping": quantity(0.3, "1")}
+    for turn in (0.0, 15.0):
+        rig = Rig(**quick)
+        R = pin.exp3(np.radians([turn, 0.0, 0.0]))
+        wrong = GOOD + rig.gravity if not turn else (GOOD - rig.gravity) @ R.T + rig.gravity
+        for n in range(0, len(wrong), 40):
+            rig.feed(wrong[n : n + 40], 1.0 + n / RATE)
+            assert "accelerometer 'near'" in rig.vibrations.reason
 
 
 def test_without_accelerometers_the_beam_is_at_rest_with_its_spread() -> None:
@@ -237,6 +292,17 @@ def test_without_accelerometers_the_beam_is_at_rest_with_its_spread() -> None:
         ({"limit": quantity(50.0, "1")}, "limit 50 1; expected 0.05 to 0.9 1 (in percent?)"),
         ({"spread": quantity(0.0, "m/s^2")}, "spread 0 m/s^2; expected 0.0001 to 1000 m/s^2"),
         ({"uncertainty": quantity(5.0, "1")}, "uncertainty 5 1; expected 0 to 1 1 (in percent?)"),
+        (
+            {
+                "frequency": {**quantity(2.0 * math.pi * FREQUENCY, "Hz"), "sigma": 1.0},
+                "accelerometers": {"age": quantity(0.0005, "s")},
+            },
+            "natural frequency 628.3 Hz; expected 43",
+        ),
+        ({"frequency": {**quantity(30.0, "Hz"), "sigma": 1.0}}, "natural frequency 30 Hz; expected 43"),
+        ({"accelerometers": {"age": quantity(0.006, "s")}}, "age 0.006 s; expected at most 0.005 s, half a period"),
+        ({"accelerometers": {"delay": quantity(0.1, "s")}}, "delay 0.1 s; expected 1e-07 to 0.02 s (in ms?)"),
+        ({"damping": quantity(-0.01, "1")}, "damping -0.01 1; expected 1e-05 to 0.3 1"),
         ({"accelerometers": {"names": ["a", "a"]}}, "two accelerometers have the name 'a'"),
         ({"accelerometers": {"names": ["a b", "c"]}}, "name 'a b'; expected a letter"),
         ({"accelerometers": {"names": ["a"]}}, "names"),
@@ -245,5 +311,5 @@ def test_without_accelerometers_the_beam_is_at_rest_with_its_spread() -> None:
     ],
 )
 def test_a_wrong_vibration_is_refused(changes: dict[str, Any], sentence: str) -> None:
-    with pytest.raises(ValueError, match=re.escape(sentence)):
-        vibrating_beam(**changes)
+    with pytest.raises((ValueError, ChainError), match=re.escape(sentence)):
+        Chain(ARM, "tip", vibrating_beam(**changes))
