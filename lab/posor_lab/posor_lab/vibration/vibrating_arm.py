@@ -62,7 +62,7 @@ def _vibration(name: str, length: float, sag: SagFile, error: float) -> dict[str
             "uncertainty": quantity(READING, "m/s^2"),
             "delay": quantity(DELAY, "s"),
             "range": quantity(1000.0, "m/s^2"),
-            "age": quantity(0.002, "s"),
+            "age": quantity(min(0.002, 1.0 / frequency), "s"),
         },
     }
 

@@ -104,7 +104,7 @@ def test_the_endpoint_follows_the_accelerometers_and_is_degraded_without(
         def readings(second: int, scale: float = 1.0) -> list[tuple[str, Any]]:
             stamps = second * NS + OFFSET_NS - STEP_NS * np.arange(READINGS)[::-1]
             up = -estimator.static_forces[0] * scale
-            return [(name, imu(int(at), up + 0.1 * rng.normal(size=3))) for at in stamps for name in NAMES]
+            return [(name, imu(int(at), up + 0.02 * rng.normal(size=3))) for at in stamps for name in NAMES]
 
         without = [(name, imu(9 * NS, np.zeros(3))) for name in NAMES]
         for _, message in without:

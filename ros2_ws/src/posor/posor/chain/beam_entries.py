@@ -281,9 +281,10 @@ class VibrationFile(FrozenModel):
         _SHARE.check("uncertainty", self.uncertainty)
         _LIMIT.check("limit", self.limit)
         _ACCELERATION.check("spread", self.spread)
-        age, longest = self.accelerometers.age.number, 0.5 / self.frequency.number
-        if age > longest:
-            expected = f"at most {longest:.3g} s, half a period of 'frequency': slower readings do not show a vibration"
+        age, fastest = self.accelerometers.age.number, self.limit.number * self.frequency.number
+        if age > 0.5 / fastest:
+            shown = f"a vibration of {fastest:.4g} Hz, at 'limit'"
+            expected = f"at most {0.5 / fastest:.3g} s: slower readings do not show {shown}"
             raise EntryError(f"age {age:g} s", key=("accelerometers", "age"), expected=expected)
         return self
 
