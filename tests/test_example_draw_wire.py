@@ -27,7 +27,7 @@ from posor.numerics.array_types import FloatArray
 from posor.sensors.base import PlainSensor
 from posor.sensors.registry import sensor_types
 from posor_lab.harness.case_tables import refusal
-from posor_lab.harness.graph import Graph, scan_message
+from posor_lab.harness.graph import Graph, scan_message, wait_for_value
 from posor_lab.harness.message_conversion import pose_from_message
 from posor_lab.harness.program import HAND_FED, Program, installed
 from posor_lab.harness.random_poses import TICK_NS, errors_in_parent
@@ -325,8 +325,7 @@ def test_posor_node_gives_the_same_pose(overlay: Overlay, posor: Posor) -> None:
         transforms = graph.collect(JointTransform, "transform")
         graph.watch_diagnostics()
         raw = graph.publisher(RawScan, "raw")
-        graph.wait_for_status("/posor_node: estimate", "no scan yet")
-        graph.wait_until(lambda: graph.node.count_publishers("transform") == 1, "the node's topic")
+        wait_for_value(graph, "/posor_node: listeners", "transform", "1")
         raw.publish(scan_message(scan))
         graph.wait_until(lambda: len(transforms) == 1, "a transform")
         program.end()

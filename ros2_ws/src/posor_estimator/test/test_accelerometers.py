@@ -75,7 +75,6 @@ def test_the_endpoint_follows_the_accelerometers_and_is_degraded_without(
         rig = ChainRig(graph)
         transforms = rig.joint_publisher("joint1")
         sensors = {name: graph.publisher(Imu, f"sense/{name}") for name in NAMES}
-        graph.wait_until(lambda: all(each.get_subscription_count() for each in sensors.values()), "the subscriptions")
 
         def answer(second: int, messages: list[tuple[str, Any]]) -> EndpointState:
             """Return the state of a scan after readings, and estimate the same scan."""

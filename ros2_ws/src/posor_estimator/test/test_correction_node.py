@@ -49,10 +49,10 @@ class Robot:
         self.graph, self.nominal = graph, NominalRobot(ARM.chain())
         graph.watch_diagnostics()
         self.commands: list[tuple[float, FloatArray]] = []
+        graph.node.create_subscription(JointTrajectory, "trajectory/corrected", self._on_command, RELIABLE_QOS)
         self.planner = graph.publisher(JointTrajectory, "trajectory", RELIABLE_QOS)
         self.states = graph.publisher(EndpointState, "endpoint/state", RELIABLE_QOS)
         self.encoders = graph.publisher(JointState, "encoders", RELIABLE_QOS)
-        graph.node.create_subscription(JointTrajectory, "trajectory/corrected", self._on_command, RELIABLE_QOS)
         self.angles = self.read = START  # where its motors are, and what their encoders read
         self.readings: deque[tuple[int, FloatArray]] = deque()  # that are still on their way
         self.reset()

@@ -19,7 +19,7 @@ from posor.model.fault import State
 from posor.model.scan import NO_SOURCE
 from posor.node_parameters import RECORDING
 from posor_bringup.arms import load_checked_arm
-from posor_lab.harness.graph import Graph
+from posor_lab.harness.graph import Graph, wait_for_value
 from posor_lab.harness.message_conversion import pose_from_message, scan_from_message, stamp_ns
 from posor_lab.harness.program import Program, installed
 from posor_msgs.msg import JointTransform, RawScan
@@ -40,6 +40,12 @@ def program(package: str, executable: str, **parameters: object) -> Program:
 def estimator() -> Program:
     calibration = find_arm("six_axis").parent / "calibrations" / "elbow.yaml"
     return program("posor_estimator", "posor_node", calibration=str(calibration), **RECORDING)
+
+
+def wait_for_transform_listeners(graph: Graph, count: int) -> None:
+    """Wait until posor_node, which answers the first scan once, knows the subscriptions to its answers."""
+    graph.watch_diagnostics()
+    wait_for_value(graph, f"{JOINT}/posor_node: listeners", "transform", str(count))
 
 
 def is_dark(scan: Any) -> bool:
@@ -68,6 +74,7 @@ def test_ambient_light_is_removed_from_the_first_dark_scan_on_and_in_a_replay(ar
     with Graph() as graph, estimator(), record:
         scans, found = graph.collect(RawScan, RAW), graph.collect(JointTransform, TRANSFORM)
         truths = graph.collect(PoseStamped, "/six_axis/truth/elbow")
+        wait_for_transform_listeners(graph, 2)
         with program("posor_drivers", "driver_node", wait_for_subscribers=3, **simulated):
             graph.wait_until(lambda: len(found) > 4 * RATE, "four seconds of transforms")
         assert record.end(signal.SIGINT) == 0
@@ -93,6 +100,7 @@ def test_ambient_light_is_removed_from_the_first_dark_scan_on_and_in_a_replay(ar
     assert [State(each.state) for each in found[: len(offline)]] == offline
     with Graph() as graph, estimator():
         again = graph.collect(JointTransform, TRANSFORM)
+        wait_for_transform_listeners(graph, 1)
         replay = {"source": "bag", "bag__path": str(bag), "bag__topic": RAW, "rate": 500.0}
         with program("posor_drivers", "driver_node", wait_for_subscribers=1, **replay) as driver:
             assert driver.wait() == 0

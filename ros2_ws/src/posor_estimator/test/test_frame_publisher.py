@@ -16,12 +16,10 @@ from ament_index_python.packages import get_package_share_path
 from posor.chain.joint_measurements import MeasuredJoint
 from posor.chain.kinematic_chain import load_chain
 from posor.chain.robot_model import FreeJoint
-from posor.ros_names import ENDPOINT_STATE_TOPIC
 from posor_estimator.chain_node import ChainNode
 from posor_lab.harness.graph import Graph
 from posor_lab.harness.in_process_nodes import run_refused_node
 from posor_lab.harness.message_conversion import stamp_ns
-from posor_msgs.msg import EndpointState
 from posor_ros.qos import LATCHED_QOS, TF_QOS
 from std_msgs.msg import String
 from tf2_msgs.msg import TFMessage
@@ -66,9 +64,9 @@ def send(publishers: dict[str, Any], joints: Iterable[FreeJoint], second: int, r
 def test_the_product_of_the_frames_is_the_pose_of_the_same_stamp() -> None:
     rng, chain = np.random.default_rng(9), load_chain(URDF, "endpoint", BEAMS)
     with chain_node(**MOVING) as node, Graph() as graph:
-        rig = ChainRig(graph)
-        publishers = {joint.name: rig.joint_publisher(joint.name) for joint in chain.joints}
         frames = graph.collect(TFMessage, "/tf", TF_QOS)
+        rig = ChainRig(graph)  # subscribes and waits after
+        publishers = {joint.name: rig.joint_publisher(joint.name) for joint in chain.joints}
         send(publishers, chain.joints, 1, rng)
         graph.wait_until(lambda: bool(frames), "frames")
         for second in range(2, 8):
@@ -129,9 +127,9 @@ def test_without_a_rate_nothing_is_published() -> None:
 def test_a_rate_limits_the_frames() -> None:
     rng, chain = np.random.default_rng(9), load_chain(URDF, "endpoint", BEAMS)
     with chain_node(**MOVING, tf_rate=0.01) as node, Graph() as graph:
-        rig = ChainRig(graph)
-        publishers = {joint.name: rig.joint_publisher(joint.name) for joint in chain.joints}
         frames = graph.collect(TFMessage, "/tf", TF_QOS)
+        rig = ChainRig(graph)  # subscribes and waits after
+        publishers = {joint.name: rig.joint_publisher(joint.name) for joint in chain.joints}
         for second in range(1, 4):
             send(publishers, chain.joints, second, rng)
         graph.wait_until(lambda: bool(frames) and len(rig.poses) == 3, "frames and poses")
@@ -142,13 +140,12 @@ def test_a_rate_limits_the_frames() -> None:
 def test_a_prefix_stands_before_all_frames() -> None:
     rng, chain = np.random.default_rng(9), load_chain(URDF, "endpoint", BEAMS)
     with chain_node(**MOVING, frame_prefix="cell1/") as node, Graph() as graph:
-        rig = ChainRig(graph)
-        publishers = {joint.name: rig.joint_publisher(joint.name) for joint in chain.joints}
         frames = graph.collect(TFMessage, "/tf", TF_QOS)
+        rig = ChainRig(graph)  # subscribes and waits after
+        publishers = {joint.name: rig.joint_publisher(joint.name) for joint in chain.joints}
         static = graph.collect(TFMessage, "/tf_static", LATCHED_QOS)
-        states = graph.collect(EndpointState, ENDPOINT_STATE_TOPIC)
         send(publishers, chain.joints, 1, rng)
-        graph.wait_until(lambda: bool(frames and static and states and rig.poses), "frames and the endpoint")
+        graph.wait_until(lambda: bool(frames and static and rig.states and rig.poses), "frames and the endpoint")
         assert node.end() == 0
     assert product([frames[0], *static], "cell1/endpoint")[1] == "cell1/base"
     names = {
@@ -158,7 +155,8 @@ def test_a_prefix_stands_before_all_frames() -> None:
     }
     assert all(name.startswith("cell1/") for name in names)
     assert rig.poses[0].header.frame_id == "cell1/base"
-    assert (states[-1].header.frame_id, states[-1].child_frame_id) == ("cell1/base", "cell1/endpoint")
+    state = rig.states[-1]
+    assert (state.header.frame_id, state.child_frame_id) == ("cell1/base", "cell1/endpoint")
 
 
 @pytest.mark.parametrize("prefix", ["/cell1/", "cell 1/"])

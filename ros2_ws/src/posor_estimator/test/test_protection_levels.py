@@ -35,11 +35,11 @@ def test_posor_node_publishes_the_effects_of_faults_with_every_transform(tmp_pat
     with NodeRig(tmp_path) as rig:
         raw = rig.graph.collect(rig.raw.msg_type, "raw", raw=True)
         rig.send(5, (0.0, 0.0, STANDOFF, 0.0, 0.0, 0.0))
-        rig.graph.wait_until(lambda: len(rig.transforms) >= 5, "transforms")
+        rig.graph.wait_until(lambda: len(rig.transforms) == len(raw) == 5, "scans and transforms")
     posor = Posor(rig.calibration)
     scans = Scans.of([scan_of(data) for data in raw])
     effects, causes = posor.estimate_all(scans, fault_effects=True).fault_effects, posor.hypotheses.joint_causes()
-    for message, expected in zip(rig.transforms[:5], effects, strict=True):
+    for message, expected in zip(rig.transforms, effects, strict=True):
         assert (tuple(message.causes), tuple(message.effect_causes)) == causes[:2]
         assert tuple(message.effect_kinds) == causes.kinds
         np.testing.assert_array_equal(np.reshape(message.effects, expected.shape), expected)

@@ -44,7 +44,6 @@ def test_the_endpoint_follows_the_thermometer_and_is_degraded_without(tmp_path: 
     with chain_node(**parameters) as node, Graph() as graph:
         rig = ChainRig(graph)
         transforms, readings = rig.joint_publisher("joint1"), graph.publisher(Temperature, "shop/skin")
-        graph.wait_until(lambda: readings.get_subscription_count() > 0, "the subscription to the thermometer")
 
         def answer(second: int, celsius: float | None) -> EndpointState:
             """Return the state of a scan two seconds after a reading."""
