@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import os
-import re
 import signal
 import subprocess
 import sys
@@ -16,7 +15,7 @@ from textwrap import dedent
 import pytest
 from environment import THIS
 from posor_lab.harness.program import in_background
-from run_tests import PROCESSES, WITHOUT_ROS, make_test_jobs
+from run_tests import PROCESSES, SHARED, SLOW, find_test_files, make_test_jobs, uses_ros
 
 RUNNER = [sys.executable, str(THIS.root / "tools" / "run_tests.py")]
 
@@ -102,19 +101,24 @@ def test_a_process_without_low_priority_jobs_runs_a_test_that_may_use_ros(tmp_pa
     assert done.stdout.splitlines()[-1] == f"{count} passed, 0 failed, 0 skipped"
 
 
-def test_files_of_a_folder_without_ros_share_a_process() -> None:
-    folder = WITHOUT_ROS[0]
-    jobs = make_test_jobs([folder / "test_a.py", THIS.root / "tests" / "test_b.py", folder / "sub" / "test_c.py"])
-    assert jobs[0].command[-2:] == [str(folder / "test_a.py"), str(folder / "sub" / "test_c.py")]
-    assert len(jobs) == 2
+def test_files_of_a_folder_share_a_process_but_those_with_ros(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("run_tests.SHARED", (tmp_path,))
+    texts = {"a": "", "b": "with ros_context([]): pass", "c": ""}
+    write_test_files(tmp_path, **texts)
+    files = {name: tmp_path / f"test_{name}.py" for name in texts}
+    shared, alone = make_test_jobs(list(files.values()))
+    assert (shared.command[-2:], shared.low_priority) == ([str(files["a"]), str(files["c"])], True)
+    assert (alone.command[-1], alone.low_priority) == (str(files["b"]), False)
 
 
-def test_tests_that_share_a_process_make_no_ros_context() -> None:
-    ros = re.compile(
-        r"rclpy\.init|\bContext\(|ros_context|ros_domain|isolated_network|testing\.(?:graph|in_process_nodes)"
-    )
-    files = [file for folder in WITHOUT_ROS for file in folder.rglob("*.py")]
-    assert not [file.name for file in files if ros.search(file.read_text(encoding="utf-8"))]
+def test_what_tests_of_a_shared_process_import_makes_no_ros_context() -> None:
+    files = [file for folder in SHARED for file in folder.rglob("*.py")]
+    assert not [file.name for file in files if not file.name.startswith("test_") and uses_ros(file)]
+
+
+def test_slow_files_come_first() -> None:
+    first = find_test_files([])[: len(SLOW)]
+    assert first == [THIS.root / name for name in SLOW]
 
 
 def test_no_such_path(tmp_path: Path) -> None:

@@ -3,10 +3,11 @@
 """Run the linters and the tests in parallel processes, and print one line for each.
 
 A test file that may use ROS has a pytest process of its own, so that no ROS context leaks from one file into another;
-two such processes run at a time. A folder whose tests make no ROS context has one process, which saves seconds of
-imports for each file. These and the linters run at low priority in the processor time that the nodes of the other tests
-leave while they wait; a process that has no such job left runs tests that may use ROS. The linters need no build and
-start before it. Every process uses one thread of linear algebra, because threads of small matrices wait for each other.
+two such processes run at a time. The other files of a folder of SHARED have one process, which saves seconds of imports
+for each file. These and the linters run at low priority in the processor time that the nodes of the other tests leave
+while they wait; a process that has no such job left runs tests that may use ROS, and the reverse. Files of SLOW come
+first, so that none of them is left for the end. The linters need no build and start before it. Every process uses one
+thread of linear algebra, because threads of small matrices wait for each other.
 The output ends with every skipped or failed test and its reason, and ``N passed, N failed, N skipped``.
 Arguments: paths of tests; without paths, the linters and all tests run. Tests with the marker ``long`` are left out;
 with the option ``--long`` they alone run.
@@ -17,6 +18,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import os
+import re
 import signal
 import subprocess
 import textwrap
@@ -39,17 +41,23 @@ INTERRUPT_TIMEOUT_S = 20.0  # for an interrupted pytest to stop the nodes of its
 SINGLE_THREAD = {"OPENBLAS_NUM_THREADS": "1"}  # numpy and scipy; the caller's own setting has precedence
 FAILURE_LENGTH = 1000  # last characters of a failure, in the summary; the whole is printed when its job ends
 REPORTS = THIS.root / "build" / "test"
-WITHOUT_ROS = tuple(  # folders whose tests make no ROS context and share a process
+USES_ROS = re.compile(r"rclpy\.init|\bContext\(|ros_context|ros_domain|isolated_network|harness\.graph")
+SHARED = tuple(  # folders whose files share a process, except those that use ROS
     THIS.root / folder
     for folder in (
         *(f"ros2_ws/src/posor/test/{part}" for part in ("numerics", "model", "sensors", "estimation", "chain")),
         *(f"ros2_ws/src/posor/test/{part}" for part in ("calibration", "uncertainty", "messages", "bags", "reporting")),
+        *(f"ros2_ws/src/posor/test/{part}" for part in ("correction", "tables")),
         *(f"ros2_ws/src/{package}/test" for package in ("posor_calibration", "posor_design")),
         "ros2_ws/src/posor_drivers/test/simulator",
-        *(f"lab/posor_lab/test/{part}" for part in ("accuracy", "benchmark", "campaign")),
-        *(f"lab/posor_lab/test/{part}" for part in ("thesis_budgets", "thesis_table")),
+        *(f"lab/posor_lab/test/{part}" for part in ("accuracy", "benchmark", "campaign", "arm_study", "independent")),
+        *(f"lab/posor_lab/test/{part}" for part in ("thesis_budgets", "thesis_table", "replay_1985")),
     )
 )
+
+
+SLOW = ("ros2_ws/src/posor_drivers/test/instruments/test_stream_device.py",)
+"""Files of more than 40 s, the longest first."""
 
 
 @dataclass
@@ -97,7 +105,7 @@ class Job:
 
 
 def find_test_files(paths: list[str]) -> list[Path]:
-    """Return the test files below some paths, or all test files. Files near the top take longest and come first.
+    """Return the test files below some paths, or all test files: those of SLOW, then those near the top first.
 
     Raises:
         SetupError: A path does not exist.
@@ -111,7 +119,8 @@ def find_test_files(paths: list[str]) -> list[Path]:
         if not root.exists():
             raise SetupError(f"{root}: no such test file or folder.")
     files = [file for root in roots for file in ([root] if root.is_file() else sorted(root.rglob("test_*.py")))]
-    return sorted(files, key=lambda file: len(file.parts))
+    slow = [THIS.root / name for name in SLOW]
+    return sorted(files, key=lambda file: (slow.index(file) if file in slow else len(slow), len(file.parts)))
 
 
 def display_name(path: Path) -> str:
@@ -119,18 +128,24 @@ def display_name(path: Path) -> str:
     return str(path.relative_to(THIS.root) if path.is_relative_to(THIS.root) else path)
 
 
+def uses_ros(file: Path) -> bool:
+    """Return whether the text of a file names what makes a ROS context."""
+    return bool(USES_ROS.search(file.read_text(encoding="utf-8")))
+
+
 def make_test_jobs(files: list[Path], marked: str = "not long") -> list[Job]:
-    """Return one job for all files of a folder without ROS, and one for each other file; only tests with the marker."""
+    """Return one job for the files of a folder that share a process, and one for each other; tests with the marker."""
     groups: dict[Path, list[str]] = {}
     for file in files:
-        key = next((folder for folder in WITHOUT_ROS if file.is_relative_to(folder)), file)
+        shared = next((folder for folder in SHARED if file.is_relative_to(folder)), None)
+        key = file if shared is None or uses_ros(file) else shared
         groups.setdefault(key, []).append(str(file))
     jobs = []
     for key, names in groups.items():
         report = REPORTS / (display_name(key).strip("/").replace("/", ".") + ".xml")
         options = ["-c", str(THIS.root / "pyproject.toml"), "-q", "--color=no", f"--junitxml={report}"]
         command = [str(THIS.python), "-m", "pytest", *options, "-m", marked, *names]
-        jobs.append(Job(display_name(key), command, report, low_priority=key in WITHOUT_ROS))
+        jobs.append(Job(display_name(key), command, report, low_priority=key in SHARED))
     return jobs
 
 
