@@ -11,10 +11,11 @@ from __future__ import annotations
 import logging
 from contextlib import contextmanager
 from functools import cache
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from posor.bags.mcap_file import RECOVER
-from posor.bags.ordered_reader import OrderedReader
+from posor.bags.ordered_reader import OrderedReader, stored_name
 from posor.bags.recorded_topics import EXPECTED, METADATA
 from posor.errors import BagError, PosorError, clause_of
 from posor.messages.message_definitions import schema_of_topic
@@ -23,7 +24,6 @@ from posor.ros_names import RAW_SCAN
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Sequence
-    from pathlib import Path
 
     from rosbags.interfaces import Connection
 
@@ -143,9 +143,13 @@ def _listed(connections: Sequence[Connection]) -> str:
 
 
 def storage_files(path: Path, *suffixes: str) -> list[Path]:
-    """Return the files of a bag (a folder or a single file) with one of some suffixes, ``x_2`` before ``x_10``."""
-    files = sorted(path.iterdir(), key=lambda file: (len(file.name), file.name)) if path.is_dir() else [path]
-    return [file for file in files if file.suffix in suffixes]
+    """Return the files of a bag (a folder or a single file) with one of some suffixes, ``x_2`` before ``x_10``.
+
+    Files that are compressed (``.zstd``) are among them, unless the decompressed file is there, too.
+    """
+    files = sorted(path.iterdir(), key=lambda file: (len(stored_name(file)), file.name)) if path.is_dir() else [path]
+    own = [file for file in files if Path(stored_name(file)).suffix in suffixes]
+    return [file for file in own if file.name == stored_name(file) or file.with_name(stored_name(file)) not in own]
 
 
 def _check_metadata(path: Path) -> None:
@@ -154,7 +158,9 @@ def _check_metadata(path: Path) -> None:
     files = storage_files(path, *ADVICE)
     if not files:
         raise BagError("the folder holds no bag", where=str(path), expected=EXPECTED)
-    expected = ADVICE[files[0].suffix] + (f"; or name the file '{files[0]}' itself" if len(files) == 1 else "")
+    expected = ADVICE[Path(stored_name(files[0])).suffix] + (
+        f"; or name the file '{files[0]}' itself" if len(files) == 1 else ""
+    )
     raise BagError(f"{METADATA} is missing in the folder of the bag", where=str(path), expected=expected)
 
 

@@ -28,7 +28,7 @@ from posor.bags.mcap_file import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Collection, Iterable, Iterator
     from mmap import mmap
 
     from mcap.records import McapRecord
@@ -50,10 +50,11 @@ def read_records(data: mmap | bytes) -> Iterator[list[Record] | Damage]:
     Message indices are left out; records of unknown types are not.
     """
     index, records = index_begin(data), read_index(data)
-    position, end = after_header(data), len(data)
-    if not isinstance(index, Damage) and index.checked:
-        end = index.offset
-    search = _Search(data, end, [] if isinstance(records, Damage) else records)
+    position = after_header(data)
+    listed = [] if isinstance(records, Damage) else records
+    is_checked = not isinstance(index, Damage) and index.checked
+    end = index.offset if is_checked else len(data)
+    search = _Search(data, end, listed, is_checked=is_checked)
     if data[: len(MAGIC)] != MAGIC:
         yield NOT_MCAP
     while position < end:
@@ -64,6 +65,10 @@ def read_records(data: mmap | bytes) -> Iterator[list[Record] | Damage]:
             yield Damage(position, after - position, str(error))
         else:
             if opcode == Opcode.DATA_END:
+                appended = data.find(2 * MAGIC, after) + len(MAGIC)
+                if appended > after:
+                    what = "another MCAP file begins here, to be cut off to a file of its own"
+                    yield Damage(appended, len(data) - appended, what)
                 return
             if found:
                 yield found
@@ -75,10 +80,11 @@ def read_records(data: mmap | bytes) -> Iterator[list[Record] | Damage]:
 class _Search:
     """Reads the data of a file that may be damaged."""
 
-    def __init__(self, data: mmap | bytes, end: int, index: Iterable[McapRecord]) -> None:
-        self._data, self._end = data, end
-        index = list(index)
-        self._listed = {each.chunk_start_offset for each in index if isinstance(each, ChunkIndex)}
+    def __init__(
+        self, data: mmap | bytes, end: int, index: Collection[McapRecord], *, is_checked: bool = False
+    ) -> None:
+        self._data, self._end, self._is_checked = data, end, is_checked
+        self._listed = {each.chunk_start_offset: each for each in index if isinstance(each, ChunkIndex)}
         self._definitions = Definitions(index)
         self._has_chunks, self._has_messages = bool(self._listed), False  # messages outside of chunks
         self._may_have_chunks = True
@@ -95,6 +101,8 @@ class _Search:
         if opcode in OF_MESSAGES and not self._is_followed(after) and self._find_message(position + 1, after) < after:
             raise DamagedError("the length of a record is damaged")
         self._add_definitions(found, is_chunk=opcode == Opcode.CHUNK)
+        if self._is_checked and position in self._listed:
+            after += self._listed[position].message_index_length
         return opcode, found, after
 
     def _add_definitions(self, records: Iterable[Record], *, is_chunk: bool) -> None:

@@ -26,7 +26,7 @@ from posor.bags.chunk_reader import ChunkReader
 from posor.bags.mcap_storage import McapFile
 from posor.bags.message_block import MessageBlock
 from posor.bags.recorded_topics import EXPECTED, METADATA, BagMetadata, Unread
-from posor.bags.sqlite_storage import SqliteFile
+from posor.bags.sqlite_storage import WAL_HEAD, SqliteFile
 from posor.errors import BagError
 
 if TYPE_CHECKING:
@@ -41,6 +41,7 @@ if TYPE_CHECKING:
 
 KINDS: dict[str, type[McapFile | SqliteFile]] = {".mcap": McapFile, ".db3": SqliteFile}
 ZSTD, ZSTD_MAGIC = ".zstd", b"\x28\xb5\x2f\xfd"
+WAL_MODE_AT, WAL_MODE = 18, b"\x02"  # byte of an SQLite file that states that it is written through a log
 JOURNAL_MAGIC = b"\xd9\xd5\x05\xf9\x20\xa1\x63\xd7"  # of a journal that has to be rolled back
 BLOCK_MESSAGES = 16_384  # messages that are read at a time from SQLite
 COPY_BYTES = 1 << 20
@@ -111,7 +112,8 @@ class OrderedReader:
 
     def check_files(self, files: Sequence[Path]) -> None:
         """Raise a BagError if one of the ``files`` of the bag is not listed, or if one of several has no log times."""
-        if unlisted := [file.name for file in files if file not in self._listed]:
+        stored = {stored_name(each) for each in self._listed}
+        if unlisted := [file.name for file in files if stored_name(file) not in stored]:
             listed = ", ".join(sorted(each.name for each in self._listed))
             what = f"metadata.yaml does not list {unlisted[0]}, but {listed}"
             raise BagError(what, where=str(self.path), expected="all files of the folder, as 'ros2 bag reindex' does")
@@ -185,10 +187,12 @@ class OrderedReader:
 
     def _open_file(self, path: Path, stack: ExitStack) -> StoredFile:
         """Open a file, or its copy; the stack closes the file and removes the copy."""
-        storage, name, beside = path, path.name.removesuffix(ZSTD), _side_files(path)
+        storage, name, beside = path, stored_name(path), _side_files(path)
         kind = KINDS.get(Path(name).suffix)
         if kind is None:
             raise BagError(f"is no file that ends in {' or '.join(KINDS)}", where=str(path), expected=EXPECTED)
+        if kind is SqliteFile and not beside:
+            _refuse_log_of_other_name(path)
         if beside or _begins_with(path, ZSTD_MAGIC):
             repair = f"'sqlite3 {name} \"PRAGMA wal_checkpoint(TRUNCATE)\" .tables'"
             self._side_notes += [
@@ -209,6 +213,7 @@ class OrderedReader:
                 raise BagError(what, where=str(path), expected=expected) from error
         file = kind(path, storage, self.metadata)
         stack.callback(file.close)
+        self._side_notes += file.notes
         return file
 
     def _connections(self, files: Sequence[StoredFile]) -> Iterator[Connection]:
@@ -220,6 +225,11 @@ class OrderedReader:
             yield group[0]._replace(id=number, msgcount=sum(each.msgcount for each in group))
 
 
+def stored_name(path: Path) -> str:
+    """Return the name of a file of a bag once it is decompressed."""
+    return path.name.removesuffix(ZSTD)
+
+
 def _begins_with(path: Path, magic: bytes) -> bool:
     with path.open("rb") as file:
         return file.read(len(magic)) == magic
@@ -228,8 +238,20 @@ def _begins_with(path: Path, magic: bytes) -> bool:
 def _side_files(path: Path) -> list[Path]:
     """Return the files beside an SQLite file that hold transactions which are not finished there."""
     wal, journal = (path.with_name(f"{path.name}-{each}") for each in ("wal", "journal"))
-    found = [wal] if wal.is_file() and wal.stat().st_size else []
+    found = [wal] if wal.is_file() and wal.stat().st_size > WAL_HEAD else []
     return found + ([journal] if journal.is_file() and _begins_with(journal, JOURNAL_MAGIC) else [])
+
+
+def _refuse_log_of_other_name(path: Path) -> None:
+    """Refuse an SQLite file with a write-ahead log if a log is there whose file is not: one of them was renamed."""
+    with path.open("rb") as file:
+        head = file.read(WAL_MODE_AT + 1)
+    if head[WAL_MODE_AT:] != WAL_MODE:
+        return
+    for each in sorted(path.parent.glob("*-wal")):
+        if each.stat().st_size > WAL_HEAD and not each.with_name(each.name.removesuffix("-wal")).exists():
+            expected = f"{path.name}-wal if it holds transactions of {path.name}, or the log elsewhere"
+            raise BagError(f"{each.name} belongs to no file beside it", where=str(path), expected=expected)
 
 
 def _state(files: Sequence[Path]) -> list[tuple[int, int]]:

@@ -8,6 +8,7 @@ listed, see ``Unread``.
 
 from __future__ import annotations
 
+from collections import Counter
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path, PureWindowsPath
@@ -78,7 +79,7 @@ class BagMetadata:
         try:
             whole = yaml.safe_load(path.read_text(encoding="utf-8"))["rosbag2_bagfile_information"]
             compression, mode = (str(whole.get(f"compression_{each}") or "") for each in ("format", "mode"))
-            files = [PureWindowsPath(each).name for each in whole["relative_file_paths"]]
+            files = Counter(PureWindowsPath(each).name for each in dict.fromkeys(whole["relative_file_paths"]))
             topics = [
                 (each["topic_metadata"], int(each.get("message_count") or 0))
                 for each in whole.get("topics_with_message_count") or ()
@@ -96,7 +97,13 @@ class BagMetadata:
             raise BagError(f"cannot be read, {reason}", where=str(path), expected=expected) from error
         if mode.lower() not in ("", "none") and compression not in ("", "zstd"):
             raise BagError(f"the bag is compressed with {compression}", where=str(path), expected="zstd")
-        return BagMetadata(list(dict.fromkeys(files)), types, hashes, counts)
+        if repeated := [name for name, count in files.items() if count > 1]:
+            what, expected = (
+                f"lists two files of the name {repeated[0]}",
+                f"each file once, in the folder of {METADATA}",
+            )
+            raise BagError(what, where=str(path), expected=expected)
+        return BagMetadata(list(files), types, hashes, counts)
 
 
 def connection_of(topic: StoredTopic, messages: int, metadata: BagMetadata) -> Connection | Unread:

@@ -20,6 +20,7 @@ from posor.bags.bag_writer import BagWriter
 from posor.bags.mcap_file import UNKNOWN, Damage, definitions_of, mapped, read_index
 from posor.bags.mcap_search import read_records
 from posor.bags.mcap_storage import definitions_by_number, topic_of
+from posor.bags.ordered_reader import stored_name
 from posor.bags.provenance import custom_data
 from posor.bags.recorded_topics import BagMetadata, Unread, connection_of, profiles_of
 from posor.bags.stored_file import LAST_TIME_NS
@@ -101,8 +102,9 @@ def recover(bag: Path, output: Path) -> list[Rescue]:
         raise BagError("does not exist", where=str(bag), expected="an MCAP file, or a folder of MCAP files")
     files = storage_files(bag, ".mcap")
     if not files:
-        expected = "an MCAP file; for SQLite: 'sqlite3 .recover', for .zstd: 'unzstd' before"
-        raise BagError("holds no MCAP file", where=str(bag), expected=expected)
+        raise BagError("holds no MCAP file", where=str(bag), expected="an MCAP file; for SQLite: 'sqlite3 .recover'")
+    if compressed := [file for file in files if file.name != stored_name(file)]:
+        raise BagError("is compressed", where=str(compressed[0]), expected="its content, as 'unzstd' writes it")
     if output.exists():
         raise BagError("exists already", where=str(output), expected="a new folder")
     try:

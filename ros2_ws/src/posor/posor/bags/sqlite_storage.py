@@ -22,6 +22,9 @@ if TYPE_CHECKING:
     from posor.bags.recorded_topics import BagMetadata
 
 MAGIC = b"SQLite format 3\0"
+WAL_MAGIC = (b"\x37\x7f\x06\x82", b"\x37\x7f\x06\x83")
+WAL_HEAD, WAL_FRAME_HEAD = 32, 24  # bytes before the first page, and before each page
+WAL_SALTS, WAL_SALTS_OF_FRAME = slice(16, 24), slice(8, 16)
 LAST_OF_HEAD = struct.Struct(">H10xI")  # after the magic bytes: size of a page, ..., number of pages
 
 
@@ -36,20 +39,34 @@ class SqliteFile(StoredFile):
         """
         super().__init__(path)
         is_copy = storage != path
+        log = storage.with_name(f"{storage.name}-wal")
         if not is_copy:
             _check_size(path)
+        frames = _frames_of(log, path) if is_copy and log.is_file() else 0
         with self._errors():
             self._database = sqlite3.connect(
                 f"{storage.absolute().as_uri()}{'' if is_copy else '?immutable=1'}", uri=True, check_same_thread=False
             )
+            if frames and frames > self._database.execute("PRAGMA wal_checkpoint").fetchone()[1]:
+                self.notes.append(f"{log.name} ends within a transaction, which is left out")
             tables = {name for (name,) in self._database.execute("SELECT name FROM sqlite_master")}
             if missing := [name for name in ("topics", "messages") if name not in tables]:
                 raise BagError(f"has no table {missing[0]}", where=str(path), expected=EXPECTED)
             topics = self._rows("topics")
             definitions = self._rows("message_definitions") if "message_definitions" in tables else []
-            extents = "SELECT topic_id, count(*), min(timestamp), max(timestamp) FROM messages GROUP BY topic_id"
+            no_message = "typeof(timestamp) != 'integer' OR timestamp < 0 OR typeof(data) != 'blob'"
+            extents = (
+                "SELECT topic_id, count(*), min(timestamp), max(timestamp), "  # noqa: S608  own text
+                f"min(CASE WHEN {no_message} THEN rowid END) FROM messages GROUP BY topic_id"
+            )
             counts = dict[int, int]()
-            for number, count, start_ns, end_ns in self._database.execute(extents):
+            for number, count, start_ns, end_ns, invalid in self._database.execute(extents):
+                if invalid is not None:
+                    what, expected = (
+                        f"row {invalid} of the table messages is no message",
+                        "a time of whole ns, and bytes",
+                    )
+                    raise BagError(what, where=str(path), expected=expected)
                 counts[number] = count
                 self.start_ns, self.end_ns = min(self.start_ns, start_ns), max(self.end_ns, end_ns)
         for topic in topics:
@@ -109,6 +126,26 @@ def _topic_of(row: Mapping[str, Any], definitions: Collection[Mapping[str, Any]]
         type_hash,
         row.get("offered_qos_profiles") or "",
     )
+
+
+def _frames_of(log: Path, path: Path) -> int:
+    """Return the number of pages in a write-ahead log, with a page that is cut short (https://sqlite.org/walformat.html).
+
+    After the last one, the log may hold pages of former transactions, which have other salts. Raises BagError: the log
+    of the file is not one.
+    """
+    with log.open("rb") as file:
+        size, head, count = log.stat().st_size, file.read(WAL_HEAD), 0
+        if len(head) < WAL_HEAD or head[:4] not in WAL_MAGIC:
+            expected = "the one that was written with the file"
+            raise BagError("is not a write-ahead log of SQLite", where=f"{path}-wal", expected=expected)
+        page_size = int.from_bytes(head[8:12])
+        while (begin := WAL_HEAD + count * (WAL_FRAME_HEAD + page_size)) + WAL_FRAME_HEAD <= size:
+            file.seek(begin)
+            if file.read(WAL_FRAME_HEAD)[WAL_SALTS_OF_FRAME] != head[WAL_SALTS]:
+                break
+            count += 1
+    return count
 
 
 def _check_size(path: Path) -> None:

@@ -27,6 +27,7 @@ class StoredFile(ABC):
         path: The file, as errors name it.
         connections: Its topics that can be read, with the number of their messages.
         unread: What is left out.
+        notes: What else is missing, a sentence each.
         start_ns: First log time of all messages.
         end_ns: Last log time of all messages; before the first one: the file holds no message.
 
@@ -37,6 +38,7 @@ class StoredFile(ABC):
         self.path = path
         self.connections: list[Connection] = []
         self.unread: list[Unread] = []
+        self.notes: list[str] = []
         self.start_ns, self.end_ns = LAST_TIME_NS, -1
 
     @abstractmethod

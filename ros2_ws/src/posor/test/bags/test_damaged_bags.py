@@ -185,6 +185,17 @@ def test_every_whole_chunk_of_200_cut_files_is_rescued(recorded: bytes, tmp_path
     check_cuts(recorded, tmp_path, 200)
 
 
+@pytest.mark.parametrize("flip", [(0, 2), (1, 128)], ids=["type of a message", "length"])
+def test_a_damaged_message_index_costs_no_message(flip: tuple[int, int], recorded: bytes, tmp_path: Path) -> None:
+    file, data = record(tmp_path / "bag"), bytearray(recorded)
+    first = chunk_indices(file)[0]
+    data[first.chunk_start_offset + first.chunk_length + flip[0]] ^= flip[1]
+    file.write_bytes(data)
+    (rescue,), messages = rescued(tmp_path / "bag", tmp_path / "out")
+    assert messages == [message for chunk in chunks() for message in chunk]
+    assert rescue.damages == []
+
+
 def check_flips(recorded: bytes, folder: Path, count: int) -> None:
     """Flip bits; every chunk but the damaged one is rescued, and the loss is counted."""
     file, chance, contents = record(folder / "bag"), np.random.default_rng(37), chunks()
@@ -291,7 +302,7 @@ def test_what_cannot_be_recovered_is_refused(tmp_path: Path) -> None:
     (tmp_path / "notes.txt").touch()
     for name, sentence in (
         ("none", r"none: does not exist; expected an MCAP file, or a folder of MCAP files\."),
-        ("notes.txt", r"notes\.txt: holds no MCAP file; expected an MCAP file; for SQLite: 'sqlite3 \.recover', "),
+        ("notes.txt", r"notes\.txt: holds no MCAP file; expected an MCAP file; for SQLite: 'sqlite3 \.recover'"),
         ("empty.mcap", r"empty\.mcap: holds no whole message, the file is empty at byte 0\."),
         ("other.mcap", "the file does not begin as MCAP files do at byte 0"),
     ):

@@ -15,10 +15,12 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+import zstandard
 from mcap.writer import IndexType
 from mcap.writer import Writer as McapWriter
 from posor.bags.bag_reader import opened_bag, scan_schema
 from posor.bags.block_reader import read_messages
+from posor.bags.mcap_file import Damage
 from posor.bags.recorded_topics import METADATA
 from posor.bags.recover_command import recover
 from posor.bags.reprocess_command import print_summary
@@ -211,6 +213,16 @@ METADATA_FAULTS: dict[str, tuple[dict[str, bytes], dict[str, Any], str]] = {
     ),
     "two storages": ({"a.mcap": WHOLE, "b.db3": b""}, {}, r"b.db3: has no table topics; expected a rosbag2 bag"),
     "another file": ({"a.bag": b"#ROSBAG"}, {}, "a.bag: is no file that ends in .mcap or .db3; expected a ros"),
+    "an unlisted compressed file": (
+        {"a_0.mcap.zstd": zstandard.compress(WHOLE), "a_1.mcap": WHOLE},
+        {"relative_file_paths": ["a_1.mcap"]},
+        "metadata.yaml does not list a_0.mcap.zstd, but a_1.mcap; expected all files",
+    ),
+    "two files of one name": (
+        {"a.mcap": WHOLE},
+        {"relative_file_paths": ["a.mcap", "part2/a.mcap"]},
+        "metadata.yaml: lists two files of the name a.mcap; expected each file once, in the folder of metadata.yaml",
+    ),
 }
 
 
@@ -231,6 +243,28 @@ def test_metadata_add_only_what_the_files_do_not_state(tmp_path: Path) -> None:
     assert notes == ["metadata.yaml states 5 messages of /one/raw; the files hold 4"]
     with pytest.raises(BagError, match="holds no messages but of /one/raw of no stated type"):
         read(bag / "a.mcap")
+
+
+def test_a_file_that_was_decompressed_by_hand_is_read_once(tmp_path: Path) -> None:
+    files = {"a.mcap.zstd": zstandard.compress(WHOLE), "a.mcap": WHOLE}
+    bag = folder_of(tmp_path / "bag", files, relative_file_paths=["a.mcap.zstd"])
+    messages, notes = read(bag)
+    assert (len(messages), notes) == (5, [])
+
+
+def test_compressed_files_of_a_killed_recorder_are_named(tmp_path: Path) -> None:
+    bag = tmp_path / "bag"
+    bag.mkdir()
+    (bag / "a_0.mcap.zstd").write_bytes(zstandard.compress(WHOLE))
+    with pytest.raises(BagError, match=r"metadata.yaml is missing .*; or name the file '.*a_0.mcap.zstd' itself"):
+        read(bag)
+    (bag / "a_1.mcap").write_bytes(WHOLE)
+    with pytest.raises(BagError, match=r"metadata.yaml is missing .*'recover' of posor .* with metadata.yaml\.$"):
+        read(bag)
+    with pytest.raises(BagError, match=r"a_0.mcap.zstd: is compressed; expected its content, as 'unzstd' writes it"):
+        recover(bag, tmp_path / "out")
+    (bag / "a_0.mcap").write_bytes(WHOLE)
+    assert [rescue.messages for rescue in recover(bag, tmp_path / "out")] == [5, 5]
 
 
 FORMS: dict[str, tuple[bytes, dict[str, Any]]] = {
@@ -305,6 +339,14 @@ def test_a_flipped_bit_of_a_file_without_chunks_costs_two_messages_at_most(flips
         shutil.rmtree(tmp_path / f"out{n}")
 
 
+def test_a_second_file_that_was_appended_is_damage(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    path.write_bytes(WHOLE + mcap({CDR: 7}))
+    (rescue,) = recover(path, tmp_path / "out")
+    what = "another MCAP file begins here, to be cut off to a file of its own"
+    assert (rescue.messages, rescue.damages) == (5, [Damage(len(WHOLE), path.stat().st_size - len(WHOLE), what)])
+
+
 def test_an_end_of_the_data_before_their_last_record_is_damage(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     path.write_bytes(mcap({CDR: 60}, **unindexed(use_chunking=False)))
@@ -361,6 +403,42 @@ def test_transactions_that_a_killed_recorder_left_beside_the_file_count(
     )
     assert notes == [expected]
     assert state_of(path.parent) == before
+
+
+def test_a_cut_write_ahead_log_is_noted(tmp_path: Path) -> None:
+    path = sqlite_bag(tmp_path, insert_rows, ("-wal",))
+    log = path.with_name("bag.db3-wal")
+    log.write_bytes(log.read_bytes()[:-2000])
+    messages, notes = read(path)
+    assert len(messages) == 59
+    assert notes[1:] == ["bag.db3-wal ends within a transaction, which is left out"]
+    log.write_bytes(bytes(5000))
+    with pytest.raises(
+        BagError, match=r"bag.db3-wal: is not a write-ahead log of SQLite; expected the one that was .*"
+    ):
+        read(path)
+    log.write_bytes(log.read_bytes()[:0])
+    assert len(read(path)[0]) == 20
+
+
+def test_a_log_of_another_name_is_refused(tmp_path: Path) -> None:
+    path = sqlite_bag(tmp_path, insert_rows, ("-wal",))
+    renamed = path.rename(path.with_name("run 1.db3"))
+    with pytest.raises(
+        BagError, match=r"run 1.db3: bag.db3-wal belongs to no file beside it; expected .*run 1.db3-wal"
+    ):
+        read(renamed)
+
+
+UNREADABLE_ROWS = {"text": "data = 'abc'", "half a nanosecond": "timestamp = 1000.5", "negative": "timestamp = -5"}
+
+
+@pytest.mark.parametrize("change", UNREADABLE_ROWS.values(), ids=UNREADABLE_ROWS.keys())
+def test_a_row_that_is_no_message_is_named(change: str, tmp_path: Path) -> None:
+    query = f"UPDATE messages SET {change} WHERE id = 3"  # noqa: S608  own
+    path = sqlite_bag(tmp_path, lambda database: database.execute(query), ())
+    with pytest.raises(BagError, match=r"bag.db3: row 3 of the table messages is no message; expected a time of whole"):
+        read(path)
 
 
 def test_a_copy_that_finds_no_space_names_the_command_that_repairs(
