@@ -136,7 +136,7 @@ class _Reader:
         self._check_header_units(entries)
         calibrations = {name: self._calibration(name, joint) for name, joint in table_map.joints.items()}
         cells = table.read({*entries.values(), *number}, {*times, *flags.values()})
-        if not len(cells.places):
+        if not (len(cells.places) or cells.incomplete):
             raise DataFileError("has no rows", where=str(table.path), expected="one row for each scan after the header")
         stamps = self._stamps(cells, times)
         optional = {

@@ -40,7 +40,19 @@ _ALIASES = {
 }
 _ALIASES |= {"msec": "ms", "usec": "us", "kelvin": "K", "celsius": "degC", "c": "degC", "f": "degF", "inch": "in"}
 _ALIASES |= {"°c": "degC", "°f": "degF", "°": "deg", "degrees": "deg", "v": "V", "a": "A", "-": "1", "inches": "in"}
-_IN_NAME = re.compile(r"[\[({]\s*([^\[\](){}]+?)\s*[\])}]\s*$|\s/\s*(\S+)\s*$")
+_ALIASES |= {"mv": "mV", "uv": "uV", "ma": "mA", "ua": "uA"}
+_ALIASES |= {
+    f"{prefix}{word}{plural}": f"{sign}{si}"
+    for prefix, sign in (("milli", "m"), ("micro", "u"), ("nano", "n"))
+    for word, si in (("volt", "V"), ("amp", "A"), ("ampere", "A"), ("second", "s"), ("meter", "m"), ("metre", "m"))
+    for plural in ("", "s")
+}
+_DIRECT = re.compile(r"\s*DC$", re.IGNORECASE)
+_IN_BRACKETS = re.compile(r"[\[({]\s*([^\[\](){}]+?)\s*[\])}]")
+_AT_END = re.compile(r"(\S*)\s*/\s*(\S+)\s*$|\s(in)\s+(\S+)\s*$")  # AI0/V, U / V, gap in V
+_LAST_PART = re.compile(r"(?:_|,\s*)([^\W_]+)\s*$")  # gap_mV
+_LABELS = {"1", "A", "K", "d", "h", "in", "m", "mil", "min", "pm"}
+"""Last parts of names that mean something else, such as the contact of a diode or the type of a thermocouple."""
 
 
 class Unit(NamedTuple):
@@ -61,13 +73,20 @@ UNITS = {
 
 def find_unit(text: str) -> Unit | None:
     """Return a unit by its name, or by a usual other spelling of it; None: unknown."""
+    text = _DIRECT.sub("", text)
     return UNITS.get(text) or UNITS.get(_ALIASES.get(text.lower(), ""))
 
 
 def unit_in_name(name: str) -> Unit | None:
-    """Return the unit in brackets, or behind a slash, at the end of a column's name, such as ``AI0 (mV)``."""
-    match = _IN_NAME.search(name)
-    return find_unit(match[1] or match[2]) if match else None
+    """Return the unit in a column's name: ``AI0 (mV)``, ``AI0/mV``, ``AI0 in mV``, ``AI0_mV``; None: there is none."""
+    units = [unit for text in _IN_BRACKETS.findall(name) if (unit := find_unit(text))]
+    if units:
+        return units[-1]
+    if match := _AT_END.search(name):
+        before, text = match[1] or "", match[2] or match[4]
+        return None if find_unit(before) or text in _ALIASES else find_unit(text)
+    match = _LAST_PART.search(name)
+    return UNITS.get(match[1]) if match and match[1] not in _LABELS else None
 
 
 def units_of(si: str) -> list[str]:

@@ -32,6 +32,7 @@ _MARKS = (
     (codecs.BOM_UTF16_LE, "utf-16"),
     (codecs.BOM_UTF16_BE, "utf-16"),
 )
+LEFT_OUT = "Comment"  # last column of LabVIEW's files (.lvm), of which a row without comment has no cell
 _CHUNK = 20_000  # rows that are converted at a time
 _ENOUGH_ROWS = 3  # to judge the length of the last cell
 _FEWEST_CELLS = 3  # of a row that a quoted cell of several lines may contain
@@ -180,9 +181,9 @@ class TextTable(RawTable):
                 raise DataFileError(f"there are {len(row)} cells", where=self.place(number), expected=expected)
             if held:
                 shortest, rows = min(shortest, len(held[1][-1])), rows + 1
-                yield held
+                yield held[0], held[1] + [""] * (count - len(held[1]))
             held = None
-            if len(row) < count:
+            if len(row) < (count - 1 if self.columns[-1].name == LEFT_OUT else count):
                 cells.incomplete.append((number, f"there are {len(row)} cells", f"{count}, as in the header"))
             else:
                 held = number, row[:count]
@@ -190,7 +191,7 @@ class TextTable(RawTable):
             what = f"'{held[1][-1]}' at the end of the file is shorter than all cells above it"
             cells.incomplete.append((held[0], what, "a whole line"))
         elif held:
-            yield held
+            yield held[0], held[1] + [""] * (count - len(held[1]))
 
 
 def _unit_below(rows: list[list[str]], column: int) -> Unit | None:

@@ -13,6 +13,7 @@ import pytest
 from posor import CalibrationError, DataFileError, ParameterError, PosorError, Scans, read_table
 from posor.tables.table_map import load_table_map
 from posor.tables.table_readings import load_readings
+from posor.tables.table_units import UNITS, unit_in_name
 from posor.tables.text_table import decode
 
 from .sample_files import CELSIUS, COUNT, NAMES, READINGS, START, START_NS, TIMES, VOLTS, rows, write_csv, write_map
@@ -215,6 +216,11 @@ BAD: dict[str, tuple[str, dict[str, Any], str]] = {
         {},
         "{csv}, line 4: there are 3 cells; expected 5, as in the header, or leave_out: [incomplete_rows] in the map.",
     ),
+    "short rows": (
+        TEXT.replace(",ok", ""),
+        {},
+        "{csv}, line 2: there are 4 cells (and 9 more); expected 5, as in the header, or leave_out: [incomplete_rows] ",
+    ),
     "long row": (change(TEXT, ROW, ROW + ",7"), {}, "{csv}, line 4: there are 6 cells; expected 5, as in the header; "),
     "last line cut": (TEXT[:-30], {}, "line 11: there are"),
     "last cell cut": (
@@ -288,6 +294,48 @@ BAD: dict[str, tuple[str, dict[str, Any], str]] = {
         "no row is whole",
     ),
 }
+
+
+UNITS_OF_NAMES = {
+    "AI0 (mV)": "mV",
+    "AI0 [Volts] filtered": "V",
+    "(uA) I0": "uA",
+    "AI0 (mVDC)": "mV",
+    "AI0 (V DC)": "V",
+    "AI0 (mv)": "mV",
+    "AI0 (millivolts)": "mV",
+    "AI0/V": "V",
+    "U / mV": "mV",
+    "Spannung in V": "V",
+    "gap, mV": "mV",
+    "gap_mV": "mV",
+    "time_s": "s",
+    "E (V/m)": None,
+    "E V/m": None,
+    "status n/a": None,
+    "thermocouple_K": None,  # a type
+    "diode 1_A": None,  # a contact
+    "diode 1, A": None,
+    "temperature_min": None,
+    "Dev1/ai0": None,
+    "AI0 (channel 1)": None,
+}
+
+
+@pytest.mark.parametrize(("name", "unit"), UNITS_OF_NAMES.items())
+def test_the_unit_in_the_name_of_a_column_is_found(name: str, unit: str | None) -> None:
+    found = unit_in_name(name)
+    assert (found and (found.si, found.factor)) == (unit and (UNITS[unit].si, UNITS[unit].factor))
+
+
+def test_a_comment_that_labview_leaves_out_is_empty(tmp_path: Path) -> None:
+    path, table_map = tmp_path / "daq.lvm", write_map(tmp_path)
+    text = TEXT.replace("Remark", "Comment").replace(",ok", "")
+    path.write_text(text, encoding="utf-8")
+    check_scans(read_table(path, table_map))
+    path.write_text(text.removesuffix("0\n"), encoding="utf-8")
+    with pytest.raises(DataFileError, match="at the end of the file is shorter than all cells above it"):
+        read_table(path, table_map)
 
 
 @pytest.mark.parametrize("kind", BAD)
