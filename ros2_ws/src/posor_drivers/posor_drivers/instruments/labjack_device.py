@@ -11,7 +11,8 @@
       current1: {input: 0, range: {value: 10, unit: V}}
       current2: {input: 1, range: {value: 10, unit: V}, negative_input: 199}
 
-Channels are in volts. A value beyond ``range`` is invalid, NaN. Settings of an input that are not stated are left as
+Channels are in volts. A value beyond ``range`` is invalid, NaN; so is one beyond every range, such as the -9999 of an
+input that cannot be read. Settings of an input that are not stated are left as
 they are in the device. A T8 converts its inputs at one time. A T4 or T7 converts them one after another, in ascending
 order, at an interval that depends on settling time, range and resolution index: unknown unless ``exposures`` states it.
 
@@ -42,6 +43,7 @@ from posor_drivers.instruments.polled_device import PolledDevice, PolledSettings
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+BEYOND_RANGES_V = 12.0
 T8 = 8
 """Product that converts all inputs at one time."""
 MOST_REGISTERS = 124
@@ -75,7 +77,7 @@ class LabJackDevice(PolledDevice[LabJackSettings]):
         self._inputs = [channel.input for channel in settings.channels.values()]
         self._questions = _questions(self._inputs)
         ranges = [channel.range for channel in settings.channels.values()]
-        self._greatest = np.array([np.inf if each is None else each.number for each in ranges])
+        self._greatest = np.array([BEYOND_RANGES_V if each is None else each.number for each in ranges])
         self.channel_interval_s = math.nan
 
     @property

@@ -263,10 +263,8 @@ class ScpiDevice(PolledDevice[ScpiSettings]):
         every = sorted(self._numbers)
         self._set_up(dialect.setup, every)
         for name, numbers in self._numbers_of.items():
-            function = dialect.functions[name]
-            self._set_up(function.setup, numbers)
-            if dialect.function and not re.search(function.answer, answer := self._query(dialect.function)):
-                raise self.error(f"the instrument measures {answer}", f"{name}, '{function.answer}'")
+            self._set_up(dialect.functions[name].setup, numbers)
+        self._check_functions()
         self._set_up((dialect.scan_list,), every)
         self._set_up((dialect.channel_delay,), every, self.settings.channel_delay)
         for name, numbers in self._numbers_of.items():
@@ -286,9 +284,10 @@ class ScpiDevice(PolledDevice[ScpiSettings]):
             self._transfer("write", command.replace("{numbers}", ",".join(map(str, numbers))).replace("{value}", value))
 
     def read(self, timeout_s: float) -> Frames | None:
-        """Look for errors once a second, between two frames, and return the next frame."""
+        """Look for errors and other functions once a second, between two frames, and return the next frame."""
         if time.monotonic() - self._checked_s > CHECK_ERRORS_S:
             self._check_errors()
+            self._check_functions()
         frames = super().read(timeout_s)
         if frames is not None and self.settings.light is not None:
             self._switch_light(self.settings.light)
@@ -324,6 +323,13 @@ class ScpiDevice(PolledDevice[ScpiSettings]):
         values = [by_number[number] for number in self._numbers]
         read = [value if abs(value) < dialect.overload else math.nan for value in values]
         return read if self.settings.light is None else [*read, float(self._dark_left == 0)]
+
+    def _check_functions(self) -> None:
+        """Raise DeviceError: the instrument is set up by hand, and measures something else than its channel states."""
+        for name in self._numbers_of if self._dialect.function else ():
+            answer, expected = self._query(self._dialect.function), self._dialect.functions[name].answer
+            if not re.search(expected, answer):
+                raise self.error(f"the instrument measures {answer}", f"{name}, '{expected}'")
 
     def _check_errors(self) -> None:
         """Empty the error queue.

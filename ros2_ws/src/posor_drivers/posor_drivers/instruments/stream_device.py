@@ -26,6 +26,7 @@ For lines such as ``0.7161,-0.2566`` over TCP, which need no counter because TCP
 from __future__ import annotations
 
 import math
+import re
 import select
 import socket
 import struct
@@ -44,6 +45,7 @@ if TYPE_CHECKING:
 
 COUNTER = "counter"
 TEXT = "text"
+_CODE = re.compile(r"(\d*)([A-Za-z?])")
 LONGEST_LINE = 65_536  # bytes
 MAX_DATAGRAM = 65_536
 
@@ -113,11 +115,39 @@ class StreamSettings(DeviceSettings):
         if len(self.fields) != len(numbers):
             expected = f"{len(numbers)} names, as many as '{self.format}' has values"
             raise EntryError(f"{len(self.fields)} fields", key=("fields",), expected=expected)
-        if COUNTER in self.fields and not isinstance(numbers[self.fields.index(COUNTER)], int):
+        self._check_codes(numbers)
+
+    def _check_codes(self, numbers: Sequence[Any]) -> None:
+        """Check that counter, channels and constants fit the codes of their fields; ``numbers``: of some frame."""
+        of_fields = dict(zip(self.fields, zip(codes_of(self.format), numbers, strict=True), strict=True))
+        if COUNTER in of_fields and type(of_fields[COUNTER][1]) is not int:
             raise EntryError("the counter is no integer", key=("format",), expected="a code such as H, I or Q for it")
+        for name in of_fields.keys() & self.channels.keys():
+            code, number = of_fields[name]
+            if isinstance(number, bytes):
+                expected = f"a code of a number in place of '{code[-1]}'"
+                raise EntryError(f"channel '{name}' is no number", key=("format",), expected=expected)
         for name, value in self.constants.items():
             if isinstance(value, str):
                 raise EntryError(f"'{value}'", key=("constants", name), expected="a whole number")
+            if name in of_fields:
+                _check_constant(name, value, of_fields[name][0])
+
+
+def codes_of(frame: str) -> list[str]:
+    """Return the code of each value of a format of Python's ``struct``, with the byte order."""
+    order = frame[0] if frame[:1] in ("@", "=", "<", ">", "!") else "@"
+    codes = [(code, 1 if code in "sp" else int(count or 1)) for count, code in _CODE.findall(frame) if code != "x"]
+    return [order + code for code, count in codes for _ in range(count)]
+
+
+def _check_constant(name: str, value: int, code: str) -> None:
+    """Raise EntryError: a frame cannot hold a constant."""
+    try:
+        struct.pack(code, value)
+    except struct.error as error:
+        what = f"{value} ({value:#x}) does not fit the code '{code[-1]}'"
+        raise EntryError(what, key=("constants", name), expected=f"{error}") from None
 
 
 class StreamDevice(Device[StreamSettings]):
@@ -136,9 +166,8 @@ class StreamDevice(Device[StreamSettings]):
         self._constants = [(fields.index(each), each, value) for each, value in settings.constants.items()]
         self._counter = fields.index(COUNTER) if COUNTER in fields else None
         self._wrap = 1 << 64
-        codes = [code for code in settings.format.strip("@=<>!") if code != "x"]
-        if self._counter is not None and len(codes) == len(fields) and not settings.is_text:
-            self._wrap = 1 << (8 * struct.calcsize("<" + codes[self._counter]))
+        if self._counter is not None and not settings.is_text:
+            self._wrap = 1 << (8 * struct.calcsize(codes_of(settings.format)[self._counter]))
         self._start()
 
     def _start(self) -> None:
@@ -252,6 +281,7 @@ class StreamDevice(Device[StreamSettings]):
         if text is not None:
             raise self.error(f"'{text}' in place of a number", "a number, or the text of the key overload")
         values = np.array(numbers, dtype=np.float64) * self._scales
+        values[np.isinf(values)] = np.nan
         counters = np.array([self._number_of(row) for row in rows], dtype=np.int64)
         return Frames(counters, values, arrived_ns=arrived_ns)
 

@@ -138,6 +138,14 @@ def test_inputs_of_a_labjack_are_set_up_and_a_value_beyond_its_range_is_invalid(
     assert 40_002 not in labjack.registers.written
 
 
+def test_the_mark_of_an_invalid_value_is_no_voltage(labjack: LabJackServer) -> None:
+    labjack.registers.voltages = lambda _time_ns: [-9999.0, 10.5]
+    channels = {"a": {"input": 0}, "b": {"input": 1}}
+    with running(LabJackDevice("box", labjack_settings(labjack.port, channels=channels))) as reader:
+        wait_for_frames(reader)
+        np.testing.assert_array_equal(reader.newest_values(), [np.nan, 10.5])
+
+
 def test_another_product_and_an_input_that_does_not_exist_are_refused(labjack: LabJackServer) -> None:
     channels = {"none": {"input": 60}}
     with running(LabJackDevice("box", labjack_settings(labjack.port, channels=channels))) as reader:
@@ -261,6 +269,15 @@ def test_a_meter_must_measure_the_unit_of_its_channel(scanner: ScpiServer) -> No
         sentence = f"the instrument measures {scanner.function}; expected voltage"
         with closing(ScpiDevice("meter", settings)) as device, pytest.raises(DeviceError, match=sentence):
             device.connect(1.0)
+
+
+def test_a_meter_that_is_switched_to_another_function_is_named(scanner: ScpiServer) -> None:
+    settings = scpi_settings(scanner.port, dialect="single_meter", channels={"a": {"number": 101, "unit": "V"}})
+    scanner.answer = "+1.0"
+    with running(ScpiDevice("meter", settings)) as reader:
+        wait_for_frames(reader)
+        scanner.function = '"CURR:AC"'
+        wait_for_fault(reader, 'the instrument measures "CURR:AC"; expected voltage')
 
 
 def test_the_end_of_one_instrument_leaves_the_others(scanner: ScpiServer) -> None:

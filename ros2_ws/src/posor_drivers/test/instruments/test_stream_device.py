@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import re
 import socket
+import struct
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -216,6 +217,26 @@ def test_datagrams_out_of_order_interrupt_nothing(name: str, first: int) -> None
     assert {key: state.values[key] - before[key] for key in keys} == dict.fromkeys(keys, 0) | counted
 
 
+@pytest.mark.parametrize(("order", "code", "last"), [("<", "H", 65535), (">", "I", (1 << 32) - 1), ("<", "h", 32767)])
+def test_counter_beside_repeated_codes_goes_on_where_it_wraps(order: str, code: str, last: int) -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+        sender.bind(("127.0.0.1", 0))
+        port = sender.getsockname()[1]
+    form, fields = f"{order}H {code} x 2d", ["magic", "counter", "gap1", "gap2"]
+    device = StreamDevice("box", settings(port, transport="udp", format=form, fields=fields))
+    device.connect(1.0)
+    first = -last - 1 if code == "h" else 0
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+        for counter in (last, first):
+            sender.sendto(struct.pack(form, 0xAA55, counter, 1.0, np.inf), ("127.0.0.1", port))
+        frames: list[int] = []
+        while len(frames) < 2 and (found := device.read(1.0)) is not None:
+            frames += found.counters.tolist()
+            assert np.isnan(found.values[:, 1]).all()
+    device.close()
+    assert frames == [last, last + 1]
+
+
 @pytest.mark.parametrize(
     ("changes", "sentence"),
     [
@@ -224,6 +245,10 @@ def test_datagrams_out_of_order_interrupt_nothing(name: str, first: int) -> None
         ({"fields": ["magic", "count", "gap1", "gap2"]}, "'counter' occurs 0 times"),
         ({"format": "<Hddd"}, "the counter is no integer"),
         ({"channels": {"gap3": {"unit": "V"}}}, "'gap3' occurs 0 times"),
+        ({"format": "<H?2d"}, "the counter is no integer"),
+        ({"format": "<HId8s"}, "channel 'gap2' is no number; expected a code of a number in place of 's'"),
+        ({"format": "<hI2d"}, "43605 (0xaa55) does not fit the code 'h'; expected"),
+        ({"constants": {"magic": -1}}, "-1 (-0x1) does not fit the code 'H'; expected"),
     ],
 )
 def test_invalid_settings_are_refused(changes: dict[str, Any], sentence: str) -> None:
