@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 OPTION = "--params-file"
 PARAMETERS = "ros__parameters"
 ALL_NODES = "/**"
+_LEADING_ZEROS = re.compile(r"[-+]?0[0-9]+")
 SIMILAR = 0.8
 """Similarity of names, 0 to 1, above which one is taken for a misspelling of the other: that of other nodes is 0.6."""
 
@@ -67,9 +68,24 @@ def _sections(content: Any, path: tuple[str, ...], locations: FileLocations) -> 
             paths = dict(_flat(part, ()))
             parameters = {".".join(parts): value for parts, value in paths.items()}
             places = {".".join(parts): locations.describe(*path, key, *parts) for parts in paths}
+            for parts, value in paths.items():
+                _refuse_leading_zeros(value, (*path, key, *parts), locations)
             yield ParameterSection(name, parameters, places, locations.describe(*path))
         else:
             yield from _sections(part, (*path, str(key)), locations)
+
+
+def _refuse_leading_zeros(value: object, path: tuple[str | int, ...], locations: FileLocations) -> None:
+    """Refuse a number such as 0100, which is 64 to ROS and text elsewhere."""
+    for n, each in enumerate(value) if isinstance(value, list) else ():
+        _refuse_leading_zeros(each, (*path, n), locations)
+    scalar = locations.scalar(*path)
+    if scalar is not None and not scalar.style and _LEADING_ZEROS.fullmatch(scalar.value):
+        what, expected = (
+            f"{scalar.value} is an octal number to ROS",
+            "a number without leading zeros, or text in quotes",
+        )
+        raise ParameterError(what, where=locations.describe(*path), expected=expected)
 
 
 def _flat(values: Any, group: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], object]]:

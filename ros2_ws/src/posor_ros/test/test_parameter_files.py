@@ -84,6 +84,17 @@ def test_sections_that_no_node_of_the_program_reads_are_logged_and_misspelt_name
     assert quiet.warnings == quiet.informations == []
 
 
+@pytest.mark.parametrize(("text", "number"), [("0100", "0100"), ("-010", "-010"), ("[1, 07]", "07"), ("{b: 00}", "00")])
+def test_a_number_that_is_octal_to_ros_is_refused(text: str, number: str, tmp_path: Path) -> None:
+    file = tmp_path / "file.yaml"
+    file.write_text(f"/**:\n  ros__parameters:\n    a: {text}\n", encoding="utf-8")
+    error = refusal(ParameterError, load_parameter_file, file)
+    assert (error.what, "line 3" in error.where) == (f"{number} is an octal number to ROS", True)
+    file.write_text("/**: {ros__parameters: {a: '0100', b: [0, 0.5, 1], c: 0x10}}\n", encoding="utf-8")
+    (section,) = load_parameter_file(file)
+    assert section.parameters == {"a": "0100", "b": [0, 0.5, 1], "c": 16}
+
+
 @pytest.mark.parametrize("second", ["{ros_parameters: {number: 1}}", "{number: 1}", "1", "[ros__parameters]", ""])
 def test_a_section_without_parameters_is_refused_also_beside_another(second: str, tmp_path: Path) -> None:
     file = tmp_path / "file.yaml"
