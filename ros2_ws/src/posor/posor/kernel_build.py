@@ -191,7 +191,7 @@ def make_no_machine_code() -> None:
 
 def compile_entries() -> list[Entry]:
     """Compile all kernels of ENTRIES. Raises ValueError: Python calls a kernel with several types of arguments."""
-    compiled: Any = import_module("posor.numerics.compiled")
+    compiled = import_module("posor.numerics.compiled")
     njit = compiled.numba_njit()
     unwrapped = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}  # no wrappers for calls from Python and C
 
