@@ -4,10 +4,9 @@
 
 The build needs numba and a C compiler, the library needs neither.
 
-The uses of ``kernel_examples`` run as Python and tell the types of arguments of the kernels of ENTRIES. Numba makes an
-LLVM module of each kernel, and of a wrapper that reads the arguments from a table (see ``numerics.kernel_library``).
-LLVM links all to one module, optimises it once and emits its machine code for any processor of this architecture,
-without contraction to fused operations: the results are those of Python to the last bit.
+Numba compiles each kernel of ENTRIES with the types of ``kernel_examples`` and a wrapper that reads the arguments from
+a table (see ``numerics.kernel_library``). LLVM links all to one module and emits its machine code for any processor of
+this architecture, without contraction to fused operations: the results are those of Python to the last bit.
 ``--texts FOLDER`` keeps the assembler text, from which the C compiler alone makes the same library: a source release
 has it in the folder ``kernels`` beside the package.
 """
@@ -22,12 +21,9 @@ import sys
 import tempfile
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import Any, NamedTuple
 
 from posor.errors import SystemRefusal
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 ENTRIES = {
     "chain.beam_vibration": ("follow_reading", "write_vibration"),
@@ -60,32 +56,8 @@ class Entry(NamedTuple):
     name: str  # module and function
     symbol: str  # exported
     native_name: str  # of the wrapper in the LLVM module
-    library: Any  # of numba: the LLVM module of the wrapper, and the libraries of what it calls
+    text: str  # LLVM assembler of the wrapper and of all that it calls
     manifest: dict[str, Any]
-
-
-class ExampleKernel:
-    """A kernel that runs as Python, and keeps the types of the arguments with which Python calls it."""
-
-    running = False  # one of them: what it calls is not called by Python
-    inlined: ClassVar[list[Any]] = []  # kernels that LLVM inlines, after all are linked
-
-    def __init__(self, dispatcher: Any, *, inline: bool) -> None:
-        self.dispatcher, self.signatures = dispatcher, set[Any]()
-        if inline:
-            ExampleKernel.inlined.append(dispatcher)
-        self._numba_type_ = import_module("numba").types.Dispatcher(dispatcher)  # as which other kernels call it
-
-    def __call__(self, *arguments: Any) -> Any:
-        """Run the kernel."""
-        if ExampleKernel.running:
-            return self.dispatcher.py_func(*arguments)
-        self.signatures.add(tuple(map(import_module("numba").typeof, arguments)))
-        ExampleKernel.running = True
-        try:
-            return self.dispatcher.py_func(*arguments)
-        finally:
-            ExampleKernel.running = False
 
 
 class ArgumentReader:
@@ -155,15 +127,18 @@ def compile_entry(name: str, symbol: str, kernel: Any) -> Entry:
 
         return types.voidptr(word), to_pointer
 
-    if len(kernel.signatures) != 1:
-        message = f"{name} is called with {len(kernel.signatures)} kinds of arguments; expected one"
+    # Kernels may call this kernel with other numbers, as constants, which makes further signatures of the same memory.
+    readers = {}
+    for signature in kernel.signatures:
+        reader = ArgumentReader()
+        read = [reader.read(argument_type) for argument_type in map(types.unliteral, signature)]
+        readers[json.dumps([each for _, each in read])] = signature, reader, read
+    if len(readers) != 1:
+        message = f"{name} is called with {len(readers)} kinds of arguments; expected one"
         raise ValueError(message)
-    (signature,) = kernel.signatures
-    reader, dispatcher = ArgumentReader(), kernel.dispatcher
-    read = [reader.read(argument_type) for argument_type in signature]
+    ((signature, reader, read),) = readers.values()
     call = f"kernel({', '.join(expression for expression, _ in read)})"
-    dispatcher.compile(signature)
-    result = dispatcher.overloads[signature].signature.return_type
+    result = kernel.overloads[signature].signature.return_type
     results = list(result) if isinstance(result, types.BaseTuple) else [] if result == types.none else [result]
     kinds = "".join("f" if isinstance(each, types.Float) else "b" if each == types.boolean else "i" for each in results)
     if len(results) > 1:
@@ -172,35 +147,18 @@ def compile_entry(name: str, symbol: str, kernel: Any) -> Entry:
         stores = ["fout[0] = r" if kind == "f" else "out[0] = r" for kind in kinds]
     text = "\n    ".join(["def wrapper(t, ft, out, fout):", f"r = {call}", *stores, "return"])
     strides = {"as_strided": import_module("numpy").lib.stride_tricks.as_strided}
-    scope = {"kernel": dispatcher, "carray": numba.carray, "pointer": pointer, **strides, **reader.names}
+    scope = {"kernel": kernel, "carray": numba.carray, "pointer": pointer, **strides, **reader.names}
     exec(text, scope)  # noqa: S102  the text follows from the types of our own kernels
     words, floats = types.CPointer(types.int64), types.CPointer(types.float64)
     compiled = numba.cfunc(types.void(words, floats, words, floats), error_model="numpy")(scope["wrapper"])
-    keeps_lock = not dispatcher.targetoptions.get("nogil", False)
+    keeps_lock = not kernel.targetoptions.get("nogil", False)
     manifest = {"arguments": [each for _, each in read], "results": kinds, "keeps_lock": keeps_lock, "symbol": symbol}
-    return Entry(name, symbol, compiled.native_name, compiled._library, manifest)  # noqa: SLF001
-
-
-def make_no_machine_code() -> None:
-    """Let numba leave each LLVM module as it is, instead of linking, optimising and loading what a kernel calls."""
-    codegen = import_module("numba.core.codegen")
-    codegen.JITCodeLibrary.finalize = lambda library: setattr(library, "_finalized", True)
-    codegen.JITCodeLibrary.get_pointer_to_function = lambda _library, _name: 0
-    codegen.JITCPUCodegen.set_env = lambda _codegen, _name, _environment: None
+    return Entry(name, symbol, compiled.native_name, compiled.inspect_llvm(), manifest)
 
 
 def compile_entries() -> list[Entry]:
     """Compile all kernels of ENTRIES. Raises ValueError: Python calls a kernel with several types of arguments."""
-    compiled = import_module("posor.numerics.compiled")
-    njit = compiled.numba_njit()
-    unwrapped = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}  # no wrappers for calls from Python and C
-
-    def example(*, forceinline: bool = False, **options: Any) -> Callable[[Any], ExampleKernel]:
-        return lambda function: ExampleKernel(njit(**unwrapped, **options)(function), inline=forceinline)
-
-    compiled.NJIT = example
     import_module("posor.kernel_examples").use_all_kernels()
-    make_no_machine_code()
     entries: list[Entry] = []
     for module, names in ENTRIES.items():
         for name in names:
@@ -209,43 +167,22 @@ def compile_entries() -> list[Entry]:
     return entries
 
 
-def llvm_text(entries: list[Entry]) -> str:
-    """Return the LLVM assembler of all entries and of all that they call."""
-    llvm = import_module("llvmlite.binding")
-    whole, libraries = llvm.parse_assembly(""), dict.fromkeys(entry.library for entry in entries)
-    for library in (waiting := list(libraries)):
-        module = llvm.parse_assembly(library.get_llvm_str())
-        for function in module.functions:
-            if not function.is_declaration and function.linkage == llvm.Linkage.external:
-                function.linkage = "weak_odr"  # several modules may have it
-        whole.link_in(module)
-        found = [each for each in library._linking_libraries if each not in libraries]  # noqa: SLF001
-        waiting.extend(dict.fromkeys(found))
-        libraries.update(dict.fromkeys(found))
-    return str(whole)
-
-
-def assemble(entries: list[Entry], text: str) -> str:
+def assemble(entries: list[Entry]) -> str:
     """Return the assembler text of all entries."""
     llvm = import_module("llvmlite.binding")
-    module = llvm.parse_assembly(text)
+    module = llvm.parse_assembly(entries[0].text)
+    for entry in entries[1:]:
+        module.link_in(llvm.parse_assembly(entry.text))
     exported = {entry.native_name for entry in entries}
-    overloads = [each for kernel in ExampleKernel.inlined for each in kernel.overloads.values()]
-    inlined = {each.fndesc.llvm_func_name for each in overloads}
     for function in module.functions:
-        if not function.is_declaration:
-            function.linkage = "external" if function.name in exported else "internal"
-        if function.name in inlined:
-            function.add_function_attribute("alwaysinline")
+        if not function.is_declaration and function.name not in exported:
+            function.linkage = "internal"
     target = llvm.Target.from_triple(llvm.get_process_triple())
     machine = target.create_target_machine(cpu=PROCESSOR, features="", opt=3, reloc="pic", codemodel="small")
-    options = llvm.create_pipeline_tuning_options(speed_level=3)
-    options.slp_vectorization = False
-    builder = llvm.create_pass_builder(machine, options)
-    passes = builder.getModulePassManager()
-    passes.add_refprune_pass()  # leaves functions that count references unused
+    options = llvm.create_pipeline_tuning_options(speed_level=2)
+    passes = llvm.create_new_module_pass_manager()
     passes.add_global_dead_code_eliminate_pass()
-    passes.run(module, builder)
+    passes.run(module, llvm.create_pass_builder(machine, options))
     return str(machine.emit_assembly(module))
 
 
@@ -292,9 +229,9 @@ def is_current(file: Path) -> bool:
 
 def write_texts(folder: Path) -> None:
     """Compile the kernels and write the texts of the library into a folder."""
-    os.environ |= {"NUMBA_OPT": "0", "NUMBA_CPU_NAME": PROCESSOR, "NUMBA_CPU_FEATURES": ""}
+    os.environ |= {"POSOR_KERNELS": "numba", "NUMBA_CPU_NAME": PROCESSOR, "NUMBA_CPU_FEATURES": ""}
     entries = compile_entries()
-    assembler = assemble(entries, llvm_text(entries))
+    assembler = assemble(entries)
     folder.mkdir(parents=True, exist_ok=True)
     (folder / ASSEMBLER).write_text(assembler, encoding="utf-8")
     (folder / C_TEXT).write_text(c_source(entries, assembler), encoding="utf-8")

@@ -14,7 +14,6 @@ from posor.chain.endpoint_predictor import EndpointPredictor
 from posor.chain.joint_measurements import VIBRATION, JointRowLayout
 from posor.chain.kinematic_chain import Chain
 from posor.estimation.estimate_scan import begin_scan_estimate, solve_and_check, write_lost
-from posor.estimation.fault_effects import write_fault_effects
 from posor.estimation.fault_model import EFFECT
 from posor.estimation.forward import scans_at
 from posor.estimation.linearise import linearise_scan
@@ -95,7 +94,6 @@ def _use_single_steps(posor: Posor, scans: Scans) -> None:
     prepare_rows(record_view(workspace["rows"]))
     turn_rows(record_view(workspace["rows"]), 0.1)
     solve_and_check(model, records[0], False, estimate)  # noqa: FBT003  kernels take no keywords
-    write_fault_effects(model, records[0], estimate, posor.allocate_effects(1)[0])
     write_lost(estimate, 0)
 
 
@@ -151,7 +149,6 @@ def _use_chain() -> None:
     estimator.rows[0] = rows[0]
     estimator.estimate_rows(0)
     oscillators = Oscillators.allocate(1)
-    oscillators.numbers["angular"], oscillators.numbers["decay"] = 1.0, 0.1
     follow_reading(oscillators, np.zeros(3), 0, 1)
     write_vibration(oscillators, np.zeros((1, 1), dtype=VIBRATION), 0, 1)
     predictor = EndpointPredictor(chain, EncodersParameters(sigma=(1e-6,)))

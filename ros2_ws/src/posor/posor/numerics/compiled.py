@@ -36,8 +36,7 @@ Mode = Literal["library", "numba", "python"]
 VARIABLE = "POSOR_KERNELS"
 
 
-def numba_njit() -> Any | None:
-    """Return numba's decorator of kernels; None: numba is not installed."""
+def _numba_njit() -> Any | None:
     # Intel's library for several sines at once, where it is found, has other last digits than the one for a single one.
     os.environ.setdefault("NUMBA_DISABLE_INTEL_SVML", "1")
     try:
@@ -57,7 +56,7 @@ def _choose() -> tuple[Mode, KernelLibrary | None, Any | None]:
         return "library", library, None
     if wanted == "library":
         raise SystemRefusal("is 'library', but there is no library", where=VARIABLE, expected=NEW_BUILD)
-    if (njit := numba_njit()) is not None:
+    if (njit := _numba_njit()) is not None:
         return "numba", None, njit
     if wanted == "numba":
         raise SystemRefusal("is 'numba', which is not installed", where=VARIABLE)
@@ -65,16 +64,16 @@ def _choose() -> tuple[Mode, KernelLibrary | None, Any | None]:
     return "python", None, None
 
 
-MODE, _LIBRARY, NJIT = _choose()
+MODE, _LIBRARY, _NJIT = _choose()
 
 
 def _compile(kernel: Kernel, **options: bool | str) -> Kernel:
     """Return the kernel of the library, the kernel compiled without fast-math, or the kernel itself."""
     if _LIBRARY is not None:
         return _LIBRARY.kernel(kernel)
-    if NJIT is None:
+    if _NJIT is None:
         return kernel
-    result: Kernel = NJIT(fastmath=False, error_model="numpy", **options)(kernel)
+    result: Kernel = _NJIT(fastmath=False, error_model="numpy", **options)(kernel)
     return result
 
 

@@ -102,9 +102,14 @@ def test_a_library_that_fuses_operations_gives_other_bits(plain: dict[str, Float
 FUSING_BUILD = """
 import re, sys
 from posor import kernel_build
+from posor.calibration.designs import design
+from posor.chain.kinematic_chain import Chain
 kernel_build.PROCESSOR = "x86-64-v3"
-exact = kernel_build.llvm_text
-kernel_build.llvm_text = lambda entries: re.sub(r"= f(mul|add|sub) ", r"= f\\1 contract ", exact(entries))
+compile_entry = kernel_build.compile_entry
+def compile_fusing(*arguments):
+    entry = compile_entry(*arguments)
+    return entry._replace(text=re.sub(r"= f(mul|add|sub) ", r"= f\\1 contract ", entry.text))
+kernel_build.compile_entry = compile_fusing
 sys.exit(kernel_build.main())
 """
 
