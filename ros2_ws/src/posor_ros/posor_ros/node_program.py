@@ -23,7 +23,7 @@ from rclpy.utilities import remove_ros_args, try_shutdown
 
 from posor_ros.idle_scheduler import run_when_idle
 from posor_ros.lifecycle_node import INPUT_CHECK_S
-from posor_ros.parameter_files import parameter_files_of
+from posor_ros.parameter_files import parameter_files_of, refuse_octal_arguments
 from posor_ros.realtime_process import PROCESS_STATUS, ProcessHealth, apply_realtime_parameters, prepare_heap
 from posor_ros.service_manager import ServiceManager
 
@@ -66,11 +66,12 @@ class StopSignal:
 def ros_context(arguments: Sequence[str]) -> Iterator[StopSignal]:
     """Initialise ROS for a ``with`` block by a command line, program name first; yield the flag that a signal sets.
 
-    Raises ParameterError: ROS cannot parse its part of the command line.
+    Raises ParameterError: ROS cannot parse its part of the command line, or reads a decimal number in it as octal.
     """
     with StopSignal() as stop:
         try:
             non_ros_arguments(arguments)  # fails where rclpy.init would fail, but without a log line
+            refuse_octal_arguments(arguments)
             try:
                 rclpy.init(args=list(arguments), signal_handler_options=SignalHandlerOptions.NO)
             except RuntimeError as error:

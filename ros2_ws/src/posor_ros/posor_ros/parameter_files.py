@@ -81,11 +81,20 @@ def _refuse_leading_zeros(value: object, path: tuple[str | int, ...], locations:
         _refuse_leading_zeros(each, (*path, n), locations)
     scalar = locations.scalar(*path)
     if scalar is not None and not scalar.style and _LEADING_ZEROS.fullmatch(scalar.value):
-        what, expected = (
-            f"{scalar.value} is an octal number to ROS",
-            "a number without leading zeros, or text in quotes",
-        )
-        raise ParameterError(what, where=locations.describe(*path), expected=expected)
+        raise _octal_number(scalar.value, locations.describe(*path))
+
+
+def _octal_number(text: str, where: str) -> ParameterError:
+    expected = "a number without leading zeros, or text in quotes"
+    return ParameterError(f"{text} is an octal number to ROS", where=where, expected=expected)
+
+
+def refuse_octal_arguments(arguments: Sequence[str]) -> None:
+    """Raise ParameterError: a parameter on a command line is a number such as 0100, which is 64 to ROS."""
+    for option, rule in pairwise(arguments):
+        value = rule.rpartition(":=")[2]
+        if option in ("-p", "--param") and _LEADING_ZEROS.fullmatch(value):
+            raise _octal_number(value, f"ROS argument {option} {rule}")
 
 
 def _flat(values: Any, group: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], object]]:

@@ -12,7 +12,7 @@ import pytest
 import rclpy
 from posor.errors import ParameterError
 from posor_lab.harness.case_tables import refusal
-from posor_ros.parameter_files import check_sections, load_parameter_file, parameter_files_of
+from posor_ros.parameter_files import check_sections, load_parameter_file, parameter_files_of, refuse_octal_arguments
 from posor_ros.ros_arguments import split_ros_arguments
 from rclpy.context import Context
 from rclpy.node import Node
@@ -93,6 +93,12 @@ def test_a_number_that_is_octal_to_ros_is_refused(text: str, number: str, tmp_pa
     file.write_text("/**: {ros__parameters: {a: '0100', b: [0, 0.5, 1], c: 0x10}}\n", encoding="utf-8")
     (section,) = load_parameter_file(file)
     assert section.parameters == {"a": "0100", "b": [0, 0.5, 1], "c": 16}
+
+
+def test_an_argument_that_is_octal_to_ros_is_refused() -> None:
+    refuse_octal_arguments(["node", "--ros-args", "-p", "a:=100", "-p", "b:='0100'", "-r", "c:=010"])
+    error = refusal(ParameterError, refuse_octal_arguments, ["node", "--ros-args", "-p", "a:=0100"])
+    assert (error.what, error.where) == ("0100 is an octal number to ROS", "ROS argument -p a:=0100")
 
 
 @pytest.mark.parametrize("second", ["{ros_parameters: {number: 1}}", "{number: 1}", "1", "[ros__parameters]", ""])
