@@ -215,13 +215,15 @@ def test_an_instruments_file_is_compared_with_the_calibrations(instrument_arm: P
     content = yaml.safe_load((folder / "i.yaml").read_text(encoding="utf-8"))
     del content["joints"]["joint1"]["gap_voltages"][1]
     content["joints"]["joint1"]["frame_id"] = "elsewhere"
+    content["joints"]["joint1"]["lit_sources"][0] = 9
     content["joints"]["joint3"] = content["joints"].pop("joint2")
     (folder / "i.yaml").write_text(yaml.safe_dump(content), encoding="utf-8")
     found = sentences(folder)
     assert [each for each in found if "3 gap_voltages; expected 4" in each]
     assert [each for each in found if "frame_id 'elsewhere'; expected 'joint1_receiving'" in each]
+    assert [each for each in found if "joints.joint1: light source 9; expected 0 to " in each]
     assert [each for each in found if "'joint2' is not a joint of" in each]
-    assert len(found) == 3
+    assert len(found) == 4
 
 
 def test_thermometers_of_an_instruments_file_are_compared_with_the_beams_file(instrument_arm: Path) -> None:

@@ -53,6 +53,7 @@ _HINTS = (
     (r"[-+]?[0-9_]+(:[0-9_]+)+(\.[0-9_]*)?", "without colons, which YAML 1.1 reads as base 60"),
     (r"[-+]?[0-9_. ]*,[0-9_. ]*", _DECIMAL_POINT),
     (r"[-+]?[0-9]+([ _.][0-9]+)+", "with underscores, or nothing, between groups of digits"),
+    (r"0X[0-9A-Fa-f]+|[0-9A-F]+[hH]|[$][0-9A-Fa-f]+", "hexadecimal as 0x1F"),
     (r"[\u2010-\u2015\u2212][0-9.].*", "with the minus sign '-'"),
 )
 """Text that its author takes for a number, and how to write the number."""

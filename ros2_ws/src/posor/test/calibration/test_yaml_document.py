@@ -86,6 +86,7 @@ def test_ambiguous_numbers_are_refused(
             (text, "decimal point")
             for text in ("1,5", "'1,5'", "'1,5 mm'", "|\n    1,5\n    2,5", ">-\n    -1,5", "'[1,5, 2]'")
         ),
+        *((text, "hexadecimal as 0x1F") for text in ("0XAA55", "AA55h", "0AA55H", "$AA55")),
         *[("1 000", "underscores"), ("\N{MINUS SIGN}1", "minus sign")],
     ],
 )

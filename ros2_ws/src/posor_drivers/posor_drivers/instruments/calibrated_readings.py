@@ -11,6 +11,7 @@ from posor.errors import CalibrationError, sum_up
 from posor.sensors.bumpy_ring import BumpyRingCalibration
 from posor.sensors.diodes import DiodesCalibration
 from posor.sensors.gap_probes import GapProbesCalibration
+from posor.tables.channel_ranges import light_sources
 
 if TYPE_CHECKING:
     from posor.calibration.calibration_file import Calibration
@@ -42,7 +43,7 @@ def readings_of(calibration: Calibration) -> dict[str, str]:
 def check_readings(entry: JointEntry, calibration: Calibration, where: str) -> None:
     """Check the readings and the frame of a joint in an instruments file against its calibration.
 
-    Raises CalibrationError: a number of readings or the frame differs; names ``where``.
+    Raises CalibrationError: a number of readings, a light source or the frame differs; names ``where``.
     """
     expected, errors = Counter(readings_of(calibration).values()), []
     for name in OF_SENSORS:
@@ -50,6 +51,12 @@ def check_readings(entry: JointEntry, calibration: Calibration, where: str) -> N
         if expected[name] and number != expected[name]:
             what = f"{number} {name}"
             errors.append(CalibrationError(what, where=where, expected=f"{expected[name]}, as in the calibration"))
+    sources = light_sources(calibration)
+    errors += [
+        CalibrationError(f"light source {lit}", where=where, expected=f"0 to {sources - 1}")
+        for lit in entry.lit_sources
+        if sources and isinstance(lit, int) and lit >= sources
+    ]
     if entry.frame_id != calibration.frames.parent:
         expected_frame = f"'{calibration.frames.parent}', as in the calibration"
         errors.append(CalibrationError(f"frame_id '{entry.frame_id}'", where=where, expected=expected_frame))

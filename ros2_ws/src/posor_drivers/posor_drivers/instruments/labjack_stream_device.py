@@ -26,6 +26,7 @@ Source: Modbus map and low-level stream protocol of the T series, of which publi
   the number of scans that were left out. Its packet holds scans from before and after them, with a scan of 0xFFFF
   between (U3 manual, 5.2.12), or only scans from after them. The scan of 0xFFFF is not one of those left out
   (assumption).
+  The scan of 0xFFFF may be the last one of a packet of status 2940; it counts as one that was left out.
 - Constants in the flash memory of a T7, read through 61810 and 61812, from 0x3C4000 on, for each of the ranges 10, 1,
   0.1 and 0.01 V: slope above and below the centre, centre and offset (floats).
 
@@ -109,6 +110,7 @@ class LabJackStreamDevice(PacketDevice[LabJackStreamSettings]):
         self._registers: LabJackRegisters | None = None
         self._constants: FloatArray = np.empty((len(settings.channels), CONSTANTS))
         self._packet, self._next = 0, 0
+        self._delimited = False  # whether the last packet ends with the delimiter of the next one
         self.channel_interval_s = settings.channel_interval_s
 
     @classmethod
@@ -132,7 +134,7 @@ class LabJackStreamDevice(PacketDevice[LabJackStreamSettings]):
             registers.set_up(channel)
             self._constants[n] = self._read_constants(registers, channel.range.number)
         self._write_setup(registers)
-        self._packet, self._next = 0, 0
+        self._packet, self._next, self._delimited = 0, 0, False
         self.open_stream(settings.host, settings.stream_port, timeout_s)
         registers.write_number(ENABLE, 1)
         actual_hz = registers.read_floats(SCAN_RATE, 1)[0]
@@ -179,6 +181,7 @@ class LabJackStreamDevice(PacketDevice[LabJackStreamSettings]):
             return None
         samples = np.frombuffer(self.received, ">u2", count // 2, HEADER.size).reshape(-1, len(self._constants))
         counters, samples = self._numbered(samples, information if status == RECOVERED else None)
+        self._delimited = status == RECOVERING and bool(np.all(samples[-1] == HIGHEST_SAMPLE))
         self.received = self.received[HEADER.size + count :]
         self._packet = (packet + 1) % (1 << 16)
         return Frames(counters, self._volts(samples))
@@ -192,8 +195,9 @@ class LabJackStreamDevice(PacketDevice[LabJackStreamSettings]):
         counters = self._next + np.arange(len(samples))
         delimiters = np.flatnonzero(np.all(samples == HIGHEST_SAMPLE, axis=1))
         if left_out is None or not len(delimiters):
-            self._next += (left_out or 0) + len(samples)
-            return counters + (left_out or 0), samples
+            skipped = max(0, left_out - self._delimited) if left_out else 0
+            self._next += skipped + len(samples)
+            return counters + skipped, samples
         first, last = delimiters[0], delimiters[-1]
         counters[last:] += left_out - 1
         self._next += left_out - 1 + len(samples)

@@ -17,6 +17,7 @@ from posor_drivers.instruments.labjack_stream_device import (
     HIGHEST_SAMPLE,
     LENGTH_WITHOUT_SAMPLES,
     RECOVERED,
+    RECOVERING,
     LabJackStreamDevice,
     LabJackStreamSettings,
 )
@@ -159,6 +160,21 @@ def test_a_packet_with_a_delimiter(rows: list[int | None], information: int, num
     assert frames.counters.tolist() == numbers
     assert frames.values[:, 0].tolist() == numbers
     assert device._next == 8 + information + len(rows) - (None in rows)
+
+
+def test_a_delimiter_at_the_end_of_the_packet_before() -> None:
+    device = LabJackStreamDevice("box", settings(LabJackStreamServer(ramps)))
+    device._constants[:] = [1.0, -1.0, 0.0, 0.0]
+    packets = [(RECOVERING, 0, [0, 1, HIGHEST_SAMPLE]), (RECOVERED, 1000, [1002, 1003]), (0, 0, [1004, 1005])]
+    for number, (status, information, rows) in enumerate(packets):
+        samples = np.repeat(np.array(rows, ">u2"), 3).tobytes()
+        device.received += HEADER.pack(
+            number, 0, LENGTH_WITHOUT_SAMPLES + len(samples), 1, 76, 16, 0, status, information
+        )
+        device.received += samples
+    found = list(iter(device.take_packet, None))
+    assert np.concatenate([each.counters for each in found]).tolist() == [0, 1, 2, 1002, 1003, 1004, 1005]
+    assert np.isnan(found[0].values[2]).all()
 
 
 def test_a_value_at_an_end_of_the_converter_is_invalid(server: LabJackStreamServer, reader: DeviceReader) -> None:
