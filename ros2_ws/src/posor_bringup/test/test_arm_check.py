@@ -13,13 +13,16 @@ import pytest
 import yaml
 from posor.calibration.calibration_file import load_calibration
 from posor.chain.arm_file import load_arm_file
-from posor.errors import OutputError, PosorError, SeveralErrors
+from posor.errors import CalibrationError, OutputError, PosorError, SeveralErrors
 from posor.estimation.posor import Posor
 from posor.model.fault import State
 from posor_bringup.arm_files_command import main
 from posor_bringup.arms import check_arm
+from posor_bringup.installed import share
 from posor_bringup.new_arm import SENSORS, Axis, Sensors, arm_texts, new_joints, write_arm
+from posor_drivers.instruments.calibrated_readings import check_readings
 from posor_drivers.instruments.instruments_command import main as instruments
+from posor_drivers.instruments.instruments_file import JointEntry
 from posor_drivers.simulator.arm_simulation import ArmSimulation
 from posor_lab.harness.case_tables import edited, refusal
 from posor_lab.harness.full_disk import file_size_limit
@@ -215,15 +218,23 @@ def test_an_instruments_file_is_compared_with_the_calibrations(instrument_arm: P
     content = yaml.safe_load((folder / "i.yaml").read_text(encoding="utf-8"))
     del content["joints"]["joint1"]["gap_voltages"][1]
     content["joints"]["joint1"]["frame_id"] = "elsewhere"
-    content["joints"]["joint1"]["lit_sources"][0] = 9
     content["joints"]["joint3"] = content["joints"].pop("joint2")
     (folder / "i.yaml").write_text(yaml.safe_dump(content), encoding="utf-8")
     found = sentences(folder)
     assert [each for each in found if "3 gap_voltages; expected 4" in each]
     assert [each for each in found if "frame_id 'elsewhere'; expected 'joint1_receiving'" in each]
-    assert [each for each in found if "joints.joint1: light source 9; expected 0 to " in each]
     assert [each for each in found if "'joint2' is not a joint of" in each]
-    assert len(found) == 4
+    assert len(found) == 3
+
+
+def test_a_light_source_that_the_calibration_does_not_have_is_refused() -> None:
+    gaps = [{"channel": f"box/gap{n}"} for n in range(3)]
+    currents = [{"channel": f"box/current{n}"} for n in range(8)]
+    readings = {"gap_voltages": gaps, "diode_currents": currents, "lit_sources": [1, 2]}
+    entry = JointEntry.model_validate({"frame_id": "joint1_receiving", **readings})
+    calibration = load_calibration(share() / "arms/test_rig/calibrations/joint1.yaml")
+    error = refusal(CalibrationError, check_readings, entry, calibration, "i.yaml")
+    assert str(error) == "i.yaml: light source 2; expected 0 to 1."
 
 
 def test_thermometers_of_an_instruments_file_are_compared_with_the_beams_file(instrument_arm: Path) -> None:
