@@ -11,17 +11,27 @@ from __future__ import annotations
 import math
 from typing import Annotated, Literal, TypeVar
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import AfterValidator, Field, field_validator, model_validator
 
 from posor.calibration.causes import FALSE_ALARM
 from posor.parameter_model import ChangeableAtRunTime, FixedAtStart, ParameterGroup
-from posor.ros_names import ACCELERATION_TOPIC, TEMPERATURE_TOPIC
+from posor.ros_names import ACCELERATION_TOPIC, TEMPERATURE_TOPIC, TOPIC_NAME_RULE, is_topic_name
 
 MIN_TF_RATE = 0.01
 MIN_ZERO_SCANS = 10  # scans below which their scatter is unknown
 HOME_COORDINATES = ("gap", "alpha", "beta")  # elements of the parameter ``home_pose``
 
 _Limit = Annotated[float, Field(gt=0.0, allow_inf_nan=True), ChangeableAtRunTime()]
+
+
+def _check_topic(name: str) -> str:
+    if not is_topic_name(name):
+        message = f"'{name}' is wrong; expected {TOPIC_NAME_RULE}"
+        raise ValueError(message)
+    return name
+
+
+TopicName = Annotated[str, AfterValidator(_check_topic)]
 
 
 class LimitParameters(ParameterGroup):
@@ -145,7 +155,7 @@ class EncoderParameters(ParameterGroup):
         default=0.0, description="standard uncertainty of the encoder's angle as theta [rad]; 0: no encoder"
     )
     joint: str = Field(default="", description="joint in the encoder's messages; empty: they hold one position only")
-    topic: str = Field(default="encoder", description="topic of the encoder, relative to the node's namespace")
+    topic: TopicName = Field(default="encoder", description="topic of the encoder, relative to the node's namespace")
 
 
 class PosorParameters(AlarmParameters):
@@ -225,6 +235,11 @@ class EncodersParameters(ParameterGroup):
         default=0.1, description="longest time for which encoders carry a joint on without a transform [s]"
     )
 
+    @field_validator("topic")
+    @classmethod
+    def _check_topic(cls, name: str) -> str:
+        return _check_topic(name) if name else name
+
     @field_validator("sigma", "backlash")
     @classmethod
     def _check_angles(cls, angles: tuple[float, ...]) -> tuple[float, ...]:
@@ -277,12 +292,12 @@ class ChainParameters(AlarmParameters):
         description="publish the endpoint in the URDF's base frame, or relative to its pose at home: at the first "
         "pose, or at the last call of ~/set_home",
     )
-    temperature_topic: str = Field(
+    temperature_topic: TopicName = Field(
         default=TEMPERATURE_TOPIC,
         description="name before those of the thermometers of the beams file in their topics, relative to the node's "
         "namespace: 'temperature/upper_arm'",
     )
-    acceleration_topic: str = Field(
+    acceleration_topic: TopicName = Field(
         default=ACCELERATION_TOPIC,
         description="name before those of the accelerometers of the beams file in their topics, likewise: "
         "'acceleration/upper_arm_near'",

@@ -49,6 +49,12 @@ ROS_NAME_RULE = "a letter, then letters, digits and underscores, at most 80 char
 """What a part of a namespace may be: longer topics than 247 characters are refused by rmw."""
 
 
+_PART = r"(?:[A-Za-z_]|\{(?:node|ns|namespace)\})(?:[A-Za-z0-9_]|\{(?:node|ns|namespace)\})*"
+_TOPIC_NAME = re.compile(rf"(?:/|~/)?{_PART}(?:/{_PART})*")
+TOPIC_NAME_RULE = "names separated by '/', each a letter or underscore, then letters, digits and underscores"
+"""What the name of a topic may be; ROS replaces {node}, {ns} and {namespace}."""
+
+
 OUTER_NAMESPACE_RULE = (
     "names separated by '/', each a letter, then letters, digits and underscores, at most 40 characters"
 )
@@ -58,6 +64,11 @@ OUTER_NAMESPACE_RULE = (
 def is_ros_name(name: str) -> bool:
     """Return whether a name can be one part of a namespace or topic."""
     return re.fullmatch(r"[A-Za-z][A-Za-z0-9_]{0,79}", name) is not None
+
+
+def is_topic_name(name: str) -> bool:
+    """Return whether a name can be that of a topic: full, or relative to a namespace."""
+    return _TOPIC_NAME.fullmatch(name) is not None
 
 
 def is_outer_namespace(name: str) -> bool:

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 import pytest
 from posor.errors import ParameterError
-from posor.node_parameters import NodeParameters
+from posor.node_parameters import ChainParameters, NodeParameters, PosorParameters
 from posor.parameter_model import (
     ChangeableAtRunTime,
     ParameterGroup,
@@ -122,3 +122,20 @@ def test_a_field_without_a_ros_type_is_a_programming_error() -> None:
 
     with pytest.raises(TypeError, match="when"):
         _ = next(parameter_specs(Odd)).element_type
+
+
+@pytest.mark.parametrize("name", ["my-encoders", "my encoders", "/1x/enc", "", "a//b", "a/", "/", "~a", "{joint}/b"])
+def test_topics_that_ros_refuses_are_refused(name: str) -> None:
+    error = refusal(
+        ParameterError, validate_parameters, PosorParameters, {"calibration": "x", "encoder.topic": name}, node="/n"
+    )
+    assert (error.parameter, error.what.partition(";")[0]) == ("encoder.topic", f"'{name}' is wrong")
+    if name:
+        values = {"urdf": "x", "encoders.topic": name, "encoders.sigma": [1.0]}
+        refusal(ParameterError, validate_parameters, ChainParameters, values, node="/n")
+
+
+@pytest.mark.parametrize("name", ["encoder", "/a/b_2", "~/x", "_a/b", "{namespace}/encoders"])
+def test_topics_that_ros_accepts_are_accepted(name: str) -> None:
+    values = {"calibration": "x", "encoder.topic": name}
+    assert validate_parameters(PosorParameters, values, node="/n").encoder.topic == name

@@ -170,7 +170,7 @@ def _read_tracks(reader: OrderedReader, references: Sequence[Reference], where: 
             messages[connection.topic].append((logged_ns, schemas[connection.topic].values(data)))
         except TopicError as error:
             place = f"{where}, topic {connection.topic}, logged at {logged_ns} ns"
-            raise BagError(str(error).rstrip("."), where=place, expected="a message that is whole") from error
+            raise BagError(f"{error.where}: {error.what}", where=place, expected=error.expected) from error
     return {each.topic: _track(kinds[each.topic], messages[each.topic], each, where) for each in references}
 
 

@@ -106,6 +106,6 @@ class TopicReader:
             self._layout = TableLayout.of(data, self._schema)
         except TopicError as error:
             where = f"{self._where}, topic {self._topic}, logged at {block.times_ns[n]} ns"
-            raise BagError(str(error).rstrip("."), where=where, expected="a message that is whole") from error
+            raise BagError(f"{error.where}: {error.what}", where=where, expected=error.expected) from error
         message = np.frombuffer(data, dtype=np.uint8)
         return self._layout.read(message, np.zeros(1, dtype=np.int64), np.array([len(message)]))

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import numpy as np
 from posor.errors import ParameterError
+from posor.node_parameters import TopicName  # noqa: TC002  pydantic needs it
 from posor.numerics.stamps import NS, tick_stamp_ns
 from posor.parameter_model import ParameterGroup
 from posor.ros_names import RAW_SCAN, RAW_TOPIC, TEMPERATURE_TOPIC
@@ -57,7 +58,7 @@ class InstrumentParameters(ParameterGroup):
 
     file: Annotated[str, Field(min_length=1)] = Field(description="instruments file (YAML)")
     joint: Annotated[str, Field(min_length=1)] = Field(description="name of this driver's joint in the file")
-    temperature_topic: Annotated[str, Field(min_length=1)] = Field(
+    temperature_topic: TopicName = Field(
         default=TEMPERATURE_TOPIC,
         description="name before those of the thermometers in their topics; bringup states that of the arm",
     )
