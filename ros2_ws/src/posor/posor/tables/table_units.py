@@ -49,8 +49,8 @@ _ALIASES |= {
 }
 _DIRECT = re.compile(r"\s*DC$", re.IGNORECASE)
 _IN_BRACKETS = re.compile(r"[\[({]\s*([^\[\](){}]+?)\s*[\])}]")
-_AT_END = re.compile(r"(\S*)\s*/\s*(\S+)\s*$|\s(in)\s+(\S+)\s*$")  # AI0/V, U / V, gap in V
-_LAST_PART = re.compile(r"(?:_|,\s*)([^\W_]+)\s*$")  # gap_mV
+_AFTER_WORD = re.compile(r"(\S*)\s+/\s*(\S+)\s*$|\s(in)\s+(\S+)\s*$")  # U / V, gap in V
+_LAST_PART = re.compile(r"(?:_|,\s*|(?:^|\s)([^\s/]+)/)([^\W_]+)\s*$")  # gap_mV, AI0/mV, but no path
 _LABELS = {"1", "A", "K", "d", "h", "in", "m", "mil", "min", "pm"}
 """Last parts of names that mean something else, such as the contact of a diode or the type of a thermocouple."""
 
@@ -79,14 +79,15 @@ def find_unit(text: str) -> Unit | None:
 
 def unit_in_name(name: str) -> Unit | None:
     """Return the unit in a column's name: ``AI0 (mV)``, ``AI0/mV``, ``AI0 in mV``, ``AI0_mV``; None: there is none."""
-    units = [unit for text in _IN_BRACKETS.findall(name) if (unit := find_unit(text))]
+    units = [unit for text in _IN_BRACKETS.findall(name) if text != "1" and (unit := find_unit(text))]  # 1: an index
     if units:
         return units[-1]
-    if match := _AT_END.search(name):
-        before, text = match[1] or "", match[2] or match[4]
-        return None if find_unit(before) or text in _ALIASES else find_unit(text)
+    if match := _AFTER_WORD.search(name):
+        return None if find_unit(match[1] or "") else find_unit(match[2] or match[4])
     match = _LAST_PART.search(name)
-    return UNITS.get(match[1]) if match and match[1] not in _LABELS else None
+    if match is None or match[2] in _LABELS or find_unit(match[1] or ""):  # V/m is another quantity
+        return None
+    return UNITS.get(match[2])
 
 
 def units_of(si: str) -> list[str]:

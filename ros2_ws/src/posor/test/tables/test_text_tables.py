@@ -319,6 +319,11 @@ UNITS_OF_NAMES = {
     "temperature_min": None,
     "Dev1/ai0": None,
     "AI0 (channel 1)": None,
+    "/arm/elbow/raw/gap_voltages[1]": None,  # an index
+    "/arm/s": None,  # a path
+    "AI0/min": None,
+    "AI0 / min": "min",
+    "speed m/s": None,
 }
 
 
