@@ -7,6 +7,7 @@ from __future__ import annotations
 import csv
 import datetime as dt
 import re
+from collections import Counter
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -20,7 +21,7 @@ from posor.tables.table_file import is_text, open_table, read_bytes
 from posor.tables.table_map import CHANNELS, READINGS, FileLayout
 from posor.tables.table_time import parse_moment
 from posor.tables.table_units import UNITS
-from posor.tables.text_table import byte_order_mark, utf_16_without_mark
+from posor.tables.text_table import LEFT_OUT, byte_order_mark, utf_16_without_mark
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -32,7 +33,9 @@ if TYPE_CHECKING:
 
 _SEPARATORS = (";", "\t", "|", ",")
 _SAMPLE_LINES = 60
-_TIME_NAME = re.compile(r"\b(time|zeit|timestamp|elapsed|date|datum|uhrzeit|t)\b", re.IGNORECASE)
+_TIME_NAME = re.compile(
+    r"(?<![^\W_])(time|zeit|timestamp|elapsed|date|datum|uhrzeit|x_value|t)(?![^\W_])", re.IGNORECASE
+)
 _NAMES = {  # of columns by reading
     "supply_voltage": re.compile(r"supply|vcc|versorgung|excitation", re.IGNORECASE),
     "temperature": re.compile(r"temp", re.IGNORECASE),
@@ -89,6 +92,9 @@ def propose_map(path: Path, name: str, calibrations: dict[str, Path]) -> Proposa
     table = open_table(path, layout)
     every = range(len(table.columns))
     cells = table.read(every, every)
+    if cells.incomplete and not len(cells.places):
+        place, what, expected = cells.incomplete[0]
+        raise DataFileError(what, where=table.place(place), expected=expected)
     if not len(cells.places):
         raise DataFileError("has no rows", where=str(path), expected="one row for each scan after the header")
     bad = {cell.column: 0 for cell in cells.invalid}
@@ -174,10 +180,13 @@ def _header_of(lines: Sequence[str], separator: str, decimal: str) -> tuple[int,
     rows = [
         (n, _cells(line, separator)) for n, line in enumerate(lines, 1) if line.strip() and not line.startswith("#")
     ]
-    width = max((len(row) for _, row in rows), default=0)
+    numbers = Counter[int]()  # by width
+    for _, row in rows:
+        numbers[len(row)] += sum(is_number(cell, decimal) for cell in row)
+    width = max(numbers, key=lambda each: (numbers[each], each), default=0)
     data = [n for n, row in rows if len(row) == width and 2 * sum(is_number(cell, decimal) for cell in row) > width]
     first = data[0] if data else rows[-1][0] + 1 if rows else 1
-    above = [(n, row) for n, row in rows if n < first and len(row) == width]
+    above = [(n, row) for n, row in rows if n < first and len(row) == width + (row[-1] == LEFT_OUT)]
     if not above:
         return 0, first
     # names, then perhaps units: the names are the first of the rows directly above the data

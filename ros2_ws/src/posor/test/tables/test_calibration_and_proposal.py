@@ -68,6 +68,18 @@ WAYS: dict[str, dict[str, Any]] = {
     "comments and header lines": {"head": "# export 2026-11-25\nDAQ of the lab\nrate;500\n"},
     "names that occur several times": {"names": ["Time (s)", *["AI (mV)"] * 3, *["I (uA)"] * 8]},
     "no units": {"names": ["Time", *(f"AI{n}" for n in range(3)), *(f"I{n}" for n in range(8))]},
+    "a preamble wider than the data, and a column of comments": {
+        "names": ["X_Value", *NAMES[1:], "Comment"],
+        "separator": "\t",
+        "head": "LabVIEW Measurement\nDecimal_Separator\t.\n" + "Y_Unit_Label\t" * 20 + "\n",
+    },
+    "PlotJuggler": {
+        "names": [
+            "__time",
+            *(f"/raw/gap_voltages[{n}]" for n in range(3)),
+            *(f"/raw/diode_currents[{n}]" for n in range(8)),
+        ]
+    },
     "names of the calibration": {
         "names": [
             "t [s]",
@@ -95,7 +107,8 @@ def test_a_proposed_map_reads_the_file(way: str, scans: Scans, tmp_path: Path) -
     np.testing.assert_allclose(np.diff(read.stamps_ns), 2_000_000)
     guessed = [doubt for doubt in unsure if "by the order of the columns only" in doubt]
     assert len(guessed) == (0 if way == "names of the calibration" else 11)
-    assert sum("unit by the size of the values" in doubt for doubt in unsure) == (11 if way == "no units" else 0)
+    units = 11 if way in ("no units", "PlotJuggler") else 0
+    assert sum("unit by the size of the values" in doubt for doubt in unsure) == units
     states = Posor(load_calibration(CALIBRATION)).estimate_all(read).states
     assert (states == int(State.OK)).all()
 
@@ -186,4 +199,7 @@ def test_a_file_without_rows_has_no_proposal(tmp_path: Path) -> None:
     path = tmp_path / "daq.csv"
     path.write_text("a,b\n", encoding="utf-8")
     with pytest.raises(DataFileError, match="has no rows"):
+        propose(path)
+    path.write_text("AI0 (mV)  AI1 (mV)\n1  2\n3  4\n", encoding="utf-8")
+    with pytest.raises(DataFileError, match="line 2: there are 2 cells; expected 4, as in the header"):
         propose(path)
