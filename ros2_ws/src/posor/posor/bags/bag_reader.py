@@ -145,10 +145,12 @@ def _listed(connections: Sequence[Connection]) -> str:
 def storage_files(path: Path, *suffixes: str) -> list[Path]:
     """Return the files of a bag (a folder or a single file) with one of some suffixes, ``x_2`` before ``x_10``.
 
-    Files that are compressed (``.zstd``) are among them, unless the decompressed file is there, too.
+    Files that are compressed (``.zstd``) are among them, unless the decompressed file is there, too; hidden files, such
+    as the ``._x_2.mcap`` of macOS, are not.
     """
     files = sorted(path.iterdir(), key=lambda file: (len(stored_name(file)), file.name)) if path.is_dir() else [path]
-    own = [file for file in files if Path(stored_name(file)).suffix in suffixes]
+    visible = [file for file in files if file == path or not file.name.startswith(".")]
+    own = [file for file in visible if Path(stored_name(file)).suffix in suffixes]
     return [file for file in own if file.name == stored_name(file) or file.with_name(stored_name(file)) not in own]
 
 

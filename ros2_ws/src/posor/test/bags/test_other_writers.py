@@ -252,6 +252,13 @@ def test_a_file_that_was_decompressed_by_hand_is_read_once(tmp_path: Path) -> No
     assert (len(messages), notes) == (5, [])
 
 
+def test_hidden_files_beside_a_bag_are_no_part_of_it(tmp_path: Path) -> None:
+    bag = folder_of(tmp_path / "bag", {"a.mcap": WHOLE})
+    (bag / "._a.mcap").write_bytes(b"\0\5\x16\7Mac OS X")
+    assert len(read(bag)[0]) == 5
+    assert [rescue.path.name for rescue in recover(bag, tmp_path / "out")] == ["a.mcap"]
+
+
 def test_compressed_files_of_a_killed_recorder_are_named(tmp_path: Path) -> None:
     bag = tmp_path / "bag"
     bag.mkdir()
