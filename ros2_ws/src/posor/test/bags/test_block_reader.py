@@ -150,7 +150,7 @@ def test_the_error_of_a_truncated_message_names_topic_and_time(cut: int, tmp_pat
     given = [(WANTED[0], 100 + n, serialize_message(scan(n))) for n in range(20)]
     given[7] = (*given[7][:2], given[7][2][:cut])
     write(tmp_path / "bag", [given])
-    with pytest.raises(BagError, match=r"^the bag, topic /one/raw, logged at 107 ns: .*; expected a message that is"):
+    with pytest.raises(BagError, match=r"^the bag, topic /one/raw, logged at 107 ns: [^;]*; expected [^;]*\.$"):
         read_tables(tmp_path / "bag")
 
 
