@@ -23,7 +23,6 @@ from posor_lab.harness.program import Program, installed
 CONTROLLER = Path(__file__).resolve().parents[1] / "examples" / "endpoint_controller" / "endpoint_controller.py"
 RUNNING = "without controller"  # printed when the ticks begin
 TIMEOUT_S = 250
-pytestmark = pytest.mark.timeout(300)
 
 
 @pytest.fixture

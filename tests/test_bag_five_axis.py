@@ -127,7 +127,6 @@ def test_the_scans_of_the_bag_give_its_poses() -> None:
 
 @pytest.mark.long
 @pytest.mark.usefixtures("ros_domain")
-@pytest.mark.timeout(300)
 def test_the_bag_replays_bit_for_bit(tmp_path: Path) -> None:
     options = ["--arm", str(find_arm("five_axis")), "--false-alarm", "1e-3"]
     assert reprocess([str(BAG), *options, "--output", str(tmp_path / "out")]) == 0

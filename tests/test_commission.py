@@ -21,7 +21,7 @@ from posor_lab.harness.program import Program, installed
 from posor_msgs.msg import CommissioningStep, RawScan
 from sensor_msgs.msg import JointState
 
-pytestmark = [pytest.mark.usefixtures("ros_domain"), pytest.mark.timeout(300)]
+pytestmark = pytest.mark.usefixtures("ros_domain")
 JOINT = "elbow"
 SWEEP_S = 12.0
 PERIOD_NS = 50_000_000

@@ -111,7 +111,6 @@ def reprocess_second(folder: Path) -> dict[str, list[object]]:
     return bits
 
 
-@pytest.mark.timeout(300)
 @pytest.mark.parametrize("layout", ["composed", pytest.param("drivers_apart", marks=pytest.mark.long)])
 def test_the_results_are_the_same_in_every_layout(tmp_path: Path, layout: Layout) -> None:
     assert replay(tmp_path / layout, layout) == reprocess_second(tmp_path / "offline")

@@ -317,7 +317,6 @@ def rms_um(lengths: FloatArray) -> float:
 
 
 @pytest.mark.long
-@pytest.mark.timeout(300)
 def test_endpoint_of_the_arm_reaches_its_target() -> None:
     with Graph() as graph, SteppedArm(graph, ARM) as arm:
         before = rms_um(target_distances(arm))

@@ -59,7 +59,6 @@ def files(folder: Path) -> Iterator[tuple[str, bytes]]:
 
 
 @pytest.mark.long
-@pytest.mark.timeout(300)
 def test_the_results_are_whole_and_the_same_though_a_worker_is_killed(bags: Path, tmp_path: Path) -> None:
     given = [*(str(bags / name) for name in BAGS), *ARM]
     assert main([*given, "--output", str(tmp_path / "alone")]) == 0

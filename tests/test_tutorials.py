@@ -78,7 +78,6 @@ def run_in(folder: Path, commands: str, files: dict[str, str]) -> str:
     return output
 
 
-@pytest.mark.timeout(300)
 @pytest.mark.parametrize("page", [pytest.param(page, marks=[pytest.mark.long] * (page in LONG)) for page in SAID])
 def test_every_block_runs(page: str, tmp_path: Path) -> None:
     _, shared = read_page(FIRST)

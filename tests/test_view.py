@@ -43,7 +43,6 @@ X = "parseFloat(document.querySelector('#endpoint tr:nth-child(2) td:nth-child(2
 HAS_X, HAS_MOVED = f"() => {X} > 0 && {X}", f"([x, moved]) => Math.abs({X} - x) > moved"
 
 
-@pytest.mark.timeout(300)
 @pytest.mark.parametrize("max_red_s", [math.inf, pytest.param(MAX_RED_S, marks=pytest.mark.long)])
 def test_the_page_follows_the_arm_and_a_killed_driver_turns_its_joint_red(tmp_path: Path, max_red_s: float) -> None:
     with running_arm(tmp_path) as arm, opened_page(str(arm.path), WIDTH, HEIGHT) as (page, view):
@@ -101,7 +100,6 @@ OVERLAPS = """() => {
 """Texts that reach under the scroll bar."""
 
 
-@pytest.mark.timeout(120)
 def test_replay_says_what_is_wrong_where_and_since_when_on_the_time_axis_of_the_bag() -> None:
     with opened_page(STATES_BAG.name, 1200, 700, "--bag", str(STATES_BAG)) as (page, view):
         wait_for_banner(page, STATES_BAG.name)
@@ -119,7 +117,6 @@ def test_replay_says_what_is_wrong_where_and_since_when_on_the_time_axis_of_the_
         assert view.end(signal.SIGTERM) == 0
 
 
-@pytest.mark.timeout(120)
 def test_page_that_is_opened_again_finds_the_history_and_the_events_of_a_night(tmp_path: Path) -> None:
     past = CompressedTime(tmp_path)
     for state, seconds in (("sound", 1800.0), ("one_joint_lost", 90.0), ("sound", 600.0), ("silent", 300.0)):

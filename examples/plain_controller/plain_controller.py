@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Keeps an endpoint at its target by a stage: python plain_controller.py --ros-args -r __ns:=/five_axis"""
 
-import math
 import signal
 
 import rclpy
@@ -43,7 +42,7 @@ class PlainController(Node):
         command.vector.x = x + 2.0 * (q.w * a + b * q.z - c * q.y) + stage.vector.x
         command.vector.y = y + 2.0 * (q.w * b + c * q.x - a * q.z) + stage.vector.y
         command.vector.z = z + 2.0 * (q.w * c + a * q.y - b * q.x) + stage.vector.z
-        if math.isfinite(command.vector.x + command.vector.y + command.vector.z):
+        if abs(command.vector.x + command.vector.y + command.vector.z) < float("inf"):  # nor is NaN
             self.output.publish(command)
             self.watchdog.reset()
 
@@ -58,5 +57,6 @@ if __name__ == "__main__":
     for each in signal.SIGINT, signal.SIGTERM:
         signal.signal(each, lambda *_: done.set_result(None))
     rclpy.spin_until_future_complete(controller, done)  # the watchdog wakes it
+    rclpy.get_global_executor().shutdown()  # before the node that it waits for
     controller.destroy_node()  # the end of the interpreter destroys in any order
     rclpy.shutdown()

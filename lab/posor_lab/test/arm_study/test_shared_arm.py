@@ -82,7 +82,6 @@ def test_recorded_scans_get_the_coherent_sum(shared_arm: Path) -> None:
 
 
 @pytest.mark.long
-@pytest.mark.timeout(300)
 def test_95_percent_of_1000_arms_are_in_their_region(shared_arm: Path) -> None:
     arm = load_checked_arm(str(shared_arm))
     found = coverage_figures(sample_arms(arm, 1000, 3, SEED), ArmSampler(arm, 3).predicted_shift()[:, :3])

@@ -47,7 +47,6 @@ def test_output_that_cannot_be_written_is_refused(tmp_path: Path, capsys: pytest
 
 
 @pytest.mark.long
-@pytest.mark.timeout(300)
 def test_small_run_gives_all_figures(tmp_path: Path) -> None:
     output = tmp_path / "bench.json"
     printed = run_benchmark(

@@ -20,7 +20,6 @@ from posor_lab.campaign.calibrate_demo_command import main
 from posor_lab.harness.report_page import ReportPage
 
 CAMPAIGNS = 4
-pytestmark = pytest.mark.timeout(300)
 
 
 @dataclass(frozen=True)

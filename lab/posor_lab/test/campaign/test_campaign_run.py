@@ -125,7 +125,6 @@ def understate_uncertainty(step: CampaignStep) -> CampaignStep:
 
 
 @pytest.mark.long
-@pytest.mark.timeout(300)
 def test_an_instrument_noisier_than_stated_fails(monkeypatch: pytest.MonkeyPatch) -> None:
     bundle = campaign_steps("triad_diodes")[-1]
     truth = GroundTruth.draw("triad_diodes", SEED)

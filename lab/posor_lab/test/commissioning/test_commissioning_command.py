@@ -24,7 +24,6 @@ from posor_lab.commissioning.commissioning_command import GROUPS, TABLE, FaultRo
 from posor_lab.commissioning.simulated_commissioning import REFERENCE, SimulatedCommissioning, WiringFault
 from posor_lab.harness.case_tables import refusal
 
-pytestmark = pytest.mark.timeout(300)
 ARMS = ("five_axis", "six_axis")
 SOUND = WiringFault("none", ())
 SHOWN = [row for n, row in enumerate(TABLE) if row.group == "files" or n % 8 == 0]

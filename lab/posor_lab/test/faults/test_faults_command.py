@@ -31,7 +31,6 @@ from posor_lab.faults.storm import StormMaker, count_storm, estimate_storm, stor
 from posor_lab.reports.findings import Verdict
 from posor_msgs.msg import JointTransform, RawScan
 
-pytestmark = pytest.mark.timeout(300)
 KEYS = {"fault", "kind", "observable", "expected", "seen", "naming_s", "wrong_ok", "lost", "covered", "failures"}
 ROWS = 283
 QUICK_ROWS = {row.title for row in FAULT_TABLE if row.quick}

@@ -17,7 +17,6 @@ from posor_lab.mutations.mutations_command import OPTIONS, main, mutation_findin
 from posor_lab.reports.findings import Verdict
 from posor_lab.reports.trial_program import parse_options
 
-pytestmark = pytest.mark.timeout(300)
 SIGN_OF_THE_SAG = load_mutations()[0]
 
 

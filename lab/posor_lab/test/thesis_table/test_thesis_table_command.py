@@ -18,7 +18,6 @@ from posor_lab.thesis_table.row_file import RowFile
 from posor_lab.thesis_table.thesis_row import Agreement, ComparisonKind, ThesisRow
 from posor_lab.thesis_table.thesis_table_command import Subject, all_rows, format_cells, main, row_files, summary
 
-pytestmark = pytest.mark.timeout(300)
 COMPUTED = ComparisonKind.COMPUTED.value
 ROOT = Path(__file__).resolve().parents[4]
 KEYS = ["section", "quantity", "unit", "printed", "computed", "difference", "verdict", "kind", "reason"]
