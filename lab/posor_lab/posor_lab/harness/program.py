@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 HAND_FED: Mapping[str, Any] = {**RECORDING, "freshness.max_silence": math.inf}
 """Parameters of nodes whose input a test publishes now and then, with stamps of its own."""
 END_S = 10.0  # time for a program to end after SIGTERM when its test has failed [s]
-TIMEOUT_S = 60.0  # longest wait for an event that should happen at once; not a pace
+TIMEOUT_S = 120.0  # longest wait for an event that should happen at once; not a pace
 
 
 def installed(package: str, executable: str) -> list[str]:
