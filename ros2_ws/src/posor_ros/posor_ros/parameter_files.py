@@ -92,9 +92,9 @@ def _octal_number(text: str, where: str) -> ParameterError:
 def refuse_octal_arguments(arguments: Sequence[str]) -> None:
     """Raise ParameterError: a parameter on a command line is a number such as 0100, which is 64 to ROS."""
     for option, rule in pairwise(arguments):
-        value = rule.rpartition(":=")[2]
-        if option in ("-p", "--param") and _LEADING_ZEROS.fullmatch(value):
-            raise _octal_number(value, f"ROS argument {option} {rule}")
+        for value in rule.rpartition(":=")[2].strip("[]").split(",") if option in ("-p", "--param") else ():
+            if _LEADING_ZEROS.fullmatch(value.strip()):
+                raise _octal_number(value.strip(), f"ROS argument {option} {rule}")
 
 
 def _flat(values: Any, group: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], object]]:

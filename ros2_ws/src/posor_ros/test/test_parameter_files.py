@@ -95,10 +95,11 @@ def test_a_number_that_is_octal_to_ros_is_refused(text: str, number: str, tmp_pa
     assert section.parameters == {"a": "0100", "b": [0, 0.5, 1], "c": 16}
 
 
-def test_an_argument_that_is_octal_to_ros_is_refused() -> None:
-    refuse_octal_arguments(["node", "--ros-args", "-p", "a:=100", "-p", "b:='0100'", "-r", "c:=010"])
-    error = refusal(ParameterError, refuse_octal_arguments, ["node", "--ros-args", "-p", "a:=0100"])
-    assert (error.what, error.where) == ("0100 is an octal number to ROS", "ROS argument -p a:=0100")
+@pytest.mark.parametrize("value", ["0100", "[1, 0100]"])
+def test_an_argument_that_is_octal_to_ros_is_refused(value: str) -> None:
+    refuse_octal_arguments(["node", "--ros-args", "-p", "a:=100", "-p", "b:=['0100', 0]", "-r", "c:=010"])
+    error = refusal(ParameterError, refuse_octal_arguments, ["node", "--ros-args", "-p", f"a:={value}"])
+    assert (error.what, error.where) == ("0100 is an octal number to ROS", f"ROS argument -p a:={value}")
 
 
 @pytest.mark.parametrize("second", ["{ros_parameters: {number: 1}}", "{number: 1}", "1", "[ros__parameters]", ""])
