@@ -110,11 +110,14 @@ class Stopwatches:
 STAGES = {  # method and name of each stage; publishing is one more stage for each message type
     "posor_drivers.tick_scheduler:TickTask.run_tick": "driver: schedule the ticks, other",
     "posor.messages.raw_scan:ScanTemplate.at": "driver: stamp into the scan",
-    "posor_estimator.posor_node:PosorEstimatorNode._on_raw_scan": "posor_node: other",
-    "posor.messages.message_stream:RawScanStream.estimate_message": "posor_node: read, estimate, write",
-    "posor_estimator.chain_node:ChainNode._on_transform": "chain_node: other",
-    "posor.chain.time_synchroniser:TimeSynchroniser.add": "chain_node: synchronise",
-    "posor.chain.endpoint_estimator:EndpointEstimator.estimate_rows": ("chain_node: read the transforms, endpoint"),
+    "posor_estimator.posor_node:PosorEstimatorNode.estimate_scans": "posor_node: other",
+    "posor_estimator.posor_node:PosorEstimatorNode.publish_transform": "posor_node: counts and reports",
+    "posor.messages.message_stream:RawScanStream.prepare": "posor_node: read",
+    "posor.messages.message_stream:RawScanStream.run_prepared": "posor_node: estimate",
+    "posor.messages.message_stream:RawScanStream.finish": "posor_node: write",
+    "posor_estimator.chain_node:ChainNode._on_transforms": "chain_node: other",
+    "posor.chain.time_synchroniser:TimeSynchroniser.add_together": "chain_node: synchronise",
+    "posor.chain.endpoint_estimator:EndpointEstimator.estimate_rows": "chain_node: read the transforms, endpoint",
     "posor.messages.endpoint_messages:MessageWriter.write": "chain_node: numbers into bytes",
 }
 SCAN, POSE = "RawScan", "PoseStamped"
@@ -158,15 +161,21 @@ def install_stopwatches(watches: Stopwatches, milestones: TickMilestones) -> Non
         kind, _, method = place.rpartition(".")
         setattr(resolve_name(kind), method, watches.timed(resolve_name(place), stage))
     publisher_type: Any = IntraProcessPublisher
-    publish = watches.timed(publisher_type.publish, lambda publisher, *_: f"publish {publisher.message_type.__name__}")
+    deliver, over_dds = publisher_type.deliver, publisher_type.publish_over_dds
+    publisher_type.deliver = watches.timed(deliver, lambda publisher, *_: f"deliver {publisher.message_type.__name__}")
+    publisher_type.publish_over_dds = watches.timed(
+        over_dds, lambda publisher, *_: f"publish {publisher.message_type.__name__}"
+    )
+    publish = publisher_type.publish
 
-    def publish_and_store(publisher: Any, data: bytes) -> None:
+    def publish_and_store(publisher: Any, data: bytes) -> bool:
         kind = publisher.message_type.__name__
         if kind == SCAN:
             milestones.on_scan(data)
-        publish(publisher, data)
+        is_published = bool(publish(publisher, data))
         if kind == POSE:
             milestones.on_pose(data)
+        return is_published
 
     publisher_type.publish = publish_and_store
 

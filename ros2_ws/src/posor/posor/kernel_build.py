@@ -50,6 +50,16 @@ C_SYMBOLS = ("NRT_", "Py", "_Py", "numba_")
 """Begins of the names of functions of numba and Python that the code mentions on ways that kernels do not take."""
 
 
+IN_TURN_TEXT = """
+typedef void (*kernel)(int64_t *, int64_t *);
+void {name}(int64_t *calls, int64_t count)
+{{
+    for (int64_t n = 0; n < count; n++)
+        ((kernel)calls[3 * n])((int64_t *)calls[3 * n + 1], (int64_t *)calls[3 * n + 2]);
+}}
+"""  # each call: addresses of code, table and results
+
+
 class Entry(NamedTuple):
     """A kernel with the wrapper that the library exports."""
 
@@ -191,7 +201,7 @@ def c_source(entries: list[Entry], assembler: str) -> str:
     kernel_library = import_module("posor.numerics.kernel_library")
     kernels = {entry.name: entry.manifest for entry in entries}
     manifest = json.dumps({"sources": kernel_library.hash_of_sources(), "kernels": kernels})
-    lines = ["#include <stdint.h>", "#include <stdlib.h>"]
+    lines = ["#include <stdint.h>", "#include <stdlib.h>", IN_TURN_TEXT.format(name=kernel_library.IN_TURN)]
     mentioned = sorted({word for line in assembler.splitlines() for word in _functions_of(line)})
     lines += [f'__attribute__((visibility("hidden"))) void {name}(void) {{ abort(); }}' for name in mentioned]
     lines.append(f"const char {kernel_library.MANIFEST}[] = {json.dumps(manifest)};")

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from posor.numerics.stamps import NEVER_NS, TimestampLog
 from posor_ros.idle_scheduler import TickSchedule
+from posor_ros.intra_process import DeliveryRound
 from posor_ros.realtime_process import SWITCH_INTERVAL_S
 
 from posor_drivers.ros_clock import SimulatedClock, TickClock, WallClock, disable_timer_slack, is_simulated
@@ -244,9 +245,10 @@ class TickScheduler:
             clock.wait(due_ns)
             sys.setswitchinterval(SWITCH_DURING_TICK_S)
             now_ns = clock.turn_ns = clock.now_ns
-            for task in tasks:
-                if not task.run_tick(now_ns):
-                    self._discard(task)
+            with DeliveryRound():
+                for task in tasks:
+                    if not task.run_tick(now_ns):
+                        self._discard(task)
 
 
 _schedulers: dict[Hashable, TickScheduler] = {}

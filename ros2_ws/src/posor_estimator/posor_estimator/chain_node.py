@@ -21,7 +21,6 @@ import struct
 import time
 from functools import partial
 from pathlib import Path
-from threading import RLock
 from typing import TYPE_CHECKING, Any
 
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
@@ -49,7 +48,7 @@ from posor.ros_names import (
 from posor_msgs.msg import EndpointState, JointTransform
 from posor_ros.diagnostics import Level
 from posor_ros.freshness import InputMonitor
-from posor_ros.intra_process import IntraProcessPublisher, IntraProcessSubscription
+from posor_ros.intra_process import DeliveryGroup, IntraProcessManager, IntraProcessPublisher, IntraProcessSubscription
 from posor_ros.lifecycle_node import PosorNode
 from posor_ros.message_classes import schema_of_class
 from posor_ros.node_program import run_node
@@ -71,6 +70,7 @@ if TYPE_CHECKING:
     from posor.chain.robot_model import FreeJoint
     from posor.numerics.array_types import FloatArray
     from posor_ros.diagnostics import Status, Value
+    from posor_ros.intra_process import Delivery
     from std_srvs.srv import Trigger
 
 
@@ -96,6 +96,7 @@ class ChainNode(PosorNode[ChainParameters]):
     _formats: dict[str, JointTransformFormat]  # of the last transform of each joint
     _rows: list[tuple[str, JointTransformFormat, memoryview]]  # joints, formats and memory of the estimator's rows
     _transforms: list[IntraProcessSubscription]
+    _joints: dict[str, tuple[int, FreeJoint]]  # number and joint of each topic of transforms
     _home: FloatArray | None
     _frames: FramePublisher | None
     _identity: IdentityCheck
@@ -107,7 +108,7 @@ class ChainNode(PosorNode[ChainParameters]):
 
     def __init__(self, **options: Any) -> None:
         super().__init__(**options)
-        self._lock = RLock()
+        self._lock = IntraProcessManager.of(self.context).delivery_lock
         self._status = self.diagnostics.add_status("endpoint", logged=True)
         self._inputs = InputMonitor(self, self._on_inputs_checked)
         self._poses = self._scans_refused = self._scans_incomplete = self._transforms_refused = 0
@@ -164,7 +165,8 @@ class ChainNode(PosorNode[ChainParameters]):
             status = self._prediction_status = self._prediction_status or self.diagnostics.add_status("prediction")
             self._prediction = EndpointPrediction(self, chain, frames, self._lock, self._with_arm, status)
         self.add_cleanup(self._inputs.clear)
-        self._joint_of_topic: dict[str, str] = {}
+        self._transforms_group = DeliveryGroup(self._on_transforms)
+        self._joints = {}
         for number, joint in enumerate(chain.joints):
             self._subscribe(number, joint)
         self._subscribe_to_beams()
@@ -178,11 +180,10 @@ class ChainNode(PosorNode[ChainParameters]):
 
     def _subscribe(self, number: int, joint: FreeJoint) -> None:
         topic, qos = f"{joint.name}/{TRANSFORM_TOPIC}", input_qos(self.parameters)
-        callback = partial(self._on_transform, number, joint)
-        subscription = IntraProcessSubscription(self, JointTransform, topic, qos, callback)
+        subscription = IntraProcessSubscription(self, JointTransform, topic, qos, self._transforms_group)
         self._inputs.add(subscription)
         self._transforms.append(subscription)
-        self._joint_of_topic[subscription.topic_name] = joint.name
+        self._joints[subscription.topic_name] = number, joint
 
     def _subscribe_to_beams(self) -> None:
         self._accelerometers: dict[str, IntraProcessSubscription] = {}
@@ -231,8 +232,8 @@ class ChainNode(PosorNode[ChainParameters]):
                 self._pose_stamp = b""
                 self._report_no_pose(silent)
             if silent and not self._state_published:
-                joint = self._joint_of_topic[self._inputs.silent_names[0]]
-                verdict = EndpointVerdict(EndpointState.STATE_STALE, 0, joint, silent)
+                _, joint = self._joints[self._inputs.silent_names[0]]
+                verdict = EndpointVerdict(EndpointState.STATE_STALE, 0, joint.name, silent)
                 self._publish_state(self._last_stamp, stamp_ns_of(self._last_stamp), verdict)
             self._state_published = False
             if self._prediction is not None:
@@ -242,7 +243,7 @@ class ChainNode(PosorNode[ChainParameters]):
         """Publish the state of a scan; a stamp of zero: there is no scan yet."""
         self._state_published = True
         changed = verdict != self._published_verdict
-        is_due = self._throttle.has_subscriptions and self._throttle.is_due(stamp_ns, changed=changed)
+        is_due = self._throttle.is_due(stamp_ns, changed=changed) and self._throttle.has_subscriptions
         self._published_verdict = verdict
         if is_due or self._endpoint_state.has_subscriptions:
             if verdict.has_pose:
@@ -253,26 +254,38 @@ class ChainNode(PosorNode[ChainParameters]):
             if is_due:
                 self._throttle.publish(message)
 
-    def _on_transform(self, number: int, joint: FreeJoint, data: bytes) -> None:
-        """Add a transform of one joint to its scan; publish the endpoint once the scan is complete."""
-        with self._lock:
-            if not self.may_publish:
-                return
-            if not self._formats[joint.name].matches(data) and not (data := self._use_format_of(joint, data)):
-                return
-            stamp_ns = stamp_ns_of(data[STAMP])
-            if stamp_ns == 0:  # the synchroniser would take it for a time that has gone back
-                reason = f"the stamp of a transform {NO_TIME}; expected the time of exposure"
-                self._refuse_transform(joint, reason, data[STAMP])
-                return
-            message = self._formats[joint.name], data
-            if self._prediction is not None and not self._inputs.refusal(stamp_ns):
-                self._prediction.add_transform(number, stamp_ns, message)
-            scan = self._synchroniser.add(joint.name, stamp_ns, message, time.monotonic())
+    def _on_transforms(self, deliveries: list[Delivery]) -> None:
+        """Add transforms of some joints to their scans; publish the endpoint once a scan is complete."""
+        if not self.may_publish:
+            return
+        by_stamp: dict[bytes, dict[str, JointMessage]] = {}
+        for subscription, data in deliveries:
+            number, joint = self._joints[subscription.topic_name]
+            if (message := self._read_transform(number, joint, data)) is not None:
+                by_stamp.setdefault(message[1][STAMP], {})[joint.name] = message
+        for stamp, messages in by_stamp.items():
+            stamp_ns = stamp_ns_of(stamp)
+            scan = self._synchroniser.add_together(stamp_ns, messages, time.monotonic())
             if self._synchroniser.incomplete:
                 self._report_incomplete_scans()
             if scan is not None:
+                last_ns = stamp_ns_of(self._last_stamp)
                 self._publish_endpoint(scan, stamp_ns)
+                self._expect_effects(stamp_ns, last_ns)
+
+    def _read_transform(self, number: int, joint: FreeJoint, data: bytes) -> JointMessage | None:
+        """Return a transform in plain CDR and its format; None: it is refused."""
+        if not self._formats[joint.name].matches(data) and not (data := self._use_format_of(joint, data)):
+            return None
+        message = self._formats[joint.name], data
+        stamp_ns = stamp_ns_of(data[STAMP])
+        if stamp_ns == 0:  # the synchroniser would take it for a time that has gone back
+            reason = f"the stamp of a transform {NO_TIME}; expected the time of exposure"
+            self._refuse_transform(joint, reason, data[STAMP])
+            return None
+        if self._prediction is not None and not self._inputs.refusal(stamp_ns):
+            self._prediction.add_transform(number, stamp_ns, message)
+        return message
 
     def _on_temperature(self, name: str, message: Temperature) -> None:
         """Add a reading of a thermometer; the scans that follow check and use it."""
@@ -347,17 +360,18 @@ class ChainNode(PosorNode[ChainParameters]):
             if not self._inputs.silent:
                 self._report_refused_scan(verdict)
 
-    def _expect_effects(self, stamp_ns: int, last_ns: int) -> bool:
+    def _expect_effects(self, stamp_ns: int, last_ns: int) -> None:
         """Read the fault effects of the next scan, or not: only a published state needs them.
 
-        ``stamp_ns``: of this scan; ``last_ns``: of the one before it. Return whether states have a subscription.
+        ``stamp_ns``: of this scan; ``last_ns``: of the one before it.
         """
-        reads_all, reads_some = self._endpoint_state.has_subscriptions, self._throttle.has_subscriptions
-        if (read := reads_all or (reads_some and may_be_due_next(stamp_ns, last_ns))) != self._reads_effects:
-            self._reads_effects = read
+        is_due = self._endpoint_state.has_subscriptions or (
+            may_be_due_next(stamp_ns, last_ns) and self._throttle.has_subscriptions
+        )
+        if is_due != self._reads_effects:
+            self._reads_effects = is_due
             for subscription in self._transforms:
-                subscription.reads_whole = read
-        return reads_all or reads_some
+                subscription.reads_whole = is_due
 
     def _fill_rows(self, scan: dict[str, JointMessage]) -> bytes:
         """Copy the transforms of a scan into the estimator; return the bytes of its stamp."""
@@ -387,9 +401,7 @@ class ChainNode(PosorNode[ChainParameters]):
 
     def _publish_endpoint(self, scan: dict[str, JointMessage], stamp_ns: int) -> None:
         estimator, identity = self._estimator, self._identity
-        last_ns, stamp = stamp_ns_of(self._last_stamp), self._fill_rows(scan)
-        self._last_stamp = stamp
-        state_is_read = self._expect_effects(stamp_ns, last_ns)
+        self._last_stamp = stamp = self._fill_rows(scan)
         if not self._inputs.accepts(stamp_ns) and (refusal := self._inputs.refusal(stamp_ns)):
             self._refuse_scan(stamp, stamp_ns, EndpointVerdict(EndpointState.STATE_LOST, 0, "", refusal))
             return
@@ -408,9 +420,7 @@ class ChainNode(PosorNode[ChainParameters]):
         is_sound = worst == OK and identity.verdict is SOUND
         is_sound = is_sound and not self._temperatures.reason and not self._vibrations.reason
         verdict = SOUND if is_sound else self._verdict_of_pose(scan, worst)
-        self._state_published = True
-        if state_is_read:
-            self._publish_state(stamp, stamp_ns, verdict)
+        self._publish_state(stamp, stamp_ns, verdict)
         self.timing.record(stamp_ns)
         self._poses += 1
         excess = self._alarms.excess(self._scan_number()) if self._has_alarm else ""

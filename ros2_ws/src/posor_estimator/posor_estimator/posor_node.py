@@ -19,7 +19,6 @@ import time
 from collections import deque
 from functools import partial
 from pathlib import Path
-from threading import RLock
 from typing import TYPE_CHECKING, Any
 
 from posor.calibration.calibration_file import load_calibration
@@ -36,7 +35,7 @@ from posor_msgs.msg import JointTransform, RawScan
 from posor_msgs.srv import Acknowledge
 from posor_ros.diagnostics import Level
 from posor_ros.freshness import REPEATED, InputMonitor, ScanOrder
-from posor_ros.intra_process import IntraProcessPublisher, IntraProcessSubscription
+from posor_ros.intra_process import DeliveryGroup, IntraProcessManager, IntraProcessPublisher, IntraProcessSubscription
 from posor_ros.lifecycle_node import PosorNode
 from posor_ros.message_classes import schema_of_class
 from posor_ros.node_program import run_node
@@ -54,6 +53,7 @@ if TYPE_CHECKING:
     from posor.calibration.calibration_file import Calibration
     from posor.messages.message_stream import EstimatedScan
     from posor_ros.diagnostics import StatusText, Value
+    from posor_ros.intra_process import Delivery
     from std_srvs.srv import Trigger
 
 
@@ -65,7 +65,8 @@ LEVELS = {State.OK: Level.OK, State.DEGRADED: Level.WARN, State.LOST: Level.WARN
 class PosorEstimatorNode(PosorNode[PosorParameters]):
     """Estimates the pose of one POSOR's target plate from each raw scan.
 
-    Scans and service calls may come in different threads; a lock protects their common state.
+    Scans and service calls may come in different threads; a lock protects their common state. The scans of all joints
+    of an arm in one process are estimated in one compiled call per tick, see ``estimate_scans``.
     """
 
     NAME = "posor_node"
@@ -84,7 +85,7 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
 
     def __init__(self, **options: Any) -> None:
         super().__init__(**options)
-        self._lock = RLock()
+        self._lock = IntraProcessManager.of(self.context).delivery_lock
         self._status = self.diagnostics.add_status("estimate", logged=True)
         self._last_stream = None
         self._inputs = InputMonitor(self, self._on_inputs_checked)
@@ -108,7 +109,8 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
         self.add_cleanup(self._forget_scans)
         self.add_cleanup(self._inputs.clear)
         qos = input_qos(self.parameters)
-        self._inputs.add(IntraProcessSubscription(self, RawScan, RAW_TOPIC, qos, self._on_raw_scan))
+        group = DeliveryGroup(self.estimate_scans, self.get_namespace().rpartition("/")[0])
+        self._inputs.add(IntraProcessSubscription(self, RawScan, RAW_TOPIC, qos, group))
         if self.parameters.encoder.sigma:
             subscribe_to_encoder(self, self._inputs, self._confirm_theta)
         services = {"reload": self._reload_calibration, "home": self._count_from_home}
@@ -260,25 +262,59 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
             self._encoder = EncoderReading(theta, self.parameters.encoder.sigma, stamp_ns)
             self._posor.confirm_theta(theta, self.parameters.encoder.sigma, stamp_ns)
 
-    def _on_raw_scan(self, data: bytes) -> None:
-        with self._lock:
-            if not self.may_publish:
-                return
-            inputs, stream, transform = self._inputs, self._stream, None
-            if self._count_from_next and inputs.silent:
-                self._forget_home()
-            if stream is not None:
-                stream.use_effects(used=self._publisher.is_read_whole)
-                if not inputs.several:
-                    transform = stream.estimate_message(data, inputs.stamp_limits.now_ns())  # of an expected scan
-            if transform is None:
-                transform = self._estimate_scan(data)
-            if transform is None:
-                data = self._open_stream(data)
-                transform = self._estimate_scan(data)
-            if transform and self._stream is not None:
-                self._publisher.publish(transform)
-                self._update_counts(self._stream, data, transform)
+    @staticmethod
+    def estimate_scans(deliveries: list[Delivery]) -> Callable[[], None]:
+        """Estimate a scan of each of some nodes in one compiled call, and deliver the transforms within this process.
+
+        Return what can wait until the endpoint is published: transforms for other processes, counts, and reports.
+        """
+        prepared, transforms = [], []
+        for subscription, data in deliveries:
+            if (stream := subscription.node.prepare_scan(data)) is not None:
+                prepared.append((subscription.node, stream, data))
+        RawScanStream.run_prepared(tuple([stream for _, stream, _ in prepared]))
+        for node, stream, data in prepared:
+            if (transform := node.finish_scan(stream, data)) is not None:
+                transforms.append((node, stream, data, transform))
+
+        def publish_transforms() -> None:
+            for node, stream, data, transform in transforms:
+                node.publish_transform(stream, data, transform)
+
+        return publish_transforms
+
+    def prepare_scan(self, data: bytes) -> RawScanStream | None:
+        """Return the stream whose next run estimates a scan; None: there is nothing left to do for the scan."""
+        if not self.may_publish:
+            return None
+        inputs, stream = self._inputs, self._stream
+        if self._count_from_next and inputs.silent:
+            self._forget_home()
+        if stream is not None:
+            stream.use_effects(used=self._publisher.is_read_whole)
+            if not inputs.several and stream.prepare(data, inputs.stamp_limits.now_ns()):
+                return stream
+        self._use_unexpected_scan(data)
+        return None
+
+    def finish_scan(self, stream: RawScanStream, data: bytes) -> bytes | None:
+        """Return the transform of the scan of ``prepare_scan`` after the run, delivered here; None: nothing is left."""
+        transform = stream.finish(data)
+        if transform is None:
+            self._use_unexpected_scan(data)
+        else:
+            self._publisher.deliver(transform)
+        return transform
+
+    def _use_unexpected_scan(self, data: bytes) -> None:
+        """Estimate a scan that is not the expected one, or of which the node expects nothing yet."""
+        transform = self._estimate_scan(data)
+        if transform is None:
+            data = self._open_stream(data)
+            transform = self._estimate_scan(data)
+        if transform and self._stream is not None:
+            self._publisher.deliver(transform)
+            self.publish_transform(self._stream, data, transform)
 
     def _estimate_scan(self, data: bytes) -> bytes | None:
         """Return the transform of a scan, empty for a repeated one; None if there is no stream for it."""
@@ -313,10 +349,14 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
             stream.count_from_next()
         return data
 
-    def _update_counts(self, stream: RawScanStream, data: bytes, transform: bytes) -> None:
-        """Count an answered scan, keep a sound one for the digital zero, and report a change of the status."""
+    def publish_transform(self, stream: RawScanStream, data: bytes, transform: bytes) -> None:
+        """Publish a transform to other processes, count its scan, and report a change of the status.
+
+        A sound scan is kept for the digital zero.
+        """
+        self._publisher.publish_over_dds(transform)
         stamp_ns, changed = stream.stamp_and_change()
-        if self._throttle.has_subscriptions and self._throttle.is_due(stamp_ns, changed=bool(changed)):
+        if self._throttle.is_due(stamp_ns, changed=bool(changed)):
             self._throttle.publish(transform)
         if stamp_ns:
             self.timing.record(stamp_ns)

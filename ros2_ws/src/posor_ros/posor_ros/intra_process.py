@@ -10,6 +10,10 @@ way. Messages are handed to DDS only where a DDS subscription has matched.
 Intra-process delivery loses and reorders nothing, whatever the quality of service; ``publish`` returns when the
 callbacks are done. Publishers in other processes are ignored while this process publishes the same topic.
 
+In a `DeliveryRound`, such as a tick of the drivers of an arm, a subscription of a `DeliveryGroup` receives at the end:
+all of the group in one call, so that the scans of all joints are handled together. At any other time, and over DDS, the
+group receives each message by itself.
+
 Both ends are destroyed with the cleanup of their node, unless they were destroyed before. If a callback raises, its
 node requests the end of the program with that exception and receives nothing more; the publisher and other nodes
 continue.
@@ -22,8 +26,8 @@ import time
 from collections import deque
 from contextlib import ExitStack
 from statistics import median
-from threading import RLock
-from typing import TYPE_CHECKING, Any, ClassVar
+from threading import RLock, local
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeAlias
 from weakref import WeakKeyDictionary
 
 from posor.errors import TopicError
@@ -77,6 +81,77 @@ class InputWatch:
         if age_s <= limit_s or (self._periods and age_s <= SILENT_PERIODS * median(self._periods)):
             return ""
         return f"no input on {self.name} {'for' if arrivals else 'since activation,'} {age_s:.2f} s"
+
+
+Delivery: TypeAlias = "tuple[IntraProcessSubscription, bytes]"  # a message for a subscription of a group
+
+
+class DeliveryGroup(NamedTuple):
+    """Subscriptions of one process whose messages of a round are received in one call."""
+
+    receive: Callable[[list[Delivery]], Callable[[], None] | None]
+    """Takes at most one message of each subscription. May return what it has left to do once the messages that it has
+    published are delivered in this process."""
+    name: str = ""  # distinguishes groups with the same function
+
+
+class _Waiting(local):
+    """Messages that wait for the end of this thread's round, in the order of publication; None: there is no round."""
+
+    messages: dict[IntraProcessSubscription, bytes] | None = None
+
+
+_waiting = _Waiting()
+
+
+class DeliveryRound:
+    """A ``with`` block of one thread; what groups are sent in it, they receive at its end, or before a second message.
+
+    What a group publishes then is delivered before the next group receives.
+    """
+
+    def __enter__(self) -> None:
+        _waiting.messages = {}
+
+    def __exit__(self, *_: object) -> None:
+        try:
+            _deliver_waiting()
+        finally:
+            _waiting.messages = None
+
+
+def _deliver_waiting() -> None:
+    """Deliver all messages that wait in this thread, group by group."""
+    groups: dict[DeliveryGroup, list[Delivery]] = {}
+    now_s = time.monotonic()
+    for delivery in (_waiting.messages or {}).items():
+        subscription = delivery[0]
+        if subscription.group is not None and not subscription.closed:
+            subscription.watch.record(now_s)
+            groups.setdefault(subscription.group, []).append(delivery)
+    for group, deliveries in groups.items():
+        _waiting.messages = {}
+        _deliver(group, deliveries)
+    _waiting.messages = {}
+
+
+def _deliver(group: DeliveryGroup, deliveries: list[Delivery]) -> None:
+    """Have a group receive; an error ends the program, from the main thread."""
+    try:
+        _receive(group, deliveries)
+    except Exception as error:  # noqa: BLE001  all nodes of the group report it
+        for subscription, _ in deliveries:
+            subscription.fail(error)
+
+
+def _receive(group: DeliveryGroup, deliveries: list[Delivery]) -> None:
+    """Have a group receive, then whoever receives what it publishes."""
+    with deliveries[0][0].lock:
+        rest = group.receive(deliveries)
+        if _waiting.messages:
+            _deliver_waiting()
+        if rest is not None:
+            rest()
 
 
 DESTROY_TIMEOUT_S = 5.0
@@ -154,13 +229,20 @@ class IntraProcessPublisher:
 
         Raises TopicError: a reliable subscription has blocked the publisher for too long.
         """
-        if not self._node.may_publish:
-            return False
-        for subscription in self._subscriptions:
-            subscription.receive(data)
-        return not self._handle.get_subscription_count() or self._publish_over_dds(data)
+        self.deliver(data)
+        return self.publish_over_dds(data)
 
-    def _publish_over_dds(self, data: bytes) -> bool:
+    def deliver(self, data: bytes) -> None:
+        """Deliver a serialised message within this process; ``publish_over_dds`` is to follow."""
+        if self._node.may_publish:
+            for subscription in self._subscriptions:
+                subscription.receive(data)
+
+    def publish_over_dds(self, data: bytes) -> bool:
+        """Publish a message of ``deliver`` over DDS, see ``publish``; return whether all received it."""
+        return self._node.may_publish and (not self._handle.get_subscription_count() or self._hand_to_dds(data))
+
+    def _hand_to_dds(self, data: bytes) -> bool:
         """Publish over DDS; retry while the full history of a keep-all publisher blocks."""
         blocked_since = None
         while blocked_since is None or not self._cancelled():
@@ -230,6 +312,10 @@ class IntraProcessSubscription:
     """A subscription to serialised messages of this process or, if it has no publisher, of other processes.
 
     Attributes:
+        node: Its node.
+        group: With whom it receives in a round; None: by itself, at once.
+        lock: See ``IntraProcessManager.delivery_lock``.
+        closed: Whether it receives nothing more.
         topic_name: Full name of the topic.
         watch: Arrivals of messages.
         publishers: Number of publishers of the topic; as of the last message or call of ``find_publishers``.
@@ -245,29 +331,32 @@ class IntraProcessSubscription:
         message_type: type[Any],
         topic: str,
         qos: QoSProfile,
-        callback: Callable[[bytes], None],
+        receiver: Callable[[bytes], None] | DeliveryGroup,
     ) -> None:
         """Subscribe to a topic, whose name is relative to the node's namespace.
 
-        ``qos`` is of the DDS subscription, if one is needed. The executor calls ``callback`` with each message, or a
-        publisher of this process in its thread. Raises TopicError: this process uses the topic with another type.
+        ``qos`` is of the DDS subscription, if one is needed. The executor calls ``receiver``, a callback or the one of
+        a group, with each message, or a publisher of this process in its thread; a group holds ``lock``
+        meanwhile. Raises TopicError: this process uses the topic with another type.
         """
+        self.node: Any = node
+        self.group = receiver if isinstance(receiver, DeliveryGroup) else None
+        self.closed = False
         self.topic_name: str = node.resolve_topic_name(topic)
         self.message_type = message_type
         self.watch = InputWatch(self.topic_name)
         self.publishers = 0
         self._reads_whole = True
         self.on_publishers: Callable[[], None] = lambda: None
-        self._node = node
         self._topic = topic
         self._qos = qos
-        self._callback = callback
+        self._callback = self._receive_alone if isinstance(receiver, DeliveryGroup) else receiver
         self._dds_subscription: Any = None
         self._handle: Any = None
         self._local = 0
-        self._closed = False
         node.qos_overrides.options("subscription", self.topic_name)
         self._manager = IntraProcessManager.of(node.context)
+        self.lock = self._manager.delivery_lock
         self._manager.check_type(self)
         self._manager.add(self)
         node.add_cleanup(self.destroy)
@@ -287,7 +376,7 @@ class IntraProcessSubscription:
         if self._handle is not None:
             self._count_matched()
         else:
-            with (handle := self._node.handle):  # ``Node.count_publishers`` would parse the full name each time
+            with (handle := self.node.handle):  # ``Node.count_publishers`` would parse the full name each time
                 self._set_publishers(max(self._local, int(handle.get_count_publishers(self.topic_name))))
 
     def _count_matched(self) -> None:
@@ -301,14 +390,29 @@ class IntraProcessSubscription:
 
     def receive(self, data: bytes) -> None:
         """Handle a message of a publisher of this process."""
-        if self._closed:
+        if self.closed:
+            return
+        if self.group is not None and (waiting := _waiting.messages) is not None:
+            if self in waiting:
+                _deliver_waiting()
+                waiting = _waiting.messages = {}
+            waiting[self] = data
             return
         self.watch.record(time.monotonic())
         try:
             self._callback(data)
         except Exception as error:  # noqa: BLE001  it ends the program, from the main thread
-            self._closed = True
-            self._node.request_exit(error)
+            self.fail(error)
+
+    def _receive_alone(self, data: bytes) -> None:
+        """Have the group receive a message outside of a round."""
+        if self.group is not None:
+            _receive(self.group, [(self, data)])
+
+    def fail(self, error: Exception) -> None:
+        """Receive nothing more, and have the node request the end of the program with an error."""
+        self.closed = True
+        self.node.request_exit(error)
 
     def connect(self, publishers: int) -> None:
         """Receive from this number of publishers of this process or, if there is none, over DDS."""
@@ -318,7 +422,7 @@ class IntraProcessSubscription:
 
     def _use_dds(self, *, needed: bool) -> None:
         if needed and self._handle is None:
-            self._dds_subscription = self._node.create_subscription(
+            self._dds_subscription = self.node.create_subscription(
                 self.message_type, self._topic, self._on_message, self._qos, raw=True
             )
             self._handle = self._dds_subscription.handle
@@ -326,7 +430,7 @@ class IntraProcessSubscription:
         elif not needed and self._handle is not None:
             self._handle.__exit__(None, None, None)
             self._handle = None
-            self._node.destroy_subscription(self._dds_subscription)
+            self.node.destroy_subscription(self._dds_subscription)
 
     def _on_message(self, data: bytes) -> None:
         if self._handle is not None:
@@ -336,18 +440,24 @@ class IntraProcessSubscription:
 
     def destroy(self) -> None:
         """Receive nothing more, not even a message that is being published."""
-        self._closed = True
+        self.closed = True
         self._manager.remove(self)
         self._use_dds(needed=False)
 
 
 class IntraProcessManager:
-    """Connects the publishers and subscriptions of one context whenever one is added or removed."""
+    """Connects the publishers and subscriptions of one context whenever one is added or removed.
+
+    Attributes:
+        delivery_lock: Held while a group receives; protects what its nodes also use in other threads.
+
+    """
 
     _managers: ClassVar[WeakKeyDictionary[Context, IntraProcessManager]] = WeakKeyDictionary()
     _managers_lock = RLock()
 
     def __init__(self) -> None:
+        self.delivery_lock = RLock()
         self._ends: dict[str, tuple[IntraProcessPublisher | IntraProcessSubscription, ...]] = {}
         self._lock = RLock()
 

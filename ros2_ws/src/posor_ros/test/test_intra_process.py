@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from threading import Thread
 from typing import Any
 
 import pytest
@@ -15,7 +16,13 @@ from posor_lab.harness.in_process_nodes import NodeProcess
 from posor_lab.harness.program import wait_until
 from posor_msgs.msg import JointTransform, RawScan
 from posor_ros import intra_process
-from posor_ros.intra_process import IntraProcessPublisher, IntraProcessSubscription
+from posor_ros.intra_process import (
+    Delivery,
+    DeliveryGroup,
+    DeliveryRound,
+    IntraProcessPublisher,
+    IntraProcessSubscription,
+)
 from posor_ros.lifecycle_node import LISTENERS_STATUS, PosorNode
 from posor_ros.qos import KEEP_ALL_QOS
 from rclpy.serialization import serialize_message
@@ -274,3 +281,86 @@ def test_an_exception_in_a_callback_ends_its_program_but_not_the_publisher(proce
     broken.request_exit(TopicError("is a later failure", where="topic /joint/raw"))
     with pytest.raises(TopicError, match="bytes are too many"):
         broken.raise_failure()
+
+
+class Rounds:
+    """Two topics whose subscriptions form a group, which passes each message on to a group of one subscription."""
+
+    def __init__(self, process: NodeProcess) -> None:
+        self.events: list[str] = []
+        self.failure: Exception | None = None
+        source = process.start(IdleNode, "/source")
+        self.first, self.second = (publish_from(source, topic) for topic in ("first", "second"))
+        self.onward = publish_from(source, "onward")
+        self.members = [self.subscribe(process, topic, self.receive) for topic in ("first", "second")]
+        self.subscribe(process, "onward", self.receive_onward)
+
+    def subscribe(self, process: NodeProcess, topic: str, receive: Any) -> IntraProcessSubscription:
+        node = process.start(IdleNode, f"/{topic}")
+        return IntraProcessSubscription(node, RawScan, f"/source/{topic}", KEEP_ALL_QOS, DeliveryGroup(receive))
+
+    def receive(self, deliveries: list[Delivery]) -> Callable[[], None]:
+        self.events.append(f"group {[MESSAGES.index(data) for _, data in deliveries]}")
+        if self.failure is not None:
+            raise self.failure
+        self.onward.publish(deliveries[0][1])
+        return lambda: self.events.append("rest")
+
+    def receive_onward(self, deliveries: list[Delivery]) -> None:
+        self.events.append(f"onward {[MESSAGES.index(data) for _, data in deliveries]}")
+
+
+@pytest.fixture
+def rounds(process: NodeProcess) -> Rounds:
+    return Rounds(process)
+
+
+def test_a_group_receives_the_messages_of_a_round_in_one_call_at_its_end(rounds: Rounds) -> None:
+    with DeliveryRound():
+        rounds.second.publish(MESSAGES[1])
+        rounds.first.publish(MESSAGES[0])
+        assert rounds.events == []
+    assert rounds.events == ["group [1, 0]", "onward [1]", "rest"]
+
+
+def test_a_second_message_of_a_topic_ends_the_first_part_of_a_round(rounds: Rounds) -> None:
+    with DeliveryRound():
+        rounds.first.publish(MESSAGES[0])
+        rounds.second.publish(MESSAGES[0])
+        rounds.first.publish(MESSAGES[1])
+    assert rounds.events == ["group [0, 0]", "onward [0]", "rest", "group [1]", "onward [1]", "rest"]
+
+
+def test_outside_of_a_round_a_group_receives_each_message_at_once(rounds: Rounds) -> None:
+    for data in MESSAGES[:2]:
+        rounds.first.publish(data)
+    assert rounds.events == ["group [0]", "onward [0]", "rest", "group [1]", "onward [1]", "rest"]
+
+
+def test_a_round_is_of_one_thread(rounds: Rounds) -> None:
+    with DeliveryRound():
+        rounds.first.publish(MESSAGES[0])
+        other = Thread(target=rounds.second.publish, args=(MESSAGES[1],))
+        other.start()
+        other.join()
+        assert rounds.events == ["group [1]", "onward [1]", "rest"]
+
+
+def test_a_destroyed_subscription_receives_nothing_of_the_round(rounds: Rounds) -> None:
+    with DeliveryRound():
+        rounds.first.publish(MESSAGES[0])
+        rounds.second.publish(MESSAGES[1])
+        rounds.members[0].destroy()
+    assert rounds.events == ["group [1]", "onward [1]", "rest"]
+
+
+def test_a_failure_in_a_round_ends_the_nodes_of_the_group(rounds: Rounds) -> None:
+    rounds.failure = ValueError("of the group")
+    for _ in range(2):
+        with DeliveryRound():
+            rounds.first.publish(MESSAGES[0])
+            rounds.second.publish(MESSAGES[1])
+    assert rounds.events == ["group [0, 1]"]
+    assert all(member.node.exit_requested for member in rounds.members)
+    with pytest.raises(ValueError, match="of the group"):
+        rounds.members[0].node.raise_failure()

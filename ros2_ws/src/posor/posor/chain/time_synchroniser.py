@@ -119,6 +119,26 @@ class TimeSynchroniser(Generic[Item]):
             self._close_up_to(self._keys[0])
         return None
 
+    def add_together(self, stamp: int, items: dict[str, Item], arrived: float) -> dict[str, Item] | None:
+        """Add items of one stamp, as one ``add`` after the other would; return the complete scan or None."""
+        members = self._members.values()
+        if (
+            self._open
+            or len(items) < len(self._members)
+            or any(own.epoch != self._epoch or not own.latest <= stamp <= own.limit for own in members)
+        ):
+            scan = None
+            for member, item in items.items():
+                scan = self.add(member, stamp, item, arrived) or scan
+            return scan
+        for own in members:
+            own.previous, own.latest = own.latest, stamp
+        key = (self._epoch, stamp)
+        if key <= self._closed:
+            return None
+        self._closed = key
+        return items
+
     def _change_epoch(self, member: str, own: _Member, stamp: int) -> None:
         """Begin a new epoch, follow the others into theirs, or forget a wrong stamp, as this stamp requires."""
         if own.epoch != self._epoch:

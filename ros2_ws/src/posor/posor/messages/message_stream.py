@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 import struct
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -25,11 +26,13 @@ from posor.messages.message_table import LEAD, MessageRows, TableLayout
 from posor.messages.raw_scan import raw_scan_layout, scan_of, unpack_scan
 from posor.model.fault import Fault, State
 from posor.model.scan import STATED_HOME, Scans
-from posor.numerics.compiled import bind, in_place, inlined, record_view
+from posor.numerics.compiled import bind_in_parts, in_parts, in_place, inlined, record_view, run_in_turn
 from posor.numerics.stamps import NO_TIME, NS, accepted_in_kernel
 from posor.ros_names import JOINT_TRANSFORM, RAW_SCAN
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import NDArray
 
     from posor.estimation.posor import Posor
@@ -204,7 +207,7 @@ class MessageEstimator:
     Attributes:
         status: Status of the stream, shape (1,), dtype STATUS.
         estimate: Estimate of the last scan, shape (1,), dtype ESTIMATE.
-        estimate_from: ``estimate_messages`` with the model and the stream.
+        kernel: ``estimate_messages`` with the model and the stream.
 
     """
 
@@ -213,9 +216,10 @@ class MessageEstimator:
         self.status, self.estimate = stream.status, posor.model.workspace["estimate"]
         self._scan = posor.model.workspace["scan"]
         self._count = len(stream.raw.octets)
-        self.estimate_from = self._estimate_in_python
-        if not posor.has_plain_sensors:
-            self.estimate_from = bind(estimate_messages, (posor.model, stream))
+        if posor.has_plain_sensors:
+            self.kernel = in_parts(self._estimate_in_python)
+        else:
+            self.kernel = bind_in_parts(estimate_messages, (posor.model, stream))
 
     def estimate_rows(self, now_ns: int = UNCHECKED) -> bool:
         """Estimate all rows; return False where a row has another layout and the rest has not been estimated.
@@ -224,7 +228,9 @@ class MessageEstimator:
         """
         done = 0
         while done < self._count:
-            done, left = self.estimate_from(done, self._count, now_ns)
+            self.kernel.put(done, self._count, now_ns)
+            self.kernel.run()
+            done, left = self.kernel.results()
             if left != DONE:
                 if not self.finish_row(done, left):
                     return False
@@ -232,7 +238,7 @@ class MessageEstimator:
         return True
 
     def finish_row(self, n: int, left: int) -> bool:
-        """Do what ``estimate_from`` has left to do for row n; return False where the row cannot be estimated."""
+        """Do what ``kernel`` has left to do for row n; return False where the row cannot be estimated."""
         if left >= OTHER_LAYOUT:
             return False
         no_effects = self._posor.allocate_effects(0)  # ``_end`` writes them
@@ -266,6 +272,7 @@ class RawScanStream:
     Attributes:
         frame: Frame of the scans.
         status: Status of the stream, shape (1,), dtype ``message_stream.STATUS``.
+        kernel: Estimates the scan of ``prepare``.
 
     """
 
@@ -276,7 +283,7 @@ class RawScanStream:
         self._posor, self._parent, self.frame = posor, posor.calibration.frames.parent, raw.strings["header.frame_id"]
         row, out = raw.row[None].copy(), transform.row[None].copy()
         self._estimator = MessageEstimator(posor, MessageStream.of(raw, transform, row, out, check=True))
-        self._estimate_from, self.status = self._estimator.estimate_from, self._estimator.status
+        self.kernel, self.status = self._estimator.kernel, self._estimator.status
         self._numbers = self.status.view(np.int64).data  # as plain numbers, which take a tenth of the time to read
         self._size = raw.size
         self._refusal = ""
@@ -329,11 +336,28 @@ class RawScanStream:
         With the present time [ns], that is also the return value where the scan is unexpected: its number does not
         follow that of the last scan, there is no last scan, or its age is not accepted.
         """
-        if len(data) < self._size:
+        if not self.prepare(data, now_ns):
             return None
+        self.kernel.run()
+        return self.finish(data)
+
+    def prepare(self, data: bytes, now_ns: int) -> bool:
+        """Have the next run estimate a raw scan, see ``estimate_message``; return False where it is too short."""
+        if len(data) < self._size:
+            return False
         self._refusal = ""
         self._raw[:] = data if len(data) == self._size else data[: self._size]
-        done, left = self._estimate_from(0, 1, now_ns)
+        self.kernel.put(0, 1, now_ns)
+        return True
+
+    @staticmethod
+    def run_prepared(streams: tuple[RawScanStream, ...]) -> None:
+        """Estimate the scan for which each stream was prepared, all in one compiled call."""
+        _run_of(streams)()
+
+    def finish(self, data: bytes) -> bytes | None:
+        """Return the transform of the raw scan of ``prepare`` after the run, as ``estimate_message`` does."""
+        done, left = self.kernel.results()
         if not done and not self._estimator.finish_row(0, left):
             return None
         self._last_but_one, self._last = self._last, data
@@ -377,6 +401,11 @@ class RawScanStream:
         raw = scan_of(scan.data)
         refusal = scan.refusal if scan.stamp_ns else f"the stamp {NO_TIME}; expected the time of exposure"
         return f"scan {raw.number}: {refusal}." if refusal else self._posor.reason(raw, scan.estimate)
+
+
+@lru_cache(maxsize=4)
+def _run_of(streams: tuple[RawScanStream, ...]) -> Callable[[], object]:
+    return run_in_turn([stream.kernel for stream in streams])
 
 
 class EstimatedScan(NamedTuple):

@@ -24,10 +24,10 @@ from typing import TYPE_CHECKING, Any, Literal, TypeVar
 import numpy as np
 
 from posor.errors import SystemRefusal
-from posor.numerics.kernel_library import NEW_BUILD, KernelLibrary, LibraryKernel, find_library
+from posor.numerics.kernel_library import NEW_BUILD, BoundKernel, KernelLibrary, LibraryKernel, find_library
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from numpy.typing import NDArray
 
@@ -108,6 +108,39 @@ def bind(kernel: Callable[..., Any], arguments: tuple[Any, ...]) -> Callable[...
     if isinstance(kernel, LibraryKernel):
         return kernel.bind(arguments)
     return partial(kernel, *arguments)
+
+
+def bind_in_parts(kernel: Callable[..., Any], arguments: tuple[Any, ...]) -> BoundKernel:
+    """Return the same in parts, for ``run_in_turn``."""
+    if isinstance(kernel, LibraryKernel):
+        return kernel.bind_in_parts(arguments)
+    return in_parts(partial(kernel, *arguments))
+
+
+def in_parts(function: Callable[..., Any]) -> BoundKernel:
+    """Return a Python function of integers in the parts of a bound kernel."""
+    integers: list[int] = []
+    results: list[Any] = [None]
+
+    def put(*values: int) -> None:
+        integers[:] = values
+
+    def run() -> None:
+        results[0] = function(*integers)
+
+    return BoundKernel(put, run, lambda: results[0])
+
+
+def run_in_turn(kernels: Sequence[BoundKernel]) -> Callable[[], object]:
+    """Return a function that runs kernels one after the other: those of the library in one call."""
+    if _LIBRARY is not None and all(kernel.call for kernel in kernels):
+        return _LIBRARY.run_in_turn(kernels)
+
+    def run() -> None:
+        for kernel in kernels:
+            kernel.run()
+
+    return run
 
 
 def record_view(records: NDArray[np.void]) -> NDArray[np.void]:

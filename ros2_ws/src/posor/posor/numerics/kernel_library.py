@@ -14,6 +14,7 @@ import hashlib
 import json
 import struct
 from functools import partial
+from itertools import chain
 from operator import index, itemgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar, cast
@@ -23,7 +24,7 @@ import numpy as np
 from posor.errors import SystemRefusal
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
 Kernel = TypeVar("Kernel", bound="Callable[..., Any]")
 
@@ -36,6 +37,7 @@ KERNEL_FILES = (
 """Files of the package that hold kernels and the constants that they are compiled with, and that build the library; no
 locks of editors."""
 MANIFEST = "posor_kernels_manifest"  # symbol: JSON with the fields "sources" and "kernels"
+IN_TURN = "posor_kernels_in_turn"  # symbol: runs kernels one after the other, see ``run_in_turn``
 RESULTS = 8  # words for the results of a kernel
 NEW_BUILD = "a new build, such as 'make setup' or 'colcon build'"
 
@@ -95,6 +97,28 @@ class KernelLibrary:
         code = self._code if entry["keeps_lock"] else self._code_without_lock
         return cast("Kernel", LibraryKernel(function, code, entry))
 
+    def run_in_turn(self, kernels: Sequence[BoundKernel]) -> Callable[[], None]:
+        """Return a function that runs kernels of this library, which have a ``call``, one after the other."""
+        words = (ctypes.c_int64 * (3 * len(kernels)))(*chain.from_iterable(each.call or () for each in kernels))
+        run, at, count = self._code[IN_TURN], ctypes.addressof(words), len(kernels)
+        run.restype, run.argtypes = None, (ctypes.c_void_p, ctypes.c_int64)
+
+        def call() -> None:
+            run(at, count)
+
+        call.memory = words, kernels  # type: ignore[attr-defined]  # the words have their addresses
+        return call
+
+
+class BoundKernel(NamedTuple):
+    """A kernel with its arguments but for the last ones, integers: ``put`` them, ``run`` it, read the ``results``."""
+
+    put: Callable[..., object]
+    run: Callable[[], object]
+    results: Callable[[], Any]
+    call: tuple[int, int, int] | None = None  # addresses of code, table and results; None: the kernel runs in Python
+    memory: tuple[Any, ...] = ()  # what has the addresses in the table
+
 
 class _Packed(NamedTuple):
     """A tuple of arrays and its words; as long as it is kept, no other tuple has its identity."""
@@ -132,6 +156,21 @@ class LibraryKernel:
 
     def bind(self, arguments: tuple[Any, ...]) -> Callable[..., Any]:
         """Return a function of the remaining arguments, integers. Raises TypeError: see ``__call__``."""
+        bound, missing = self.bind_in_parts(arguments), len(self._types) - len(arguments)
+        put, run, results = bound.put, bound.run, bound.results
+
+        def call(*integers: int) -> Any:
+            if len(integers) != missing:
+                self._refuse(f"{len(integers)} further arguments", f"{missing}")
+            put(*integers)
+            run()
+            return results()
+
+        call.memory = bound.memory  # type: ignore[attr-defined]
+        return call
+
+    def bind_in_parts(self, arguments: tuple[Any, ...]) -> BoundKernel:
+        """Return the kernel with its first arguments. Raises TypeError: see ``__call__``."""
         words: list[int] = []
         kept: list[Any] = []
         bound, others = self._types[: len(arguments)], self._types[len(arguments) :]
@@ -142,18 +181,11 @@ class LibraryKernel:
         begin, missing = len(words), len(others)
         table = (ctypes.c_int64 * (begin + missing))(*words)
         out = (ctypes.c_int64 * RESULTS)()
-        run, at, to = self._code, ctypes.addressof(table), ctypes.addressof(out)
-        put, place, results = struct.Struct(f"{missing}q").pack_into, 8 * begin, self._reader(out)
-
-        def call(*integers: int) -> Any:
-            if len(integers) != missing:
-                self._refuse(f"{len(integers)} further arguments", f"{missing}")
-            put(table, place, *integers)
-            run(at, to)
-            return results()
-
-        call.memory = arguments, kept, out  # type: ignore[attr-defined]  # the table has their addresses
-        return call
+        at, to = ctypes.addressof(table), ctypes.addressof(out)
+        put = partial(struct.Struct(f"{missing}q").pack_into, table, 8 * begin)
+        address = ctypes.cast(self._code, ctypes.c_void_p).value or 0
+        memory = arguments, kept, table, out
+        return BoundKernel(put, partial(self._code, at, to), self._reader(out), (address, at, to), memory)
 
     def _reader(self, out: ctypes.Array[ctypes.c_int64]) -> Callable[[], Any]:
         """Return a function that reads the results of the kernel."""

@@ -209,6 +209,25 @@ def test_close_before_closes_late_scans_and_all_older_ones(synchroniser: TimeSyn
     assert synchroniser.take_incomplete() == {}
 
 
+def test_items_added_together_give_the_scans_of_single_items(rng: np.random.Generator) -> None:
+    together, single = (TimeSynchroniser[str](JOINTS, 3, 2.0) for _ in range(2))
+    stamp, complete = 0, 0
+    for step in range(3000):
+        stamp = max(1, stamp + int(rng.choice([1, 1, 1, 1, 1, 0, -1, -40])))  # a repeated, a wrong stamp, a new epoch
+        joints = [str(joint) for joint in rng.permutation(JOINTS)[: rng.choice([3, 3, 3, 2, 1])]]
+        items = {joint: f"{joint} {step}" for joint in joints}
+        if rng.random() < 0.05:
+            wrong = joints[0], stamp + int(rng.choice([-5, 1000])), "wrong", float(step)
+            assert together.add(*wrong) == single.add(*wrong)
+        expected = None
+        for joint, item in items.items():
+            expected = single.add(joint, stamp, item, float(step)) or expected
+        assert together.add_together(stamp, items, float(step)) == expected
+        assert together.take_incomplete() == single.take_incomplete()
+        complete += expected is not None
+    assert 500 < complete < 2500
+
+
 def replay_items(
     stamps: list[list[int]], rng: np.random.Generator
 ) -> tuple[list[dict[str, int]], dict[int, tuple[str, ...]]]:

@@ -26,7 +26,7 @@ from posor.messages.byte_kernels import write_records
 from posor.messages.message_stream import estimate_messages
 from posor.model.reading_rows import prepare_rows
 from posor.numerics.array_types import FloatArray
-from posor.numerics.compiled import MODE, bind
+from posor.numerics.compiled import MODE, bind, bind_in_parts, in_parts, run_in_turn
 from posor.numerics.kernel_library import FILE_NAME, NEW_BUILD, PACKAGE, LibraryKernel
 from posor.numerics.summary_statistics import FIGURES, figures_of
 
@@ -208,3 +208,23 @@ def test_arrays_of_a_call_are_released() -> None:
     del endpoints
     gc.collect()
     assert released() is None
+
+
+@pytest.mark.parametrize("with_python", [False, True])
+def test_kernels_run_in_turn_as_each_by_itself(with_python: bool) -> None:  # noqa: FBT001
+    times, expected = [np.arange(3), np.arange(5, 9), np.arange(0)], []
+    for each in times:
+        out = np.zeros(FIGURES)
+        expected.append((figures_of(each, 100, out), *out))
+    outs, order = [np.zeros(FIGURES) for _ in times], list[int]()
+    kernels = [bind_in_parts(figures_of, (each, 100, out)) for each, out in zip(times, outs, strict=True)]
+    assert all(kernel.call for kernel in kernels)
+    if with_python:
+        kernels.insert(1, in_parts(order.append))
+        kernels[1].put(7)
+    run = run_in_turn(kernels)
+    for _ in range(2):
+        run()
+    found = [kernel.results() for kernel in kernels if kernel.call]
+    assert [(result, *out) for result, out in zip(found, outs, strict=True)] == expected
+    assert order == [7, 7] * with_python

@@ -1,0 +1,150 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""The scans of a tick of an arm in one process: one compiled call, the endpoint first, the bytes of single scans."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import nullcontext
+from pathlib import Path
+
+import pytest
+from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
+from posor.bags.bag_reader import opened_bag
+from posor.bags.block_reader import read_messages
+from posor.chain.arm_file import ArmFile, load_arm_file
+from posor.messages.message_stream import RawScanStream
+from posor.node_parameters import NodeParameters
+from posor.ros_names import ENDPOINT_COVARIANCE_TOPIC, ENDPOINT_STATE_TOPIC, ENDPOINT_TOPIC, RAW_TOPIC, TRANSFORM_TOPIC
+from posor_bringup.arm_programs import arm_programs
+from posor_estimator.composition_file import load_node_class
+from posor_lab.harness.in_process_nodes import NodeProcess
+from posor_lab.harness.program import HAND_FED
+from posor_msgs.msg import EndpointState, JointTransform, RawScan
+from posor_ros.intra_process import DeliveryRound, IntraProcessPublisher, IntraProcessSubscription
+from posor_ros.lifecycle_node import PosorNode
+from posor_ros.qos import KEEP_ALL_QOS
+
+pytestmark = pytest.mark.usefixtures("ros_domain")
+
+ROOT = Path(__file__).resolve().parents[4]
+ARM = ROOT / "ros2_ws/src/posor_bringup/arms/five_axis/arm.yaml"
+BAG = ROOT / "bags/five_axis"
+TICKS = 40
+
+Scan = tuple[str, bytes]  # joint and serialised RawScan
+Change = Callable[[list[list[Scan]]], list[list[Scan]]]
+
+
+class Feeder(PosorNode[NodeParameters]):
+    """Publishes raw scans of all joints and stores the bytes of all results by topic."""
+
+    NAME = "feeder"
+    Parameters = NodeParameters
+
+    def open(self, arm: ArmFile) -> None:
+        joints = list(arm.calibrations)
+        names = {joint: f"{arm.namespace}/{joint}" for joint in joints}
+        results: dict[str, type] = {f"{names[joint]}/{TRANSFORM_TOPIC}": JointTransform for joint in joints}
+        results[f"{arm.namespace}/{ENDPOINT_TOPIC}"] = PoseStamped
+        results[f"{arm.namespace}/{ENDPOINT_COVARIANCE_TOPIC}"] = PoseWithCovarianceStamped
+        self.received: dict[str, list[bytes]] = {topic: [] for topic in results}
+        for topic, kind in results.items():
+            IntraProcessSubscription(self, kind, topic, KEEP_ALL_QOS, self.received[topic].append)
+        states = f"{arm.namespace}/{ENDPOINT_STATE_TOPIC}"  # with a reader, so that transforms have all fault effects
+        IntraProcessSubscription(self, EndpointState, states, KEEP_ALL_QOS, lambda _: None)
+        self.raw = {joint: self.publisher(f"{names[joint]}/{RAW_TOPIC}") for joint in joints}
+
+    def publisher(self, topic: str) -> IntraProcessPublisher:
+        return IntraProcessPublisher(self, RawScan, topic, KEEP_ALL_QOS)
+
+
+@pytest.fixture(scope="module")
+def arm() -> ArmFile:
+    return load_arm_file(ARM)
+
+
+@pytest.fixture(scope="module")
+def ticks(arm: ArmFile) -> list[list[Scan]]:
+    """The raw scans of a simulated recording, tick by tick, in the order of the joints."""
+    with opened_bag(BAG) as reader:
+        by_joint = {
+            joint: [data for _, _, data in read_messages(reader, (f"{arm.namespace}/{joint}/{RAW_TOPIC}",), str(BAG))]
+            for joint in arm.calibrations
+        }
+    return [[(joint, scans[tick]) for joint, scans in by_joint.items()] for tick in range(TICKS)]
+
+
+def feed(arm: ArmFile, rounds: list[list[Scan]], *, together: bool) -> dict[str, list[bytes]]:
+    """Return all results by topic; ``together``: each list is a round, otherwise each scan is delivered by itself."""
+    with NodeProcess() as process:
+        for program in arm_programs(arm, drivers=False, parameters=HAND_FED):
+            process.start(load_node_class(program.executable), program.namespace, program.parameters)
+        feeder = process.start(Feeder)
+        feeder.open(arm)
+        for scans in rounds:
+            with DeliveryRound() if together else nullcontext():
+                for joint, data in scans:
+                    feeder.raw[joint].publish(data)
+        return feeder.received
+
+
+def without_a_joint(ticks: list[list[Scan]]) -> list[list[Scan]]:
+    """Leave out a scan of another joint in every third round."""
+    return [
+        scans if number % 3 else [scan for k, scan in enumerate(scans) if k != number // 3 % len(scans)]
+        for number, scans in enumerate(ticks)
+    ]
+
+
+def two_ticks_in_a_round(ticks: list[list[Scan]]) -> list[list[Scan]]:
+    return [[*first, *second] for first, second in zip(ticks[::2], ticks[1::2], strict=True)]
+
+
+def one_joint_ahead(ticks: list[list[Scan]]) -> list[list[Scan]]:
+    """Deliver the scans of the first joint one round earlier than those of the others."""
+    following = [scans[0] for scans in ticks[1:]]
+    return [[ticks[0][0]], *([*scans[1:], ahead] for scans, ahead in zip(ticks, following, strict=False))]
+
+
+def with_useless_messages(ticks: list[list[Scan]]) -> list[list[Scan]]:
+    """Cut a scan, repeat a scan, and begin in the middle, where no stream is open."""
+    changed = [list(scans) for scans in ticks[3:]]
+    joint, data = changed[5][2]
+    changed[5][2] = joint, data[:50]
+    changed[9][1] = changed[8][1]
+    return changed
+
+
+@pytest.mark.parametrize(
+    "change", [list, without_a_joint, two_ticks_in_a_round, one_joint_ahead, with_useless_messages]
+)
+def test_scans_of_a_round_give_the_bytes_of_single_scans(arm: ArmFile, ticks: list[list[Scan]], change: Change) -> None:
+    rounds = change(ticks)
+    expected = feed(arm, rounds, together=False)
+    assert len(expected[f"{arm.namespace}/{ENDPOINT_TOPIC}"]) > len(ticks) // 2
+    assert feed(arm, rounds, together=True) == expected
+
+
+def test_a_round_takes_one_compiled_call_and_the_endpoint_leaves_first(
+    arm: ArmFile, ticks: list[list[Scan]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    calls, published = list[int](), list[str]()
+    run, publish = RawScanStream.run_prepared, IntraProcessPublisher.publish_over_dds
+
+    def counted_run(streams: tuple[RawScanStream, ...]) -> None:
+        calls.append(len(streams))
+        run(streams)
+
+    def noted_publish(publisher: IntraProcessPublisher, data: bytes) -> bool:
+        published.append(publisher.message_type.__name__)
+        return publish(publisher, data)
+
+    monkeypatch.setattr(RawScanStream, "run_prepared", staticmethod(counted_run))
+    monkeypatch.setattr(IntraProcessPublisher, "publish_over_dds", noted_publish)
+    feed(arm, ticks, together=True)
+    joints = len(arm.calibrations)
+    assert calls == [0] + [joints] * (len(ticks) - 1)  # the first scans open the streams
+    last = published[-published[::-1].index("RawScan") :]
+    assert last.index("PoseStamped") < last.index("JointTransform")
+    assert last.count("JointTransform") == joints
