@@ -183,7 +183,7 @@ TABLES: Mapping[str, Callable[[Any], FigureTable]] = {  # tables of single secti
     "layouts": partial(_latency_table, "Nodes that share a process"),
     "tick": lambda costs: FigureTable(
         "Processor time of the nodes in a tick, scans published in a loop",
-        ("", "least, us", "median, us"),
+        ("", "least, us", "median, us", "up to the pose: least, us", "median, us"),
         [(TEXTS["tick"][kind], *map(_format_figure, cost.values())) for kind, cost in costs.items()],
     ),
     "page": _page_table,
