@@ -243,7 +243,7 @@ class ChainNode(PosorNode[ChainParameters]):
         """Publish the state of a scan; a stamp of zero: there is no scan yet."""
         self._state_published = True
         changed = verdict != self._published_verdict
-        is_due = self._throttle.is_due(stamp_ns, changed=changed) and self._throttle.has_subscriptions
+        is_due = self._throttle.has_subscriptions and self._throttle.is_due(stamp_ns, changed=changed)
         self._published_verdict = verdict
         if is_due or self._endpoint_state.has_subscriptions:
             if verdict.has_pose:
@@ -366,7 +366,7 @@ class ChainNode(PosorNode[ChainParameters]):
         ``stamp_ns``: of this scan; ``last_ns``: of the one before it.
         """
         is_due = self._endpoint_state.has_subscriptions or (
-            may_be_due_next(stamp_ns, last_ns) and self._throttle.has_subscriptions
+            self._throttle.has_subscriptions and may_be_due_next(stamp_ns, last_ns)
         )
         if is_due != self._reads_effects:
             self._reads_effects = is_due

@@ -356,7 +356,7 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
         """
         self._publisher.publish_over_dds(transform)
         stamp_ns, changed = stream.stamp_and_change()
-        if self._throttle.is_due(stamp_ns, changed=bool(changed)):
+        if self._throttle.has_subscriptions and self._throttle.is_due(stamp_ns, changed=bool(changed)):
             self._throttle.publish(transform)
         if stamp_ns:
             self.timing.record(stamp_ns)

@@ -228,7 +228,7 @@ class MessageEstimator:
         """
         done = 0
         while done < self._count:
-            self.kernel.put(done, self._count, now_ns)
+            self.kernel.put((done, self._count, now_ns))
             self.kernel.run()
             done, left = self.kernel.results()
             if left != DONE:
@@ -347,13 +347,16 @@ class RawScanStream:
             return False
         self._refusal = ""
         self._raw[:] = data if len(data) == self._size else data[: self._size]
-        self.kernel.put(0, 1, now_ns)
+        self.kernel.put((0, 1, now_ns))
         return True
 
     @staticmethod
     def run_prepared(streams: tuple[RawScanStream, ...]) -> None:
         """Estimate the scan for which each stream was prepared, all in one compiled call."""
-        _run_of(streams)()
+        if len(streams) == 1:
+            streams[0].kernel.run()
+        else:
+            _run_of(streams)()
 
     def finish(self, data: bytes) -> bytes | None:
         """Return the transform of the raw scan of ``prepare`` after the run, as ``estimate_message`` does."""
@@ -403,7 +406,7 @@ class RawScanStream:
         return f"scan {raw.number}: {refusal}." if refusal else self._posor.reason(raw, scan.estimate)
 
 
-@lru_cache(maxsize=4)
+@lru_cache(maxsize=16)
 def _run_of(streams: tuple[RawScanStream, ...]) -> Callable[[], object]:
     return run_in_turn([stream.kernel for stream in streams])
 

@@ -17,8 +17,11 @@ from __future__ import annotations
 
 import os
 import warnings
+from collections import deque
 from functools import partial
 from importlib import import_module
+from itertools import repeat, starmap
+from operator import itemgetter, setitem
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 import numpy as np
@@ -120,15 +123,9 @@ def bind_in_parts(kernel: Callable[..., Any], arguments: tuple[Any, ...]) -> Bou
 def in_parts(function: Callable[..., Any]) -> BoundKernel:
     """Return a Python function of integers in the parts of a bound kernel."""
     integers: list[int] = []
-    results: list[Any] = [None]
-
-    def put(*values: int) -> None:
-        integers[:] = values
-
-    def run() -> None:
-        results[0] = function(*integers)
-
-    return BoundKernel(put, run, lambda: results[0])
+    results: deque[Any] = deque(maxlen=1)
+    calls = map(results.append, starmap(function, repeat(integers)))  # each ``next`` is a call
+    return BoundKernel(partial(setitem, integers, slice(None)), partial(next, calls), partial(itemgetter(-1), results))
 
 
 def run_in_turn(kernels: Sequence[BoundKernel]) -> Callable[[], object]:

@@ -15,7 +15,7 @@ import json
 import struct
 from functools import partial
 from itertools import chain
-from operator import index, itemgetter
+from operator import index, itemgetter, setitem
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar, cast
 
@@ -113,7 +113,7 @@ class KernelLibrary:
 class BoundKernel(NamedTuple):
     """A kernel with its arguments but for the last ones, integers: ``put`` them, ``run`` it, read the ``results``."""
 
-    put: Callable[..., object]
+    put: Callable[[tuple[int, ...]], object]
     run: Callable[[], object]
     results: Callable[[], Any]
     call: tuple[int, int, int] | None = None  # addresses of code, table and results; None: the kernel runs in Python
@@ -162,7 +162,7 @@ class LibraryKernel:
         def call(*integers: int) -> Any:
             if len(integers) != missing:
                 self._refuse(f"{len(integers)} further arguments", f"{missing}")
-            put(*integers)
+            put(integers)
             run()
             return results()
 
@@ -182,7 +182,7 @@ class LibraryKernel:
         table = (ctypes.c_int64 * (begin + missing))(*words)
         out = (ctypes.c_int64 * RESULTS)()
         at, to = ctypes.addressof(table), ctypes.addressof(out)
-        put = partial(struct.Struct(f"{missing}q").pack_into, table, 8 * begin)
+        put = partial(setitem, table, slice(begin, begin + missing))
         address = ctypes.cast(self._code, ctypes.c_void_p).value or 0
         memory = arguments, kept, table, out
         return BoundKernel(put, partial(self._code, at, to), self._reader(out), (address, at, to), memory)

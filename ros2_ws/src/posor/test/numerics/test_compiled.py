@@ -221,7 +221,7 @@ def test_kernels_run_in_turn_as_each_by_itself(with_python: bool) -> None:  # no
     assert all(kernel.call for kernel in kernels)
     if with_python:
         kernels.insert(1, in_parts(order.append))
-        kernels[1].put(7)
+        kernels[1].put((7,))
     run = run_in_turn(kernels)
     for _ in range(2):
         run()
