@@ -158,8 +158,9 @@ class TickMilestones:
 def install_stopwatches(watches: Stopwatches, milestones: TickMilestones) -> None:
     """Put a stopwatch around every stage; call it before nodes are created."""
     for place, stage in STAGES.items():
-        kind, _, method = place.rpartition(".")
-        setattr(resolve_name(kind), method, watches.timed(resolve_name(place), stage))
+        (name, _, method), timed = place.rpartition("."), watches.timed(resolve_name(place), stage)
+        kind = resolve_name(name)
+        setattr(kind, method, staticmethod(timed) if isinstance(vars(kind)[method], staticmethod) else timed)
     publisher_type: Any = IntraProcessPublisher
     deliver, over_dds = publisher_type.deliver, publisher_type.publish_over_dds
     publisher_type.deliver = watches.timed(deliver, lambda publisher, *_: f"deliver {publisher.message_type.__name__}")
