@@ -322,7 +322,7 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
         if stream is None or (identity := stream.identity(data)) is None:
             return None
         if last := stream.last_stamp_and_number():
-            kind, text = self._order.describe(identity, last, stream.newest_number())
+            kind, text = self._order.describe(identity, last)
             if kind:
                 self._inputs.note(kind, text)
             if kind == REPEATED:
@@ -355,7 +355,9 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
         A sound scan is kept for the digital zero.
         """
         self._publisher.publish_over_dds(transform)
-        stamp_ns, changed = stream.stamp_and_change()
+        stamp_ns, changed, missing = stream.stamp_change_and_missing()
+        if missing:
+            self._inputs.note(*self._order.count_missing(stream.number_of(data), missing))
         if self._throttle.has_subscriptions and self._throttle.is_due(stamp_ns, changed=bool(changed)):
             self._throttle.publish(transform)
         if stamp_ns:

@@ -91,7 +91,7 @@ def test_bytes_of_transforms_are_those_of_the_estimates_messages(stack: DesignNa
     assert [stream.estimate_message(data) for data in raw] == wanted
 
 
-def test_only_the_next_scan_of_an_accepted_age_is_expected() -> None:
+def test_only_a_newer_scan_of_an_accepted_age_is_expected() -> None:
     calibration = design("triad_diodes", motion=True)
     posor, other = Posor(calibration), Posor(calibration)
     template = ScanTemplate(RAW_SCAN.serialize(moving(Posor(calibration))[0]))
@@ -103,7 +103,7 @@ def test_only_the_next_scan_of_an_accepted_age_is_expected() -> None:
     assert stream.last_stamp_and_number() is None
     assert stream.estimate_message(raw[0], stamps_ns[0]) is None  # no scan came before
     assert stream.estimate_message(raw[0]) == wanted[0]
-    for n, age_ns in ((0, 0), (2, 0), (1, -6), (1, 11)):  # repeated, one missing, ahead of time, too old
+    for n, age_ns in ((0, 0), (1, -6), (1, 11)):  # repeated, ahead of time, too old
         before = posor.model.workspace[0]["tracker"].tobytes()
         assert stream.estimate_message(raw[n], stamps_ns[n] + age_ns) is None
         assert posor.model.workspace[0]["tracker"].tobytes() == before
@@ -112,6 +112,18 @@ def test_only_the_next_scan_of_an_accepted_age_is_expected() -> None:
         assert stream.estimate_message(raw[n], stamps_ns[n] + age_ns) == wanted[n]
     assert stream.estimate_message(template.at(stamps_ns[3], 8), stamps_ns[3]) is None  # backward
     assert stream.estimate_message(raw[3], stamps_ns[3]) == wanted[3]
+
+
+def test_scans_that_are_missing_before_a_newer_one_are_counted_from_the_newest() -> None:
+    calibration = design("triad_diodes", motion=True)
+    template = ScanTemplate(RAW_SCAN.serialize(moving(Posor(calibration))[0]))
+    raw = {number: template.at(NS + number * NS // 1000, number) for number in range(7, 30)}
+    stream = RawScanStream(Posor(calibration), raw[7])
+    missing = []
+    for number in (9, 10, 13, 11, 12, 14, 17, 15, 29):  # the first, none, two, late, late, none, two, late, eleven
+        assert stream.estimate_message(raw[number])
+        missing.append(stream.stamp_change_and_missing()[2])
+    assert missing == [0, 0, 2, 0, 0, 0, 2, 0, 11]
 
 
 @pytest.mark.parametrize("stack", STACKS)

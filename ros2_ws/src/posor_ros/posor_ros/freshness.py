@@ -69,11 +69,10 @@ class ScanOrder:
     def __init__(self) -> None:
         self.counts = {MISSING: 0, REPEATED: 0, BACKWARD: 0}
 
-    def describe(self, identity: tuple[int, int], last: tuple[int, int], newest: int = 0) -> tuple[str, str]:
-        """Count a scan that is out of order, by its stamp [ns] and number and those of the scan before.
+    def describe(self, identity: tuple[int, int], last: tuple[int, int]) -> tuple[str, str]:
+        """Count a scan that is not newer than the one before, by stamp [ns] and number of both.
 
-        ``newest``: number of the newest scan in order, where the scan before was late. Return the kind and the
-        sentence, both empty for a scan in order. A repeated scan is to be dropped.
+        Return the kind and the sentence, both empty for a newer scan. A repeated scan is to be dropped.
         """
         number, last_number = identity[1], last[1]
         if identity == last:
@@ -82,10 +81,12 @@ class ScanOrder:
         if number <= last_number:
             self.counts[BACKWARD] += 1
             return BACKWARD, f"scan {number} came after scan {last_number}"
-        if (missing := number - max(last_number, newest) - 1) > 0:
-            self.counts[MISSING] += missing
-            return MISSING, f"scans missing before scan {number}: {missing}"
         return "", ""
+
+    def count_missing(self, number: int, missing: int) -> tuple[str, str]:
+        """Count the scans that are missing before the scan of a number; return the kind and the sentence."""
+        self.counts[MISSING] += missing
+        return MISSING, f"scans missing before scan {number}: {missing}"
 
 
 class InputMonitor:

@@ -53,14 +53,17 @@ STATUS = np.dtype(  # status of a stream of scans
         ("faults", "i8"),
         ("row_changes", "i8"),  # how often scans have read other rows than the scan before, as another light source
         ("changed", "i8"),  # 1: state, faults or row changes differ from the scan before
+        ("step", "u8"),  # number of the last scan less the newest before it; 1: none is missing, or it was not newer
     ]
 )
 _FIELDS: Any = STATUS.fields
-STAMP_NS, CHANGED, WITH_EFFECTS = (_FIELDS[name][1] // 8 for name in ("stamp_ns", "changed", "with_effects"))
+STAMP_NS, CHANGED, STEP, WITH_EFFECTS = (
+    _FIELDS[name][1] // 8 for name in ("stamp_ns", "changed", "step", "with_effects")
+)
 
 OTHER_LAYOUT, UNEXPECTED = 4, 5
-"""Further results. OTHER_LAYOUT: the layout differs. UNEXPECTED: the number is not the next one, or the age is out of
-the limits. In both cases the state is unchanged."""
+"""Further results. OTHER_LAYOUT: the layout differs. UNEXPECTED: the number is not greater than the last one, or the
+age is out of the limits. In both cases the state is unchanged."""
 UNCHECKED = -1  # in place of the present time: numbers and ages are not checked
 USABLE, UNUSABLE = 0, 1
 BAD_READING = int(Fault.BAD_READING)
@@ -134,9 +137,17 @@ def _copy_identity(stream: MessageStream, n: int) -> None:
 
 @inlined
 def _is_expected(scan: Any, status: Any, now_ns: int) -> bool:
-    """Return whether a scan has the number after that of the last scan and an accepted age."""
-    follows = status.state >= 0 and scan.number > status.number and scan.number - status.number == 1
+    """Return whether a scan has a greater number than the last scan and an accepted age."""
+    follows = status.state >= 0 and scan.number > status.number
     return bool(follows and accepted_in_kernel(now_ns - scan.stamp_ns, status.youngest_ns, status.oldest_ns))
+
+
+@inlined
+def _write_step(scan: Any, clocks: Any, status: Any) -> None:
+    """Write how many numbers a scan comes after the newest before it, which a late scan was not."""
+    status.step = 1
+    if status.state >= 0 and scan.number > status.number and scan.number > clocks.number:
+        status.step = scan.number - max(status.number, clocks.number)
 
 
 @in_place
@@ -149,6 +160,7 @@ def begin_message(model: Model, stream: MessageStream, n: int, now_ns: int) -> i
     unpack_scan(stream.raw, n, stream.raw_layout[0], scan)
     if now_ns != UNCHECKED and not _is_expected(scan, status, now_ns):
         return UNEXPECTED
+    _write_step(scan, workspace.tracker.clocks, status)
     if status.count_from_next:
         scan.at_home = STATED_HOME
     status.stamp_ns = scan.stamp_ns
@@ -305,10 +317,6 @@ class RawScanStream:
         """Return stamp and number of the last scan, as ``identity``; None: there was none."""
         return None if self.status["state"] < 0 else self.identity(self._last)
 
-    def newest_number(self) -> int:
-        """Return the number of the newest scan in order: a late scan is not."""
-        return int(self._posor.tracker["clocks"]["number"])
-
     def number_of(self, data: bytes) -> int:
         """Return the number of a raw scan of this layout."""
         return int(self._unpack_identity(data, STAMP.start)[2])
@@ -333,8 +341,8 @@ class RawScanStream:
     def estimate_message(self, data: bytes, now_ns: int = UNCHECKED) -> bytes | None:
         """Return the transform of a raw scan; None where the scan has another layout, which changes nothing.
 
-        With the present time [ns], that is also the return value where the scan is unexpected: its number does not
-        follow that of the last scan, there is no last scan, or its age is not accepted.
+        With the present time [ns], that is also the return value where the scan is unexpected: its number is not
+        greater than that of the last scan, there is no last scan, or its age is not accepted.
         """
         if not self.prepare(data, now_ns):
             return None
@@ -366,9 +374,12 @@ class RawScanStream:
         self._last_but_one, self._last = self._last, data
         return self._transform()
 
-    def stamp_and_change(self) -> tuple[int, int]:
-        """Return the stamp of the last scan [ns] (0: invalid), and whether its status differs from the scan before."""
-        return self._numbers[STAMP_NS], self._numbers[CHANGED]
+    def stamp_change_and_missing(self) -> tuple[int, int, int]:
+        """Return what concerns the last scan: its stamp, a change, and a gap.
+
+        The stamp is in ns (0: invalid); whether its status differs from the scan before; how many scans are missing.
+        """
+        return self._numbers[STAMP_NS], self._numbers[CHANGED], self._numbers[STEP] - 1
 
     def use_effects(self, *, used: bool) -> None:
         """State whether the fault effects of transforms are read; those of scans from the next on are NaN if not."""
