@@ -38,9 +38,10 @@ def made(calibration: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.usefixtures("few_draws")
 def test_a_full_disk_names_the_folder(calibration: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with file_size_limit(1000):
-        assert main([str(calibration), POSE, "--draws", "20000", "--output", str(tmp_path)]) == 1
+        assert main([str(calibration), POSE, "--draws", "1000", "--output", str(tmp_path)]) == 1
     assert capsys.readouterr().err.splitlines()[-1] == f"{tmp_path}: cannot be written, File too large."
 
 
@@ -129,12 +130,13 @@ def test_a_triad_says_that_its_biases_are_not_detectable(made: Path) -> None:
     assert "Protection level of the endpoint" not in page
 
 
+@pytest.mark.usefixtures("few_draws")
 def test_an_arm_gets_the_protection_level_of_its_endpoint(
     calibration: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     angles = (0.1, 0.2, -0.3, 0.4, 0.5, -0.6)
     options = ["--arm", str(SIX_AXIS), "--angles=" + ",".join(map(str, angles)), "--output", str(tmp_path)]
-    assert main([str(calibration), "--draws", "20000", *options]) == 0
+    assert main([str(calibration), "--draws", "1000", *options]) == 0
     found = json.loads((tmp_path / "budget.json").read_text(encoding="utf-8"))["arm"]
     assert tuple(found["angles"].values()) == angles
     level = np.array(found["protection_level"])

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Sequence
 from functools import cache
 
 import numpy as np
@@ -27,11 +28,21 @@ KINDS = (
 )
 
 
+def search_only(monkeypatch: pytest.MonkeyPatch, kinds: Sequence[LayoutKind]) -> None:
+    for module in ("layout_search", "nearest_requirement"):
+        monkeypatch.setattr(f"posor_design.{module}.layout_kinds", lambda _requirement: list(kinds))
+
+
 @pytest.fixture
 def some_kinds(monkeypatch: pytest.MonkeyPatch) -> None:
     """Search some kinds of layouts only, to save time."""
-    for module in ("layout_search", "nearest_requirement"):
-        monkeypatch.setattr(f"posor_design.{module}.layout_kinds", lambda _requirement: list(KINDS))
+    search_only(monkeypatch, KINDS)
+
+
+@pytest.fixture
+def two_kinds(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Search two kinds of layouts only, for several searches."""
+    search_only(monkeypatch, KINDS[:2])
 
 
 @cache
@@ -92,7 +103,7 @@ def test_the_optimum_is_not_worse_than_its_start() -> None:
     assert ratios(example(), best).worst <= ratios(example(), start).worst
 
 
-@pytest.mark.usefixtures("some_kinds")
+@pytest.mark.usefixtures("two_kinds")
 def test_an_uncertainty_beyond_reach_is_refused_with_the_nearest_requirement() -> None:
     requirement = example().changed(uncertainty={"theta": 0.5e-6})
     refusal = refusal_of(requirement)

@@ -66,7 +66,7 @@ def test_an_earlier_design_is_kept_without_force(tmp_path: Path) -> None:
     assert (tmp_path / "a.txt").read_text(encoding="utf-8") == "three"
 
 
-@pytest.mark.usefixtures("one_kind")
+@pytest.mark.usefixtures("one_kind", "few_draws")
 def test_the_command_writes_files_budget_and_page(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = tmp_path / "out"
     assert main(["posor", *OPTIONS, "--uncertainty", "theta=15 urad", "--output", str(folder)]) == 0
