@@ -75,6 +75,11 @@ class FaultModel(NamedTuple):
             np.zeros((count, 6)),
         )
 
+    def with_own_scratch(self) -> FaultModel:
+        """Return the same hypotheses with memory of their own, for another estimator."""
+        scratch = (self.entries, self.sensitivities, self.parity, self.components, self.shifts)
+        return FaultModel(self.columns, self.coefficients, *(np.zeros_like(each) for each in scratch))
+
 
 class JointCauses(NamedTuple):
     """The causes of faults of one joint, as ``posor_msgs/JointTransform`` states them."""

@@ -80,6 +80,7 @@ class Posor:
         check_probability(false_alarm, "Posor, false_alarm", or_zero=True)
         self.calibration = calibration
         self.stack = Stack([sensor.build() for sensor in calibration.sensors])
+        self.hypotheses = Hypotheses.of(calibration, self.stack)  # whatever the parameter values
         self.redundancy = max(self.stack.readings - 6, 0)
         self._false_alarm = false_alarm
         correlated = any(record.covariances for record in calibration.fits)
@@ -98,8 +99,7 @@ class Posor:
 
     def _prepare(self) -> None:
         """Build the arrays that the kernels read; this resets the tracker."""
-        self.hypotheses = Hypotheses.of(self.calibration, self.stack)
-        self.model = self.stack.model(self._square_root, self.hypotheses.model)
+        self.model = self.stack.model(self._square_root, self.hypotheses.model.with_own_scratch())
         self._plain = PlainSensors(self.stack, self.model, self.parameter_square_root)
         self._known_theta: float | None = None
         self._one = _OneScan(self)

@@ -13,6 +13,7 @@ import pytest
 from posor.calibration.causes import Cause
 from posor.calibration.designs import sized_design
 from posor.chain.fault_bounds import largest_of_pair
+from posor.estimation.fault_hypotheses import Hypotheses
 from posor.estimation.posor import Posor
 from posor.model.scan import Scans
 from posor.uncertainty.budget_poses import scan_at
@@ -39,6 +40,18 @@ def posor_with(stack: str, **cause: Any) -> Posor:
 
 def estimated(posor: Posor, scans: Scans) -> Any:
     return posor.estimate_each(scans, np.full(len(scans), 0.01), fault_effects=True)
+
+
+@pytest.mark.parametrize("stack", STACKS)
+def test_other_parameter_values_have_the_same_hypotheses_and_memory_of_their_own(stack: str) -> None:
+    posor = Posor(STACKS[stack])
+    other = posor.with_parameter_values(posor.stack.parameter_values + posor.stack.parameter_sigmas)
+    expected = Hypotheses.of(posor.calibration, other.stack)
+    assert (other.hypotheses.causes, other.hypotheses.names) == (expected.causes, expected.names)
+    np.testing.assert_array_equal(other.model.faults.columns, expected.model.columns)
+    np.testing.assert_array_equal(other.model.faults.coefficients, expected.model.coefficients)
+    for own, others in zip(other.model.faults[2:], posor.model.faults[2:], strict=True):
+        assert not np.shares_memory(own, others)
 
 
 @pytest.mark.parametrize(
