@@ -4,9 +4,10 @@
 
 The build needs numba and a C compiler, the library needs neither.
 
-Numba compiles each kernel of ENTRIES with the types of ``kernel_examples`` and a wrapper that reads the arguments from
-a table (see ``numerics.kernel_library``). LLVM links all to one module and emits its machine code for any processor of
-this architecture, without contraction to fused operations: the results are those of Python to the last bit.
+Numba compiles each kernel of PARTS with the types of ``kernel_examples`` and a wrapper that reads the arguments from
+a table (see ``numerics.kernel_library``). LLVM links each part to one module and emits its machine code for any
+processor of this architecture, without contraction to fused operations: the results are those of Python to the last
+bit. Each part has a process, because the compilation takes minutes.
 ``--texts FOLDER`` keeps the assembler text, from which the C compiler alone makes the same library: a source release
 has it in the folder ``kernels`` beside the package.
 """
@@ -19,33 +20,39 @@ import os
 import subprocess
 import sys
 import tempfile
+from concurrent.futures import ProcessPoolExecutor
 from importlib import import_module
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from posor.errors import SystemRefusal
 
-ENTRIES = {
-    "chain.beam_vibration": ("follow_reading", "write_vibration"),
-    "chain.encoder_filter": ("predict_endpoints", "use_transform", "use_transform_row"),
-    "chain.fault_bounds": ("bound_endpoints",),
-    "chain.forward_kinematics": ("estimate_endpoint_of_rows", "estimate_endpoints", "write_relative"),
+JOINT_ENTRIES = {
     "estimation.estimate_scan": ("begin_scan_estimate", "estimate_scans", "solve_and_check", "write_lost"),
     "estimation.fault_effects": ("write_fault_effects",),
     "estimation.linearise": ("linearise_scan", "linearise_scans"),
     "estimation.solver": ("solve_start",),
-    "messages.byte_kernels": ("copy_messages", "gather_rows", "index_messages", "write_records"),
     "messages.joint_transform": ("pack_rows",),
     "messages.message_stream": ("begin_message", "end_message", "estimate_messages"),
     "messages.raw_scan": ("unpack_rows",),
     "model.reading_rows": ("_differentiate", "_evaluate", "_evaluate_poses", "prepare_rows", "turn_rows"),
     "model.spot_map": ("position_of_ratios", "ratios_of_positions"),
     "model.voltage": ("linearise_channels", "voltages_of_gaps"),
+}
+ARM_ENTRIES = {
+    "chain.beam_vibration": ("follow_reading", "write_vibration"),
+    "chain.encoder_filter": ("predict_endpoints", "use_transform", "use_transform_row"),
+    "chain.fault_bounds": ("bound_endpoints",),
+    "chain.forward_kinematics": ("estimate_endpoint_of_rows", "estimate_endpoints", "write_relative"),
+    "messages.byte_kernels": ("copy_messages", "gather_rows", "index_messages", "write_records"),
     "numerics.summary_statistics": ("figures_of",),
 }
-"""Kernels that Python calls, by module; kernels that only kernels call are part of their code."""
+PARTS = {"joint": JOINT_ENTRIES, "arm": ARM_ENTRIES}
+"""Kernels that Python calls, by module; kernels that only kernels call are part of their code. For each part
+``kernel_examples`` has a function that calls its kernels."""
 PROCESSOR = "x86-64"  # the oldest of the architecture: a library may move to another machine
-ASSEMBLER, C_TEXT = "posor_kernels.s", "posor_kernels.c"
+ASSEMBLER, C_TEXT = "{}_kernels.s", "posor_kernels.c"
 C_SYMBOLS = ("NRT_", "Py", "_Py", "numba_")
 """Begins of the names of functions of numba and Python that the code mentions on ways that kernels do not take."""
 
@@ -66,8 +73,8 @@ class Entry(NamedTuple):
     name: str  # module and function
     symbol: str  # exported
     native_name: str  # of the wrapper in the LLVM module
-    text: str  # LLVM assembler of the wrapper and of all that it calls
     manifest: dict[str, Any]
+    text: str = ""  # LLVM assembler of the wrapper and of all that it calls
 
 
 class ArgumentReader:
@@ -155,30 +162,33 @@ def compile_entry(name: str, symbol: str, kernel: Any) -> Entry:
         stores = [f"out[{n}] = r[{n}]" for n in range(len(results))]
     else:
         stores = ["fout[0] = r" if kind == "f" else "out[0] = r" for kind in kinds]
-    text = "\n    ".join(["def wrapper(t, ft, out, fout):", f"r = {call}", *stores, "return"])
+    text = "\n    ".join([f"def {symbol}(t, ft, out, fout):", f"r = {call}", *stores, "return"])
     strides = {"as_strided": import_module("numpy").lib.stride_tricks.as_strided}
     scope = {"kernel": kernel, "carray": numba.carray, "pointer": pointer, **strides, **reader.names}
     exec(text, scope)  # noqa: S102  the text follows from the types of our own kernels
     words, floats = types.CPointer(types.int64), types.CPointer(types.float64)
-    compiled = numba.cfunc(types.void(words, floats, words, floats), error_model="numpy")(scope["wrapper"])
+    compiled = numba.cfunc(types.void(words, floats, words, floats), error_model="numpy")(scope[symbol])
     keeps_lock = not kernel.targetoptions.get("nogil", False)
     manifest = {"arguments": [each for _, each in read], "results": kinds, "keeps_lock": keeps_lock, "symbol": symbol}
-    return Entry(name, symbol, compiled.native_name, compiled.inspect_llvm(), manifest)
+    return Entry(name, symbol, compiled.native_name, manifest, compiled.inspect_llvm())
 
 
-def compile_entries() -> list[Entry]:
-    """Compile all kernels of ENTRIES. Raises ValueError: Python calls a kernel with several types of arguments."""
-    import_module("posor.kernel_examples").use_all_kernels()
+def compile_part(part: str) -> tuple[list[Entry], str]:
+    """Compile the kernels of a part; return them without their LLVM texts, and the assembler text of all.
+
+    Raises ValueError: Python calls a kernel with several types of arguments.
+    """
+    getattr(import_module("posor.kernel_examples"), f"use_{part}_kernels")()
     entries: list[Entry] = []
-    for module, names in ENTRIES.items():
+    for module, names in PARTS[part].items():
         for name in names:
-            kernel = getattr(import_module(f"posor.{module}"), name)
-            entries.append(compile_entry(f"posor.{module}.{name}", f"posor_kernel_{len(entries)}", kernel))
-    return entries
+            kernel, whole = getattr(import_module(f"posor.{module}"), name), f"posor.{module}.{name}"
+            entries.append(compile_entry(whole, whole.replace(".", "_"), kernel))
+    return [entry._replace(text="") for entry in entries], assemble(entries)
 
 
 def assemble(entries: list[Entry]) -> str:
-    """Return the assembler text of all entries."""
+    """Return the assembler text of some entries."""
     llvm = import_module("llvmlite.binding")
     module = llvm.parse_assembly(entries[0].text)
     for entry in entries[1:]:
@@ -219,11 +229,12 @@ def _functions_of(line: str) -> list[str]:
     return [word for word in words if word.startswith(C_SYMBOLS)]
 
 
-def link(assembler: Path, source: Path, file: Path) -> None:
-    """Make the library with the C compiler. Raises CalledProcessError: it failed."""
+def link(folder: Path, file: Path) -> None:
+    """Make the library of the texts in a folder with the C compiler. Raises CalledProcessError: it failed."""
     compiler = os.environ.get("CC", "cc")
-    command = [compiler, "-O2", "-fPIC", "-shared", "-fno-strict-aliasing", "-s", "-o", file, source, assembler, "-lm"]
-    subprocess.run([str(part) for part in command], check=True)
+    texts = [folder / C_TEXT, *(folder / ASSEMBLER.format(part) for part in PARTS)]
+    command = [compiler, "-O2", "-fPIC", "-shared", "-fno-strict-aliasing", "-s", "-o", file, *texts, "-lm"]
+    subprocess.run([str(word) for word in command], check=True)
 
 
 def is_current(file: Path) -> bool:
@@ -240,10 +251,14 @@ def is_current(file: Path) -> bool:
 def write_texts(folder: Path) -> None:
     """Compile the kernels and write the texts of the library into a folder."""
     os.environ |= {"POSOR_KERNELS": "numba", "NUMBA_CPU_NAME": PROCESSOR, "NUMBA_CPU_FEATURES": ""}
-    entries = compile_entries()
-    assembler = assemble(entries)
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / ASSEMBLER).write_text(assembler, encoding="utf-8")
+    entries: list[Entry] = []
+    assembler = ""
+    with ProcessPoolExecutor(len(PARTS), get_context("fork")) as pool:  # forks: tests replace functions
+        for part, (compiled, text) in zip(PARTS, pool.map(compile_part, PARTS), strict=True):
+            (folder / ASSEMBLER.format(part)).write_text(text, encoding="utf-8")
+            entries += compiled
+            assembler += text
     (folder / C_TEXT).write_text(c_source(entries, assembler), encoding="utf-8")
 
 
@@ -258,10 +273,10 @@ def main() -> int:
         return 0
     released = Path(__file__).parent.parent / "kernels"
     with tempfile.TemporaryDirectory() as scratch:
-        folder = options.texts or (released if (released / ASSEMBLER).is_file() else Path(scratch))
+        folder = options.texts or (released if (released / C_TEXT).is_file() else Path(scratch))
         if folder != released:
             write_texts(folder)
-        link(folder / ASSEMBLER, folder / C_TEXT, options.file)
+        link(folder, options.file)
     return 0
 
 

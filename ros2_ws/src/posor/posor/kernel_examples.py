@@ -1,6 +1,6 @@
 # Copyright 2026 POSOR maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""One use of every kernel of ``kernel_build.ENTRIES`` with the types that programs use, for the build and for tests."""
+"""One use of every kernel of ``kernel_build.PARTS`` with the types that programs use, for the build and for tests."""
 
 from __future__ import annotations
 
@@ -50,8 +50,8 @@ ARM = """<robot name="arm"><link name="base"/><link name="plate"/><link name="en
 <joint name="beam" type="fixed"><parent link="plate"/><child link="endpoint"/></joint></robot>"""
 
 
-def use_all_kernels() -> None:
-    """Call every kernel: two scans of each design, one message, one arm, one chunk of a bag."""
+def use_joint_kernels() -> None:
+    """Call the kernels of joints: two scans of each design and one message."""
     for name in get_args(DesignName):
         posor = Posor(design(name))
         rotations, translations = np.tile(np.eye(3), (2, 1, 1)), np.tile([0.0, 0.0, 0.7e-3], (2, 1))
@@ -70,6 +70,10 @@ def use_all_kernels() -> None:
         pack_rows(records, stream.effects, layout, stream.template, stream.transforms)
         _use_sensors(posor, scans)
         _use_single_steps(posor, scans)
+
+
+def use_arm_kernels() -> None:
+    """Call the kernels of arms and bags: one arm, one chunk of a bag."""
     _use_chain()
     _use_bytes()
     figures_of(np.array([1, 2]), 3, np.empty(FIGURES))

@@ -6,7 +6,7 @@ Kernels are written once, as loops over scalars. In each of the three ways they 
 order, so all give the same numbers to the last bit (checked by ``test/numerics/test_compiled.py``). The environment
 variable ``POSOR_KERNELS`` chooses:
 
-* ``library``: the kernels of ``posor.kernel_build.ENTRIES`` are those of the library, see ``numerics.kernel_library``;
+* ``library``: the kernels of ``posor.kernel_build.PARTS`` are those of the library, see ``numerics.kernel_library``;
 * ``numba``: numba compiles each kernel at its first call, for a developer who changes kernels;
 * ``python``: nothing is compiled, for example to step through a kernel in a debugger.
 
