@@ -4,7 +4,10 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +23,7 @@ DRAWS = 400
 KIND = LayoutKind("light_ring", 3, 4, gap_outside=True)
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def requirement() -> Requirement:
     limits = dict.fromkeys(("x", "y", "gap"), 1e-6) | dict.fromkeys(("alpha", "beta", "theta"), 8e-6)
     motion = {"range.gap": 1e-4, "range.runout": 1e-4, "range.tilt": 1e-3, "range.rotation": 3.14}
@@ -28,30 +31,42 @@ def requirement() -> Requirement:
     return Requirement.model_validate(requirement_content("confirmed", limits, 1.0, values))
 
 
-@pytest.fixture
-def folder(tmp_path: Path, requirement: Requirement) -> Path:
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory, requirement: Requirement) -> Path:
     layout = arrange(requirement, KIND, 0.08, Shares(1.0, 0.0))
     assert layout is not None
     chosen = evaluate(requirement, KIND, layout, extreme_poses(requirement, layout.gap))
     result = SearchResult(requirement, chosen, (chosen,), (chosen,), chosen, 1, "electronics")
-    write_files(tmp_path / "design", output_files(result, chosen))
-    return tmp_path / "design"
+    folder = tmp_path_factory.mktemp("design")
+    write_files(folder, output_files(result, chosen))
+    return folder
 
 
-def test_a_sound_design_is_confirmed(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    output = tmp_path / "accuracy.json"
-    assert main(["--design", str(folder), "--scale", "0.2", "--output", str(output)]) == 0
-    assert "All errors are within the requirement." in capsys.readouterr().out
-    figures = json.loads(output.read_text(encoding="utf-8"))["design"]
+@pytest.fixture(scope="module")
+def sound(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[int, str, dict[str, Any]]:
+    """Exit code, printed text and figures of the sound design."""
+    output = tmp_path_factory.mktemp("sound") / "accuracy.json"
+    with contextlib.redirect_stdout(io.StringIO()) as printed:
+        code = main(["--design", str(folder), "--scale", "0.2", "--output", str(output)])
+    return code, printed.getvalue(), json.loads(output.read_text(encoding="utf-8"))["design"]
+
+
+def test_a_sound_design_is_confirmed(sound: tuple[int, str, dict[str, Any]]) -> None:
+    code, printed, figures = sound
+    assert code == 0
+    assert "All errors are within the requirement." in printed
     assert figures["draws"] == DRAWS
     assert figures["errors"]["theta"] < figures["required"]["theta"]
 
 
-def test_a_tightened_requirement_is_not_confirmed(folder: Path, requirement: Requirement) -> None:
-    theta = 0.7 * confirm_design(folder, DRAWS, 1).errors["theta"]
+def test_a_tightened_requirement_is_not_confirmed(
+    folder: Path, requirement: Requirement, sound: tuple[int, str, dict[str, Any]], tmp_path: Path
+) -> None:
+    theta = 0.7 * sound[2]["errors"]["theta"]
+    shutil.copytree(folder, tmp_path, dirs_exist_ok=True)
     text = requirement_text(requirement.changed(uncertainty={"theta": theta}))
-    (folder / REQUIREMENT).write_text(text, encoding="utf-8")
-    confirmation = confirm_design(folder, DRAWS, 1)
+    (tmp_path / REQUIREMENT).write_text(text, encoding="utf-8")
+    confirmation = confirm_design(tmp_path, DRAWS, 1)
     assert not confirmation.within
     assert not confirmation.confirmed
 
