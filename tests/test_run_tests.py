@@ -116,9 +116,9 @@ def test_what_tests_of_a_shared_process_import_makes_no_ros_context() -> None:
     assert not [file.name for file in files if not file.name.startswith("test_") and uses_ros(file)]
 
 
-def test_slow_files_come_first() -> None:
-    first = find_test_files([])[: len(SLOW)]
-    assert first == [THIS.root / name for name in SLOW]
+def test_slow_files_and_folders_come_first() -> None:
+    jobs = make_test_jobs(find_test_files([]))
+    assert tuple(job.name for job in jobs[: len(SLOW)]) == SLOW
 
 
 def test_no_such_path(tmp_path: Path) -> None:

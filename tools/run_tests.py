@@ -5,7 +5,7 @@
 A test file that may use ROS has a pytest process of its own, so that no ROS context leaks from one file into another;
 two such processes run at a time. The other files of a folder of SHARED have one process, which saves seconds of imports
 for each file. These and the linters run at low priority in the processor time that the nodes of the other tests leave
-while they wait; a process that has no such job left runs tests that may use ROS, and the reverse. Files of SLOW come
+while they wait; a process that has no such job left runs tests that may use ROS, and the reverse. Those of SLOW come
 first, so that none of them is left for the end. The linters need no build and start before it. Every process uses one
 thread of linear algebra, because threads of small matrices wait for each other.
 The output ends with every skipped or failed test and its reason, and ``N passed, N failed, N skipped``.
@@ -38,7 +38,10 @@ LOW_PRIORITY = 4  # nice value
 NO_TESTS = 5  # pytest's exit code
 PROCESS_TIMEOUT_S = 900.0  # in addition to pytest's own timeout for each test
 INTERRUPT_TIMEOUT_S = 20.0  # for an interrupted pytest to stop the nodes of its tests
-SINGLE_THREAD = {"OPENBLAS_NUM_THREADS": "1"}  # numpy and scipy; the caller's own setting has precedence
+DEFAULTS = {  # the caller's own settings have precedence
+    "OPENBLAS_NUM_THREADS": "1",  # numpy and scipy
+    "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1",  # all but pytest-timeout, whose imports take half of the start of pytest
+}
 FAILURE_LENGTH = 1000  # last characters of a failure, in the summary; the whole is printed when its job ends
 REPORTS = THIS.root / "build" / "test"
 USES_ROS = re.compile(r"rclpy\.init|\bContext\(|ros_context|ros_domain|isolated_network|harness\.graph")
@@ -48,16 +51,41 @@ SHARED = tuple(  # folders whose files share a process, except those that use RO
         *(f"ros2_ws/src/posor/test/{part}" for part in ("numerics", "model", "sensors", "estimation", "chain")),
         *(f"ros2_ws/src/posor/test/{part}" for part in ("calibration", "uncertainty", "messages", "bags", "reporting")),
         *(f"ros2_ws/src/posor/test/{part}" for part in ("correction", "tables")),
-        *(f"ros2_ws/src/{package}/test" for package in ("posor_calibration", "posor_design")),
-        "ros2_ws/src/posor_drivers/test/simulator",
+        *(f"ros2_ws/src/{package}/test" for package in ("posor_bringup", "posor_calibration", "posor_design")),
+        *(f"ros2_ws/src/posor_drivers/test/{part}" for part in ("simulator", "sources")),
         *(f"lab/posor_lab/test/{part}" for part in ("accuracy", "benchmark", "campaign", "arm_study", "independent")),
         *(f"lab/posor_lab/test/{part}" for part in ("thesis_budgets", "thesis_table", "replay_1985")),
     )
 )
 
 
-SLOW = ("ros2_ws/src/posor_drivers/test/instruments/test_stream_device.py",)
-"""Files of more than 40 s, the longest first."""
+SLOW = (
+    "ros2_ws/src/posor_design/test",
+    "ros2_ws/src/posor/test/estimation",
+    "lab/posor_lab/test/arm_study",
+    "ros2_ws/src/posor_calibration/test",
+    "lab/posor_lab/test/accuracy",
+    "ros2_ws/src/posor/test/calibration",
+    "lab/posor_lab/test/faults/test_faults_command.py",
+    "ros2_ws/src/posor_bringup/test",
+    "ros2_ws/src/posor_drivers/test/simulator",
+    "lab/posor_lab/test/commissioning/test_commissioning_command.py",
+    "tests/test_view.py",
+    "tests/test_soak_arm.py",
+    "tests/test_bag_order.py",
+    "tests/test_instruments.py",
+    "lab/posor_lab/test/mutations/test_mutations.py",
+    "lab/posor_lab/test/health/test_health.py",
+    "tests/test_tutorials.py",
+    "ros2_ws/src/posor_ros/test/test_lifecycle_node.py",
+    "ros2_ws/src/posor_estimator/test/test_time_offset_nodes.py",
+    "tests/test_example_plain_controller.py",
+    "tests/test_calibrate_bad_data.py",
+    "ros2_ws/src/posor_drivers/test/instruments/test_stream_device.py",
+    "ros2_ws/src/posor_drivers/test/test_driver_node.py",
+    "tests/test_setup.py",
+)
+"""Files and shared folders that take longest, the longest first."""
 
 
 @dataclass
@@ -105,7 +133,7 @@ class Job:
 
 
 def find_test_files(paths: list[str]) -> list[Path]:
-    """Return the test files below some paths, or all test files: those of SLOW, then those near the top first.
+    """Return the test files below some paths, or all test files, those near the top first.
 
     Raises:
         SetupError: A path does not exist.
@@ -119,8 +147,7 @@ def find_test_files(paths: list[str]) -> list[Path]:
         if not root.exists():
             raise SetupError(f"{root}: no such test file or folder.")
     files = [file for root in roots for file in ([root] if root.is_file() else sorted(root.rglob("test_*.py")))]
-    slow = [THIS.root / name for name in SLOW]
-    return sorted(files, key=lambda file: (slow.index(file) if file in slow else len(slow), len(file.parts)))
+    return sorted(files, key=lambda file: len(file.parts))
 
 
 def display_name(path: Path) -> str:
@@ -134,7 +161,10 @@ def uses_ros(file: Path) -> bool:
 
 
 def make_test_jobs(files: list[Path], marked: str = "not long") -> list[Job]:
-    """Return one job for the files of a folder that share a process, and one for each other; tests with the marker."""
+    """Return one job for the files of a folder that share a process, and one for each other, those of SLOW first.
+
+    ``marked``: marker of the tests that run.
+    """
     groups: dict[Path, list[str]] = {}
     for file in files:
         shared = next((folder for folder in SHARED if file.is_relative_to(folder)), None)
@@ -143,17 +173,17 @@ def make_test_jobs(files: list[Path], marked: str = "not long") -> list[Job]:
     jobs = []
     for key, names in groups.items():
         report = REPORTS / (display_name(key).strip("/").replace("/", ".") + ".xml")
-        options = ["-c", str(THIS.root / "pyproject.toml"), "-q", "--color=no", f"--junitxml={report}"]
-        command = [str(THIS.python), "-m", "pytest", *options, "-m", marked, *names]
+        options = ["-c", str(THIS.root / "pyproject.toml"), "-p", "pytest_timeout", "-q", "--color=no"]
+        command = [str(THIS.python), "-m", "pytest", *options, f"--junitxml={report}", "-m", marked, *names]
         jobs.append(Job(display_name(key), command, report, low_priority=key in SHARED))
-    return jobs
+    return sorted(jobs, key=lambda job: SLOW.index(job.name) if job.name in SLOW else len(SLOW))
 
 
 class Runner:
     """Sets the workspace up, runs jobs and terminates all running processes after an interruption."""
 
     def __init__(self) -> None:
-        self.environ = SINGLE_THREAD | os.environ
+        self.environ = DEFAULTS | os.environ
         self.running: set[subprocess.Popen[str]] = set()
         self.printing = threading.Lock()
         self.finished = 0
@@ -169,7 +199,7 @@ class Runner:
                 workers = [pool.submit(self.run_jobs, count, early)] if early else []
                 with self.printing:
                     set_up(THIS, os.environ)
-                self.environ = SINGLE_THREAD | workspace_environment()
+                self.environ = DEFAULTS | workspace_environment()
                 order = [(normal, low)] * PROCESSES + [(low, normal)] + [(low,)] * (PROCESSES - 1)
                 workers += [pool.submit(self.run_jobs, count, *queues) for queues in order]
                 for worker in as_completed(workers):
