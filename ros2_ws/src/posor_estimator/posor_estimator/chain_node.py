@@ -241,6 +241,8 @@ class ChainNode(PosorNode[ChainParameters]):
 
     def _publish_state(self, stamp: bytes, stamp_ns: int, verdict: EndpointVerdict) -> None:
         """Publish the state of a scan; a stamp of zero: there is no scan yet."""
+        if not self.may_publish:  # a queued call of the timer may come after the clean-up
+            return
         self._state_published = True
         changed = verdict != self._published_verdict
         is_due = self._throttle.has_subscriptions and self._throttle.is_due(stamp_ns, changed=changed)

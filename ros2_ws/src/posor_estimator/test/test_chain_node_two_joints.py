@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -16,8 +17,10 @@ from posor.chain.kinematic_chain import load_chain
 from posor_estimator.chain_node import ChainNode
 from posor_lab.harness.case_tables import edited
 from posor_lab.harness.graph import Graph, stamp_seconds, values_of, wait_for_value
-from posor_lab.harness.in_process_nodes import run_refused_node
+from posor_lab.harness.in_process_nodes import NodeProcess, run_refused_node
+from posor_lab.harness.program import HAND_FED
 from posor_msgs.msg import EndpointState, JointTransform
+from posor_ros.message_classes import schema_of_class
 
 from .chain_program import LOSSLESS, ChainRig, chain_node, lost_transform, transform_of
 
@@ -204,3 +207,18 @@ def test_a_beams_file_of_another_arm_is_refused(tmp_path: Path, capfd: pytest.Ca
     code, (sentence,) = run_refused_node(ChainNode, parameters, capfd)
     assert code == 1
     assert sentence.startswith(f"URDF {URDF}: has no fixed joint 'boom'")
+
+
+def test_a_check_for_late_joints_that_is_still_queued_after_the_clean_up_publishes_nothing() -> None:
+    with NodeProcess() as process:
+        chain = process.start(ChainNode, parameters={"urdf": str(URDF), "endpoint_frame": "t2", **HAND_FED})
+        schema = schema_of_class(JointTransform)
+        data = schema.serialize(transform_of(1, plates=PLATES["shoulder"]))
+        shoulder = next(each for each in chain._transforms if "shoulder" in each.topic_name)
+        shoulder.receive(data)
+        chain.trigger_deactivate()
+        chain.trigger_cleanup()
+        time.sleep(2.0 * chain.parameters.max_wait)
+        chain._close_late_scans()
+        assert chain._scans_incomplete == 1
+        assert not chain.exit_requested
