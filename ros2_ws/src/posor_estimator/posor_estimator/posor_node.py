@@ -270,16 +270,16 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
         """
         prepared, transforms = [], []
         for subscription, data in deliveries:
-            if (stream := subscription.node.prepare_scan(data)) is not None:
-                prepared.append((subscription.node, stream, data))
+            if (stream := subscription.attempt(subscription.node.prepare_scan, data)) is not None:
+                prepared.append((subscription, stream, data))
         RawScanStream.run_prepared(tuple([stream for _, stream, _ in prepared]))
-        for node, stream, data in prepared:
-            if (transform := node.finish_scan(stream, data)) is not None:
-                transforms.append((node, stream, data, transform))
+        for subscription, stream, data in prepared:
+            if (transform := subscription.attempt(subscription.node.finish_scan, stream, data)) is not None:
+                transforms.append((subscription, stream, data, transform))
 
         def publish_transforms() -> None:
-            for node, stream, data, transform in transforms:
-                node.publish_transform(stream, data, transform)
+            for subscription, *scan in transforms:
+                subscription.attempt(subscription.node.publish_transform, *scan)
 
         return publish_transforms
 

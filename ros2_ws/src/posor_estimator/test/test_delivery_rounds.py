@@ -7,6 +7,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import nullcontext
 from pathlib import Path
+from typing import Any
+from unittest.mock import Mock
 
 import pytest
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
@@ -58,6 +60,13 @@ class Feeder(PosorNode[NodeParameters]):
     def publisher(self, topic: str) -> IntraProcessPublisher:
         return IntraProcessPublisher(self, RawScan, topic, KEEP_ALL_QOS)
 
+    def feed(self, rounds: list[list[Scan]], *, together: bool) -> None:
+        """Publish scans; ``together``: each list is a round, otherwise each scan is delivered by itself."""
+        for scans in rounds:
+            with DeliveryRound() if together else nullcontext():
+                for joint, data in scans:
+                    self.raw[joint].publish(data)
+
 
 @pytest.fixture(scope="module")
 def arm() -> ArmFile:
@@ -75,17 +84,22 @@ def ticks(arm: ArmFile) -> list[list[Scan]]:
     return [[(joint, scans[tick]) for joint, scans in by_joint.items()] for tick in range(TICKS)]
 
 
+def start_nodes(process: NodeProcess, arm: ArmFile) -> dict[str, PosorNode[Any]]:
+    """Start the nodes of an arm; return them by namespace."""
+    programs = arm_programs(arm, drivers=False, parameters=HAND_FED)
+    return {
+        each.namespace: process.start(load_node_class(each.executable), each.namespace, each.parameters)
+        for each in programs
+    }
+
+
 def feed(arm: ArmFile, rounds: list[list[Scan]], *, together: bool) -> dict[str, list[bytes]]:
-    """Return all results by topic; ``together``: each list is a round, otherwise each scan is delivered by itself."""
+    """Return all results by topic, see ``Feeder.feed``."""
     with NodeProcess() as process:
-        for program in arm_programs(arm, drivers=False, parameters=HAND_FED):
-            process.start(load_node_class(program.executable), program.namespace, program.parameters)
+        start_nodes(process, arm)
         feeder = process.start(Feeder)
         feeder.open(arm)
-        for scans in rounds:
-            with DeliveryRound() if together else nullcontext():
-                for joint, data in scans:
-                    feeder.raw[joint].publish(data)
+        feeder.feed(rounds, together=together)
         return feeder.received
 
 
@@ -148,3 +162,22 @@ def test_a_round_takes_one_compiled_call_and_the_endpoint_leaves_first(
     last = published[-published[::-1].index("RawScan") :]
     assert last.index("PoseStamped") < last.index("JointTransform")
     assert last.count("JointTransform") == joints
+
+
+@pytest.mark.parametrize("step", ["prepare_scan", "finish_scan", "publish_transform"])
+def test_a_failure_ends_the_node_that_fails_and_the_other_joints_continue(
+    arm: ArmFile, ticks: list[list[Scan]], monkeypatch: pytest.MonkeyPatch, step: str
+) -> None:
+    with NodeProcess() as process:
+        nodes = start_nodes(process, arm)
+        feeder = process.start(Feeder)
+        feeder.open(arm)
+        feeder.feed(ticks[:5], together=True)
+        broken = nodes[f"{arm.namespace}/{list(arm.calibrations)[2]}"]
+        monkeypatch.setattr(broken, step, Mock(side_effect=ValueError("of one joint")))
+        feeder.feed(ticks[5:10], together=True)
+        assert [node for node in nodes.values() if node.exit_requested] == [broken]
+        with pytest.raises(ValueError, match="of one joint"):
+            broken.raise_failure()
+        counts = [len(feeder.received[f"{arm.namespace}/{joint}/{TRANSFORM_TOPIC}"]) for joint in arm.calibrations]
+        assert sorted(counts) == [5 + (step == "publish_transform"), *[10] * (len(counts) - 1)]

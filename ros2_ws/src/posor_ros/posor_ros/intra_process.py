@@ -399,15 +399,20 @@ class IntraProcessSubscription:
             waiting[self] = data
             return
         self.watch.record(time.monotonic())
-        try:
-            self._callback(data)
-        except Exception as error:  # noqa: BLE001  it ends the program, from the main thread
-            self.fail(error)
+        self.attempt(self._callback, data)
 
     def _receive_alone(self, data: bytes) -> None:
         """Have the group receive a message outside of a round."""
         if self.group is not None:
             _receive(self.group, [(self, data)])
+
+    def attempt(self, step: Callable[..., Any], *arguments: Any) -> Any:
+        """Return the result of a step of the node; None: it has raised, see ``fail``."""
+        try:
+            return step(*arguments)
+        except Exception as error:  # noqa: BLE001  it ends the program, from the main thread
+            self.fail(error)
+            return None
 
     def fail(self, error: Exception) -> None:
         """Receive nothing more, and have the node request the end of the program with an error."""
