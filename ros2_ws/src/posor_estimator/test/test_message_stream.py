@@ -5,9 +5,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from gc import collect
 from itertools import product
 from typing import Any
+from weakref import ref
 
 import numpy as np
 import pytest
@@ -17,6 +19,7 @@ from posor.errors import TopicError
 from posor.estimation.forward import scans_at
 from posor.estimation.posor import Posor
 from posor.estimation.scan_checks import MARKS
+from posor.messages import message_stream
 from posor.messages.joint_transform import TransformConstants
 from posor.messages.message_stream import MessageEstimator, MessageStream, RawScanStream
 from posor.messages.message_table import TableLayout
@@ -24,6 +27,8 @@ from posor.messages.raw_scan import ScanTemplate, scan_of
 from posor.model.fault import Fault, State
 from posor.model.native_coordinates import rotation_from_native
 from posor.model.scan import Scan
+from posor.numerics.compiled import run_in_turn
+from posor.numerics.kernel_library import BoundKernel
 from posor.numerics.stamps import NS
 from posor_lab.harness.case_tables import refusal
 from posor_lab.harness.graph import scan_message
@@ -424,3 +429,37 @@ def test_a_scan_is_the_same_whatever_its_padding_holds() -> None:
     padded = second[:end] + b"\xaa" * (-end % 4) + second[end + (-end % 4) :]
     assert padded != second
     assert stream.estimate_message(padded) == other.estimate_message(second)
+
+
+def test_only_a_group_of_scans_has_a_call_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    calibration = design("triad_diodes")
+    data = RAW_SCAN.serialize(moving(Posor(calibration))[0])
+    streams = [RawScanStream(Posor(calibration), data) for _ in range(2)]
+    expected = RawScanStream(Posor(calibration), data).estimate_message(data)
+    groups = list[int]()
+
+    def counted_run_in_turn(kernels: list[BoundKernel]) -> Callable[[], object]:
+        groups.append(len(kernels))
+        return run_in_turn(kernels)
+
+    monkeypatch.setattr(message_stream, "run_in_turn", counted_run_in_turn)
+    for group in [(streams[0],), (streams[1],), tuple(streams), tuple(streams)]:
+        for stream in group:
+            assert stream.prepare(data, message_stream.UNCHECKED)
+        RawScanStream.run_prepared(group)
+        assert all(len(stream.finish(data) or b"") == len(expected or b"") for stream in group)
+    assert groups == [2]
+
+
+def test_a_new_stream_releases_the_one_that_it_replaces() -> None:
+    calibration = design("triad_diodes")
+    data = RAW_SCAN.serialize(moving(Posor(calibration))[0])
+    streams = [RawScanStream(Posor(calibration), data) for _ in range(2)]
+    for stream in streams:
+        stream.prepare(data, message_stream.UNCHECKED)
+    RawScanStream.run_prepared(tuple(streams))
+    replaced = ref(streams[0])
+    del stream
+    streams[0] = RawScanStream(Posor(calibration), data)
+    collect()
+    assert replaced() is None

@@ -305,6 +305,7 @@ class RawScanStream:
         self._raw = row[0, LEAD : LEAD + raw.size].data
         self._transform = out[0, LEAD : LEAD + transform.size].data.tobytes
         self._last = self._last_but_one = example
+        _run_of.cache_clear()  # the calls keep the stream that this one may replace, megabytes with its model
 
     def identity(self, data: bytes) -> tuple[int, int] | None:
         """Return stamp [ns], unchecked, and number of a raw scan; None if its frame or length differs."""
