@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import gc
 import importlib
+import math
 import os
 import shutil
 import subprocess
@@ -225,6 +226,17 @@ def test_kernels_run_in_turn_as_each_by_itself(with_python: bool) -> None:  # no
     run = run_in_turn(kernels)
     for _ in range(2):
         run()
-    found = [kernel.results() for kernel in kernels if kernel.call]
+        found = [kernel.results() for kernel in kernels]
+    found = [result for result, kernel in zip(found, kernels, strict=True) if kernel.call]
     assert [(result, *out) for result, out in zip(found, outs, strict=True)] == expected
     assert order == [7, 7] * with_python
+
+
+def test_the_error_of_a_function_run_in_turn_is_raised_by_its_results_only() -> None:
+    kernels = [in_parts(each) for each in (math.sqrt, abs)]
+    for kernel in kernels:
+        kernel.put((-4,))
+    run_in_turn(kernels)()
+    with pytest.raises(ValueError, match="math domain"):
+        kernels[0].results()
+    assert kernels[1].results() == 4
