@@ -108,7 +108,7 @@ class ChainNode(PosorNode[ChainParameters]):
 
     def __init__(self, **options: Any) -> None:
         super().__init__(**options)
-        self._lock = IntraProcessManager.of(self.context).delivery_lock
+        self._lock = IntraProcessManager.of(self.context).delivery_lock(self.get_namespace())
         self._status = self.diagnostics.add_status("endpoint", logged=True)
         self._inputs = InputMonitor(self, self._on_inputs_checked)
         self._poses = self._scans_refused = self._scans_incomplete = self._transforms_refused = 0
@@ -165,7 +165,7 @@ class ChainNode(PosorNode[ChainParameters]):
             status = self._prediction_status = self._prediction_status or self.diagnostics.add_status("prediction")
             self._prediction = EndpointPrediction(self, chain, frames, self._lock, self._with_arm, status)
         self.add_cleanup(self._inputs.clear)
-        self._transforms_group = DeliveryGroup(self._on_transforms)
+        self._transforms_group = DeliveryGroup(self._on_transforms, self._lock)
         self._joints = {}
         for number, joint in enumerate(chain.joints):
             self._subscribe(number, joint)

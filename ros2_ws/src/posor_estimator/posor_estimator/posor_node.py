@@ -85,7 +85,7 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
 
     def __init__(self, **options: Any) -> None:
         super().__init__(**options)
-        self._lock = IntraProcessManager.of(self.context).delivery_lock
+        self._lock = IntraProcessManager.of(self.context).delivery_lock(self.get_namespace().rpartition("/")[0])
         self._status = self.diagnostics.add_status("estimate", logged=True)
         self._last_stream = None
         self._inputs = InputMonitor(self, self._on_inputs_checked)
@@ -109,7 +109,7 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
         self.add_cleanup(self._forget_scans)
         self.add_cleanup(self._inputs.clear)
         qos = input_qos(self.parameters)
-        group = DeliveryGroup(self.estimate_scans, self.get_namespace().rpartition("/")[0])
+        group = DeliveryGroup(self.estimate_scans, self._lock)
         self._inputs.add(IntraProcessSubscription(self, RawScan, RAW_TOPIC, qos, group))
         if self.parameters.encoder.sigma:
             subscribe_to_encoder(self, self._inputs, self._confirm_theta)

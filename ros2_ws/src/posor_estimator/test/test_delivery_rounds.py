@@ -6,7 +6,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import nullcontext
+from functools import partial
 from pathlib import Path
+from threading import Event, Thread
 from typing import Any
 from unittest.mock import Mock
 
@@ -44,16 +46,16 @@ class Feeder(PosorNode[NodeParameters]):
     NAME = "feeder"
     Parameters = NodeParameters
 
-    def open(self, arm: ArmFile) -> None:
-        joints = list(arm.calibrations)
-        names = {joint: f"{arm.namespace}/{joint}" for joint in joints}
+    def open(self, arm: ArmFile, namespace: str = "") -> None:
+        joints, namespace = list(arm.calibrations), namespace or arm.namespace
+        names = {joint: f"{namespace}/{joint}" for joint in joints}
         results: dict[str, type] = {f"{names[joint]}/{TRANSFORM_TOPIC}": JointTransform for joint in joints}
-        results[f"{arm.namespace}/{ENDPOINT_TOPIC}"] = PoseStamped
-        results[f"{arm.namespace}/{ENDPOINT_COVARIANCE_TOPIC}"] = PoseWithCovarianceStamped
+        results[f"{namespace}/{ENDPOINT_TOPIC}"] = PoseStamped
+        results[f"{namespace}/{ENDPOINT_COVARIANCE_TOPIC}"] = PoseWithCovarianceStamped
         self.received: dict[str, list[bytes]] = {topic: [] for topic in results}
         for topic, kind in results.items():
             IntraProcessSubscription(self, kind, topic, KEEP_ALL_QOS, self.received[topic].append)
-        states = f"{arm.namespace}/{ENDPOINT_STATE_TOPIC}"  # with a reader, so that transforms have all fault effects
+        states = f"{namespace}/{ENDPOINT_STATE_TOPIC}"  # with a reader, so that transforms have all fault effects
         IntraProcessSubscription(self, EndpointState, states, KEEP_ALL_QOS, lambda _: None)
         self.raw = {joint: self.publisher(f"{names[joint]}/{RAW_TOPIC}") for joint in joints}
 
@@ -84,13 +86,13 @@ def ticks(arm: ArmFile) -> list[list[Scan]]:
     return [[(joint, scans[tick]) for joint, scans in by_joint.items()] for tick in range(TICKS)]
 
 
-def start_nodes(process: NodeProcess, arm: ArmFile) -> dict[str, PosorNode[Any]]:
-    """Start the nodes of an arm; return them by namespace."""
-    programs = arm_programs(arm, drivers=False, parameters=HAND_FED)
-    return {
-        each.namespace: process.start(load_node_class(each.executable), each.namespace, each.parameters)
-        for each in programs
-    }
+def start_nodes(process: NodeProcess, arm: ArmFile, namespace: str = "") -> dict[str, PosorNode[Any]]:
+    """Start the nodes of an arm, in another namespace if one is given; return them by namespace."""
+    nodes = dict[str, PosorNode[Any]]()
+    for program in arm_programs(arm, drivers=False, parameters=HAND_FED):
+        own = program.namespace.replace(arm.namespace, namespace or arm.namespace)
+        nodes[own] = process.start(load_node_class(program.executable), own, program.parameters)
+    return nodes
 
 
 def feed(arm: ArmFile, rounds: list[list[Scan]], *, together: bool) -> dict[str, list[bytes]]:
@@ -181,3 +183,36 @@ def test_a_failure_ends_the_node_that_fails_and_the_other_joints_continue(
             broken.raise_failure()
         counts = [len(feeder.received[f"{arm.namespace}/{joint}/{TRANSFORM_TOPIC}"]) for joint in arm.calibrations]
         assert sorted(counts) == [5 + (step == "publish_transform"), *[10] * (len(counts) - 1)]
+
+
+def test_an_arm_whose_subscriber_blocks_does_not_stop_another_arm(
+    arm: ArmFile, ticks: list[list[Scan]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with NodeProcess() as process:
+        arms = []
+        for name in ("first", "second"):
+            start_nodes(process, arm, f"/{name}")
+            arms.append(process.start(Feeder, f"/{name}"))
+            arms[-1].open(arm, f"/{name}")
+        publish, blocked, released = IntraProcessPublisher.publish_over_dds, Event(), Event()
+
+        def publish_or_block(publisher: IntraProcessPublisher, data: bytes) -> bool:
+            if publisher.message_type is JointTransform and publisher.topic_name.startswith("/first"):
+                blocked.set()
+                assert released.wait(60.0)
+            return publish(publisher, data)
+
+        monkeypatch.setattr(IntraProcessPublisher, "publish_over_dds", publish_or_block)
+        threads = [Thread(target=partial(each.feed, ticks[:5], together=True)) for each in arms]
+        try:
+            threads[0].start()
+            assert blocked.wait(60.0)
+            threads[1].start()
+            threads[1].join(10.0)
+            assert not threads[1].is_alive()
+        finally:
+            released.set()
+            for thread in threads:
+                thread.join()
+        counts = {len(messages) for each in arms for topic, messages in each.received.items() if "transform" in topic}
+        assert counts == {5}

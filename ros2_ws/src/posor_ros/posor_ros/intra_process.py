@@ -87,12 +87,13 @@ Delivery: TypeAlias = "tuple[IntraProcessSubscription, bytes]"  # a message for 
 
 
 class DeliveryGroup(NamedTuple):
-    """Subscriptions of one process whose messages of a round are received in one call."""
+    """Subscriptions of one process whose messages of a round are received in one call: those of equal groups."""
 
     receive: Callable[[list[Delivery]], Callable[[], None] | None]
     """Takes at most one message of each subscription. May return what it has left to do once the messages that it has
     published are delivered in this process."""
-    name: str = ""  # distinguishes groups with the same function
+    lock: RLock
+    """Held while it receives, see ``IntraProcessManager.delivery_lock``."""
 
 
 class _Waiting(local):
@@ -146,7 +147,7 @@ def _deliver(group: DeliveryGroup, deliveries: list[Delivery]) -> None:
 
 def _receive(group: DeliveryGroup, deliveries: list[Delivery]) -> None:
     """Have a group receive, then whoever receives what it publishes."""
-    with deliveries[0][0].lock:
+    with group.lock:
         rest = group.receive(deliveries)
         if _waiting.messages:
             _deliver_waiting()
@@ -314,7 +315,6 @@ class IntraProcessSubscription:
     Attributes:
         node: Its node.
         group: With whom it receives in a round; None: by itself, at once.
-        lock: See ``IntraProcessManager.delivery_lock``.
         closed: Whether it receives nothing more.
         topic_name: Full name of the topic.
         watch: Arrivals of messages.
@@ -336,8 +336,8 @@ class IntraProcessSubscription:
         """Subscribe to a topic, whose name is relative to the node's namespace.
 
         ``qos`` is of the DDS subscription, if one is needed. The executor calls ``receiver``, a callback or the one of
-        a group, with each message, or a publisher of this process in its thread; a group holds ``lock``
-        meanwhile. Raises TopicError: this process uses the topic with another type.
+        a group, with each message, or a publisher of this process in its thread. Raises TopicError: this process uses
+        the topic with another type.
         """
         self.node: Any = node
         self.group = receiver if isinstance(receiver, DeliveryGroup) else None
@@ -356,7 +356,6 @@ class IntraProcessSubscription:
         self._local = 0
         node.qos_overrides.options("subscription", self.topic_name)
         self._manager = IntraProcessManager.of(node.context)
-        self.lock = self._manager.delivery_lock
         self._manager.check_type(self)
         self._manager.add(self)
         node.add_cleanup(self.destroy)
@@ -451,18 +450,13 @@ class IntraProcessSubscription:
 
 
 class IntraProcessManager:
-    """Connects the publishers and subscriptions of one context whenever one is added or removed.
-
-    Attributes:
-        delivery_lock: Held while a group receives; protects what its nodes also use in other threads.
-
-    """
+    """Connects the publishers and subscriptions of one context whenever one is added or removed."""
 
     _managers: ClassVar[WeakKeyDictionary[Context, IntraProcessManager]] = WeakKeyDictionary()
     _managers_lock = RLock()
 
     def __init__(self) -> None:
-        self.delivery_lock = RLock()
+        self._delivery_locks: dict[str, RLock] = {}
         self._ends: dict[str, tuple[IntraProcessPublisher | IntraProcessSubscription, ...]] = {}
         self._lock = RLock()
 
@@ -471,6 +465,14 @@ class IntraProcessManager:
         """Return the manager of a context."""
         with cls._managers_lock:
             return cls._managers.setdefault(context, cls())
+
+    def delivery_lock(self, arm: str) -> RLock:
+        """Return the lock of the nodes of an arm, by its namespace.
+
+        It is held while a group of them receives, and protects what they also use in other threads. A subscription that
+        blocks a lossless publisher of one arm does not stop another arm.
+        """
+        return self._delivery_locks.setdefault(arm.rstrip("/"), RLock())
 
     def check_type(self, end: IntraProcessPublisher | IntraProcessSubscription) -> None:
         """Compare the message type of a new publisher or subscription with that of its topic.

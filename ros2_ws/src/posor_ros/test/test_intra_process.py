@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from threading import Thread
+from threading import RLock, Thread
 from typing import Any
 
 import pytest
@@ -289,6 +289,7 @@ class Rounds:
     def __init__(self, process: NodeProcess) -> None:
         self.events: list[str] = []
         self.failure: Exception | None = None
+        self.lock = RLock()
         source = process.start(IdleNode, "/source")
         self.first, self.second = (publish_from(source, topic) for topic in ("first", "second"))
         self.onward = publish_from(source, "onward")
@@ -297,7 +298,8 @@ class Rounds:
 
     def subscribe(self, process: NodeProcess, topic: str, receive: Any) -> IntraProcessSubscription:
         node = process.start(IdleNode, f"/{topic}")
-        return IntraProcessSubscription(node, RawScan, f"/source/{topic}", KEEP_ALL_QOS, DeliveryGroup(receive))
+        group = DeliveryGroup(receive, self.lock)
+        return IntraProcessSubscription(node, RawScan, f"/source/{topic}", KEEP_ALL_QOS, group)
 
     def receive(self, deliveries: list[Delivery]) -> Callable[[], None]:
         self.events.append(f"group {[MESSAGES.index(data) for _, data in deliveries]}")
