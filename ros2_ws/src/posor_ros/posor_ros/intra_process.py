@@ -153,6 +153,8 @@ def _receive(group: DeliveryGroup, deliveries: list[Delivery]) -> None:
             _deliver_waiting()
         if rest is not None:
             rest()
+            if _waiting.messages:
+                _deliver_waiting()
 
 
 DESTROY_TIMEOUT_S = 5.0

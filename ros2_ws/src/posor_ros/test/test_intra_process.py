@@ -339,6 +339,21 @@ def test_outside_of_a_round_a_group_receives_each_message_at_once(rounds: Rounds
     assert rounds.events == ["group [0]", "onward [0]", "rest", "group [1]", "onward [1]", "rest"]
 
 
+def test_what_a_group_publishes_in_the_end_is_delivered_in_the_same_round(rounds: Rounds) -> None:
+    def receive(deliveries: list[Delivery]) -> Callable[[], None]:
+        def publish_onward() -> None:
+            rounds.onward.publish(deliveries[0][1])
+
+        return publish_onward
+
+    for member in rounds.members:
+        member.group = DeliveryGroup(receive, rounds.lock)
+    with DeliveryRound():
+        rounds.first.publish(MESSAGES[0])
+        rounds.second.publish(MESSAGES[1])
+    assert rounds.events == ["onward [0]"]
+
+
 def test_a_round_is_of_one_thread(rounds: Rounds) -> None:
     with DeliveryRound():
         rounds.first.publish(MESSAGES[0])
