@@ -111,7 +111,7 @@ STAGES = {  # method and name of each stage; publishing is one more stage for ea
     "posor_drivers.tick_scheduler:TickTask.run_tick": "driver: schedule the ticks, other",
     "posor.messages.raw_scan:ScanTemplate.at": "driver: stamp into the scan",
     "posor_estimator.posor_node:PosorEstimatorNode.estimate_scans": "posor_node: other",
-    "posor_estimator.posor_node:PosorEstimatorNode.publish_transform": "posor_node: counts and reports",
+    "posor_estimator.posor_node:PosorEstimatorNode.complete_scan": "posor_node: counts and reports",
     "posor.messages.message_stream:RawScanStream.prepare": "posor_node: read",
     "posor.messages.message_stream:RawScanStream.run_prepared": "posor_node: estimate",
     "posor.messages.message_stream:RawScanStream.finish": "posor_node: write",

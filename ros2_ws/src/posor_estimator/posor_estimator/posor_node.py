@@ -277,14 +277,14 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
             if (transform := subscription.attempt(subscription.node.finish_scan, stream, data)) is not None:
                 transforms.append((subscription, stream, data, transform))
 
-        def publish_transforms() -> None:
+        def complete_scans() -> None:
             for subscription, *scan in transforms:
-                subscription.attempt(subscription.node.publish_transform, *scan)
+                subscription.attempt(subscription.node.complete_scan, *scan)
 
-        return publish_transforms
+        return complete_scans
 
     def prepare_scan(self, data: bytes) -> RawScanStream | None:
-        """Return the stream whose next run estimates a scan; None: there is nothing left to do for the scan."""
+        """Return the stream whose next run estimates a scan; None: the scan is dealt with already."""
         if not self.may_publish:
             return None
         inputs, stream = self._inputs, self._stream
@@ -298,7 +298,7 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
         return None
 
     def finish_scan(self, stream: RawScanStream, data: bytes) -> bytes | None:
-        """Return the transform of the scan of ``prepare_scan`` after the run, delivered here; None: nothing is left."""
+        """Return the transform of the scan of ``prepare_scan`` after the run, delivered here; None: it is dealt with."""
         transform = stream.finish(data)
         if transform is None:
             self._use_unexpected_scan(data)
@@ -314,7 +314,7 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
             transform = self._estimate_scan(data)
         if transform and self._stream is not None:
             self._publisher.deliver(transform)
-            self.publish_transform(self._stream, data, transform)
+            self.complete_scan(self._stream, data, transform)
 
     def _estimate_scan(self, data: bytes) -> bytes | None:
         """Return the transform of a scan, empty for a repeated one; None if there is no stream for it."""
@@ -349,8 +349,8 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
             stream.count_from_next()
         return data
 
-    def publish_transform(self, stream: RawScanStream, data: bytes, transform: bytes) -> None:
-        """Publish a transform to other processes, count its scan, and report a change of the status.
+    def complete_scan(self, stream: RawScanStream, data: bytes, transform: bytes) -> None:
+        """Publish the transform of a scan to other processes, count the scan, and report a change of the status.
 
         A sound scan is kept for the digital zero.
         """

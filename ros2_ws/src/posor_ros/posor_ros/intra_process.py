@@ -96,44 +96,45 @@ class DeliveryGroup(NamedTuple):
     """Held while it receives, see ``IntraProcessManager.delivery_lock``."""
 
 
-class _Waiting(local):
-    """Messages that wait for the end of this thread's round, in the order of publication; None: there is no round."""
+class _Held(local):
+    """Messages that are held until the end of this thread's round, in the order of publication; None: there is no round."""
 
     messages: dict[IntraProcessSubscription, bytes] | None = None
 
 
-_waiting = _Waiting()
+_held = _Held()
 
 
 class DeliveryRound:
-    """A ``with`` block of one thread; what groups are sent in it, they receive at its end, or before a second message.
+    """A ``with`` block of one thread; messages for groups are held until its end.
 
+    A second message for a subscription ends the first part of the round.
     What a group publishes then is delivered before the next group receives.
     """
 
     def __enter__(self) -> None:
-        _waiting.messages = {}
+        _held.messages = {}
 
     def __exit__(self, *_: object) -> None:
         try:
-            _deliver_waiting()
+            _deliver_held_messages()
         finally:
-            _waiting.messages = None
+            _held.messages = None
 
 
-def _deliver_waiting() -> None:
-    """Deliver all messages that wait in this thread, group by group."""
+def _deliver_held_messages() -> None:
+    """Deliver all messages that this thread holds, group by group."""
     groups: dict[DeliveryGroup, list[Delivery]] = {}
     now_s = time.monotonic()
-    for delivery in (_waiting.messages or {}).items():
+    for delivery in (_held.messages or {}).items():
         subscription = delivery[0]
         if subscription.group is not None and not subscription.closed:
             subscription.watch.record(now_s)
             groups.setdefault(subscription.group, []).append(delivery)
     for group, deliveries in groups.items():
-        _waiting.messages = {}
+        _held.messages = {}
         _deliver(group, deliveries)
-    _waiting.messages = {}
+    _held.messages = {}
 
 
 def _deliver(group: DeliveryGroup, deliveries: list[Delivery]) -> None:
@@ -148,13 +149,13 @@ def _deliver(group: DeliveryGroup, deliveries: list[Delivery]) -> None:
 def _receive(group: DeliveryGroup, deliveries: list[Delivery]) -> None:
     """Have a group receive, then whoever receives what it publishes."""
     with group.lock:
-        rest = group.receive(deliveries)
-        if _waiting.messages:
-            _deliver_waiting()
-        if rest is not None:
-            rest()
-            if _waiting.messages:
-                _deliver_waiting()
+        afterwards = group.receive(deliveries)
+        if _held.messages:
+            _deliver_held_messages()
+        if afterwards is not None:
+            afterwards()
+            if _held.messages:
+                _deliver_held_messages()
 
 
 DESTROY_TIMEOUT_S = 5.0
@@ -236,7 +237,7 @@ class IntraProcessPublisher:
         return self.publish_over_dds(data)
 
     def deliver(self, data: bytes) -> None:
-        """Deliver a serialised message within this process; ``publish_over_dds`` is to follow."""
+        """Deliver a serialised message within this process; the caller then calls ``publish_over_dds``."""
         if self._node.may_publish:
             for subscription in self._subscriptions:
                 subscription.receive(data)
@@ -393,11 +394,11 @@ class IntraProcessSubscription:
         """Handle a message of a publisher of this process."""
         if self.closed:
             return
-        if self.group is not None and (waiting := _waiting.messages) is not None:
-            if self in waiting:
-                _deliver_waiting()
-                waiting = _waiting.messages = {}
-            waiting[self] = data
+        if self.group is not None and (held := _held.messages) is not None:
+            if self in held:
+                _deliver_held_messages()
+                held = _held.messages = {}
+            held[self] = data
             return
         self.watch.record(time.monotonic())
         self.attempt(self._callback, data)
