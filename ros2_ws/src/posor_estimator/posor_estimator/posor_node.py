@@ -298,7 +298,7 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
         return None
 
     def finish_scan(self, stream: RawScanStream, data: bytes) -> bytes | None:
-        """Return the transform of the scan of ``prepare_scan`` after the run, delivered here; None: it is dealt with."""
+        """Return the transform of a prepared scan after the run, delivered within this process; None: dealt with."""
         transform = stream.finish(data)
         if transform is None:
             self._use_unexpected_scan(data)

@@ -166,7 +166,7 @@ def test_a_round_takes_one_compiled_call_and_the_endpoint_leaves_first(
     assert last.count("JointTransform") == joints
 
 
-@pytest.mark.parametrize("step", ["prepare_scan", "finish_scan", "publish_transform"])
+@pytest.mark.parametrize("step", ["prepare_scan", "finish_scan", "complete_scan"])
 def test_a_failure_ends_the_node_that_fails_and_the_other_joints_continue(
     arm: ArmFile, ticks: list[list[Scan]], monkeypatch: pytest.MonkeyPatch, step: str
 ) -> None:
@@ -182,7 +182,7 @@ def test_a_failure_ends_the_node_that_fails_and_the_other_joints_continue(
         with pytest.raises(ValueError, match="of one joint"):
             broken.raise_failure()
         counts = [len(feeder.received[f"{arm.namespace}/{joint}/{TRANSFORM_TOPIC}"]) for joint in arm.calibrations]
-        assert sorted(counts) == [5 + (step == "publish_transform"), *[10] * (len(counts) - 1)]
+        assert sorted(counts) == [5 + (step == "complete_scan"), *[10] * (len(counts) - 1)]
 
 
 def test_an_arm_whose_subscriber_blocks_does_not_stop_another_arm(

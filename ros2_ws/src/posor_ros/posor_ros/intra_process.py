@@ -97,7 +97,7 @@ class DeliveryGroup(NamedTuple):
 
 
 class _Held(local):
-    """Messages that are held until the end of this thread's round, in the order of publication; None: there is no round."""
+    """Messages that are held until the end of this thread's round, in order; None: there is no round."""
 
     messages: dict[IntraProcessSubscription, bytes] | None = None
 
@@ -108,8 +108,8 @@ _held = _Held()
 class DeliveryRound:
     """A ``with`` block of one thread; messages for groups are held until its end.
 
-    A second message for a subscription ends the first part of the round.
-    What a group publishes then is delivered before the next group receives.
+    A second message for a subscription ends the first part of the round. What a group publishes while it receives is
+    delivered before the next group receives.
     """
 
     def __enter__(self) -> None:
