@@ -218,7 +218,9 @@ class BenchmarkSections:
         arm = self._arms[self._plan.joints]
         costs = {kind: tick_cost(arm, self._arms.bag, kind) for kind in KINDS}
         with_state = tick_cost(arm, self._arms.bag, "graph", receives_state=True)
-        return {"tick": {"graph": costs["graph"], "with_state": with_state, "pass_through": costs["pass_through"]}}
+        after_gaps = tick_cost(arm, self._arms.bag, "graph", number_step=2)
+        variants = {"with_state": with_state, "after_gaps": after_gaps}
+        return {"tick": {"graph": costs["graph"], **variants, "pass_through": costs["pass_through"]}}
 
     def _variant_figures(self, text: str, arm: ArmFile, spin_us: int = SPIN_US, priority: int = 0) -> dict[str, Any]:
         """Return the figures of the main graph with another arm, or other waiting of the drivers."""

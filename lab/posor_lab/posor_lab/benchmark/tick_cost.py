@@ -67,10 +67,13 @@ class ScanFeeder(PosorNode[NodeParameters]):
         self.pose_ns = thread_time_ns()
 
 
-def tick_cost(arm: ArmFile, bag: Path, kind: NodeKind, *, receives_state: bool = False) -> dict[str, float]:
+def tick_cost(
+    arm: ArmFile, bag: Path, kind: NodeKind, *, receives_state: bool = False, number_step: int = 1
+) -> dict[str, float]:
     """Return least and median processor time of a tick [us], whole and up to the pose; needs ROS initialised.
 
-    ``bag``: scans of all joints; ``receives_state``: whether the endpoint's state has a subscription.
+    ``bag``: scans of all joints; ``receives_state``: whether the endpoint's state has a subscription; ``number_step``:
+    of the scan numbers from tick to tick, more than 1 as after missed ticks.
     """
     set_logger_level("", LoggingSeverity.WARN)
     with ExitStack() as opened:
@@ -88,7 +91,9 @@ def tick_cost(arm: ArmFile, bag: Path, kind: NodeKind, *, receives_state: bool =
         whole_us, to_pose_us = list[float](), list[float]()
         for begin in range(first, first + WARM_UP_TICKS + TICKS, BLOCK):
             ticks = [(tick, tick_stamp_ns(tick, RATE)) for tick in range(begin, begin + BLOCK)]
-            scans = [[each[tick % count].at(stamp_ns, tick) for each in templates] for tick, stamp_ns in ticks]
+            scans = [
+                [each[tick % count].at(stamp_ns, number_step * tick) for each in templates] for tick, stamp_ns in ticks
+            ]
             whole_ns = to_pose_ns = 0
             for of_tick in scans:
                 begin_ns = thread_time_ns()
