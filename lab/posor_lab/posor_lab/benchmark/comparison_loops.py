@@ -46,7 +46,7 @@ from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 from sensor_msgs.msg import JointState
 
-from posor_lab.harness.message_conversion import scan_from_message, stamp_ns, transform_message
+from posor_lab.harness.message_conversion import estimate_with_effects, scan_from_message, stamp_ns, transform_message
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -71,6 +71,7 @@ def run_message_loop(arm: ArmFile, bag: Path, output: Path) -> float:
     calibrations = {joint: arm.calibration(joint) for joint in arm.calibrations}
     posors = {joint: Posor(calibration) for joint, calibration in calibrations.items()}
     numbers = {joint: calibration_id(calibration) for joint, calibration in calibrations.items()}
+    causes = {joint: posor.hypotheses.joint_causes() for joint, posor in posors.items()}
     joints = {f"/{arm.name}/{joint}/{RAW_TOPIC}": joint for joint in posors}
     chain = arm.chain()
     parameters = validate_parameters(ChainParameters, chain_parameters(arm), node="chain_node")
@@ -85,8 +86,9 @@ def run_message_loop(arm: ArmFile, bag: Path, output: Path) -> float:
             raw = deserialize_message(bytes(data), RawScan)
             joint = joints[connection.topic]
             scan, frames = scan_from_message(raw), calibrations[joint].frames
-            estimate = posors[joint].estimate(scan)
-            transform = transform_message(raw, estimate, frames.parent, frames.child, calibration=numbers[joint])
+            estimate, effects = estimate_with_effects(posors[joint], scan)
+            faults = causes[joint], effects
+            transform = transform_message(raw, estimate, frames.parent, frames.child, faults, numbers[joint])
             writer.write(f"/{arm.name}/{joint}/{TRANSFORM_TOPIC}", time_ns, serialize_message(transform))
             if estimate.T_R_T is not None:
                 measured = open_scans.setdefault(scan.stamp_ns, {})
