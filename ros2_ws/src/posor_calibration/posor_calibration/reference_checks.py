@@ -50,6 +50,7 @@ STATED_SIGMAS = 3.0  # standard uncertainties of the reference by which it may b
 SHIFTS = (1.0, 1e-2)  # drifts of the second fit in standard uncertainties of the reference; the next where one fails
 UNSTATED = 1e-4  # drift of the second fit over the travel of a reference without stated uncertainty
 HARMLESS = 0.05  # change of the fitted values, in their standard uncertainties, below which a drift does not matter
+OTHER_READINGS = 1e-3  # change of the derivatives, over the largest, above which fits have left out other readings
 SAME_PLACE, ELSEWHERE = 0.01, 0.1
 """Distances over the travel within which two dwells are visits of one place, and beyond which the target has left."""
 MODEL_ERROR = 0.05  # relative error of a calibration before its fit, over the distance of two visits
@@ -184,20 +185,14 @@ def find_drifts(
             if name not in procedure.drift_of:
                 continue
             size = sigma or UNSTATED * float(np.ptp(track.values[:, index % track.values.shape[1]]))
-            for shift in SHIFTS if size else ():
-                moved = replace(track, values=_with_drift(track, index, shift * size))
-                shifted = replace(recording, tracks={**recording.tracks, topic: moved})
-                try:
-                    other = procedure.identify(shifted, calibration, settings)
-                except PosorError:
-                    continue
-                compared = _compare(outcome, other, shift * size, size)
-                if compared is None:
-                    continue
-                drift, drift_sigma, matters = compared
-                if matters:
-                    found.append(DriftTest(topic, name, unit, drift, drift_sigma, sigma))
-                break
+            if not size:
+                continue
+            others = (_refit(procedure, recording, calibration, settings, (topic, index, k * size)) for k in SHIFTS)
+            tests = (_compare(outcome, other, k * size, size) for k, other in zip(SHIFTS, others, strict=True) if other)
+            # Where each second fit fails or leaves out other readings, no drift is shown.
+            drift, drift_sigma, matters = next(filter(None, tests), (0.0, np.inf, True))
+            if matters:
+                found.append(DriftTest(topic, name, unit, drift, drift_sigma, sigma))
     for test in found:
         if test.is_refused:
             raise FitError(
@@ -206,6 +201,23 @@ def find_drifts(
                 expected=f"at most {LARGEST_DRIFT:g} standard uncertainties of {test.stated:.2g} {test.unit}",
             )
     return tuple(found)
+
+
+def _refit(
+    procedure: Procedure[Any],
+    recording: Recording,
+    calibration: Calibration,
+    settings: Options,
+    drift: tuple[str, int, float],
+) -> Outcome | None:
+    """Return the outcome with a drift (topic, index, size) of the reference; None: the fit fails."""
+    topic, index, size = drift
+    track = recording.tracks[topic]
+    moved = replace(track, values=_with_drift(track, index, size))
+    try:
+        return procedure.identify(replace(recording, tracks={**recording.tracks, topic: moved}), calibration, settings)
+    except PosorError:
+        return None
 
 
 def _quantities(track: Track) -> list[tuple[str, str, float]]:
@@ -240,7 +252,9 @@ def _compare(outcome: Outcome, other: Outcome, size: float, unit: float) -> tupl
     matters, fits = False, 0
     for name, fit in outcome.fits.items():
         second = other.fits.get(name)
-        if second is None or len(second.residuals) != len(fit.residuals) or second.names != fit.names:
+        if second is None or second.jacobian.shape != fit.jacobian.shape or second.names != fit.names:
+            return None
+        if np.any(np.abs(second.jacobian - fit.jacobian) > OTHER_READINGS * np.abs(fit.jacobian).max(axis=0)):
             return None
         change = np.sqrt(fit.weights) * (second.residuals - fit.residuals) / size
         matters |= bool(np.any(np.abs(second.values - fit.values) * unit > HARMLESS * fit.sigmas * size))

@@ -64,6 +64,15 @@ def test_a_travel_that_does_not_show_a_drift_says_so(travel: str, size: float) -
     assert not any(test.is_tested for test in result.outcome.drifts)
 
 
+def test_a_step_after_which_the_fits_leave_out_other_dwells_says_that_drift_is_not_tested() -> None:
+    recording = recorded("one way")
+    values = track_of(recording).values.copy()
+    values[int(0.9 * len(values)) :] += 1e-6
+    options: dict[str, Any] = {"highest_order": 3, "order": 3}
+    result = fit("gap_linearisation", diode_calibration(), with_values(recording, values), **options)
+    assert UNTESTED in result.report.splitlines()
+
+
 def test_a_drift_is_found_with_its_size_where_the_target_returns() -> None:
     [test] = drifting("up and down", 0.0).outcome.drifts
     assert test.is_tested
