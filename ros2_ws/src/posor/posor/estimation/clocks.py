@@ -13,11 +13,13 @@ The tracker has a time of its own that only moves forward, so a step of the cloc
 
 * in general it advances by the difference of the stamps;
 * where the stamps scatter and the source does not state their uncertainty, by the numbers times the period;
-* where the two clocks contradict each other, by the smaller of both, which accepts the least motion; a count of theta
-  is given up.
+* where the two clocks contradict each other, by the smaller of both, which accepts the least motion, but by an interval
+  for each scan refused, at least; where the rate is another one, by the stamps. A count of theta is given up.
+
+Where more than SCATTER_SHARE of the last scans are off the line, by at most GREATEST_DEVIATION, their stamps scatter.
 
 A step of the stamps shows that they were or are wrong by as much. Until an acknowledgement, the largest error of the
-stamps is taken as at least this step.
+stamps is taken as at least the sum of these steps.
 
 A stamp with the standard uncertainty s displaces the pose along its motion: the random covariance grows by
 ``s^2 (xi xi' + diag(sigma_xi^2))``.
@@ -58,12 +60,14 @@ FAILED_LINES = 3  # lines in a row, left within FITTED_SCANS, after which the st
 LATE_RUN = 10  # scans in a row, below the last number or off the line, that are a restart or a clock that was set
 RESTART_RUN = 3  # the same where the numbers are RESTART_NUMBERS, or the stamps CLOCK_STEP_S, before the last
 RESTART_NUMBERS = 64
+SHARE_MEMORY = 64.0  # scans, of the share of scans off the line
+SCATTER_SHARE = 0.2  # this share above which the stamps scatter; NEW_RATE_RUN in a row are less
 LEAST_DEVIATION, GREATEST_DEVIATION = 0.5, 8.0  # limits of the deviation that contradicts the line, in periods
 CLOCK_DRIFT = 1e-4  # largest change of the ratio of both clocks while no scan comes
 SCATTER_SIGMAS = 5.0  # standard deviations of the scatter that a stamp may deviate from the line
 DEVIATION_SIGMAS = 3.0  # the deviation of one stamp counts as at most as many standard deviations
 TIME_SHARE = 0.5  # TIME is set where the part from time exceeds this share of the rest of the standard uncertainty
-TIME_FAULT = int(Fault.TIME)
+TIME_FAULT, INNOVATION_FAULT = int(Fault.TIME), int(Fault.INNOVATION)
 NOISE_SIGMAS = 5.0 * math.sqrt(2.0)  # of the difference of two poses
 SCATTER_LIMIT = 0.02  # scatter in periods above which an unstated stamp is replaced by its number times the period
 
@@ -73,6 +77,14 @@ def elapsed_at(tracker: Any, scan: Any) -> float:
     """Return the time from the previous pose to a scan whose readings are not used, by its stamp [s]."""
     since_last = (scan.stamp_ns - tracker.epoch_ns) * 1e-9 - tracker.clocks.stamp
     return float(tracker.time - tracker.stamp + since_last)
+
+
+@inlined
+def is_repeated(tracker: Any, scan: Any) -> bool:
+    """Return whether a scan is the last one in order again, by number and stamp: it was delivered twice."""
+    clocks = tracker.clocks
+    stamp = (scan.stamp_ns - tracker.epoch_ns) * 1e-9
+    return bool(clocks.fitted > 0 and scan.number == clocks.number and stamp == clocks.stamp)
 
 
 @inlined
@@ -114,8 +126,8 @@ def motion_allowance(tracker: Any, scan: Any) -> float:
 
 @inlined
 def _begin_line(clocks: Any, scan: Any, stamp: float) -> None:
-    """Begin a new line at a scan; the period is unknown."""
-    clocks.fitted, clocks.period, clocks.variance, clocks.deviation = 1, 0.0, 0.0, 0.0
+    """Begin a new line at a scan; until the next one its period is that of the line before."""
+    clocks.fitted, clocks.variance, clocks.deviation = 1, 0.0, 0.0
     clocks.line = stamp
     _accept(clocks, scan, stamp)
 
@@ -128,14 +140,23 @@ def _accept(clocks: Any, scan: Any, stamp: float) -> None:
 
 @inlined
 def _follow_run(clocks: Any, scan: Any, stamp: float) -> None:
-    """Count the scans in a row, late or refused, that agree with one another."""
-    steps = float(scan.number - clocks.refused_number)
-    since = stamp - clocks.refused_stamp
-    agrees = clocks.agreeing > 0 and scan.number > clocks.refused_number and since > 0.0
+    """Count the scans in a row, late or refused, that agree with the first of them."""
+    steps = float(scan.number - clocks.run_number)
+    since = stamp - clocks.run_stamp
+    agrees = clocks.agreeing > 0 and scan.number > clocks.refused_number and stamp > clocks.refused_stamp
     if clocks.fitted > 1:
-        agrees = agrees and abs(since - steps * clocks.period) <= _tolerance(clocks, steps)
+        agrees = agrees and abs(since - steps * clocks.period) <= _tolerance(clocks, 1.0)
+    clocks.refused += 1
     clocks.agreeing = clocks.agreeing + 1 if agrees else 1
+    if not agrees:
+        clocks.run_number, clocks.run_stamp = scan.number, stamp
     clocks.refused_number, clocks.refused_stamp = scan.number, stamp
+
+
+@inlined
+def _least_elapsed(clocks: Any) -> float:
+    """Return the least time since the last scan in order: an interval for each scan that was refused since."""
+    return float(clocks.refused * clocks.period)
 
 
 @in_place
@@ -157,20 +178,39 @@ def follow_clocks(model: Model, scan: Any) -> int:
     steps = float(scan.number - clocks.number)
     deviation = stamp - (clocks.line + steps * clocks.period)
     off_line = clocks.fitted > 1 and abs(deviation) > _tolerance(clocks, steps)
+    if clocks.fitted >= FITTED_SCANS and _begin_to_scatter(clocks, off_line, deviation):
+        off_line = False
     if (off_line and clocks.fitted >= FITTED_SCANS) or (elapsed <= 0.0 and (off_line or clocks.fitted == 1)):
         return _refuse(model, scan, stamp, elapsed)
     if off_line:
         tracker.time += elapsed
         _begin_again(model, scan, stamp, abs(deviation))
         return IN_ORDER
+    missing = 0.0
+    if clocks.fitted == 1 and clocks.refused > 0:  # the stamps stood
+        missing = max(0.0, _least_elapsed(clocks) + clocks.period - elapsed)
+    clocks.step += missing
     if clocks.fitted > 1 and abs(deviation) > _tolerance(clocks, 1.0):
         clocks.line = stamp  # the clocks drifted while no scan came
     else:
         _fit(clocks, steps, deviation)
+        _hold(tracker)
     by_numbers = _uses_numbers(tracker, scan) or elapsed <= 0.0
-    tracker.time += steps * clocks.period if by_numbers else elapsed
+    tracker.time += (steps * clocks.period if by_numbers else elapsed) + missing
     _accept(clocks, scan, stamp)
     return IN_ORDER
+
+
+@inlined
+def _begin_to_scatter(clocks: Any, off_line: bool, deviation: float) -> bool:  # noqa: FBT001  kernels take no keywords
+    """Return whether a stamp off the line is one of too many; the scatter of the line then allows for it."""
+    clocks.off_line += ((1.0 if off_line else 0.0) - clocks.off_line) / SHARE_MEMORY
+    near = abs(deviation) <= GREATEST_DEVIATION * clocks.period
+    if not (off_line and near and clocks.off_line > SCATTER_SHARE):
+        return False
+    clocks.step += abs(deviation)
+    clocks.fitted, clocks.variance = FITTED_SCANS, square(deviation) / 12.0
+    return True
 
 
 @in_place
@@ -193,7 +233,25 @@ def _begin_again(model: Model, scan: Any, stamp: float, deviation: float) -> Non
     clocks.period = (stamp - first_stamp) / float(scan.number - first_number)
     clocks.fitted, clocks.variance = FITTED_SCANS, square(deviation) / 12.0
     if not clocks.held:
-        tracker.initialised, tracker.counted, tracker.theta, tracker.latch = 0, 0, 0.0, 0
+        _begin_recording(tracker)
+
+
+@inlined
+def _begin_recording(tracker: Any) -> None:
+    """Forget pose, count and latch, because the elapsed times were wrong since the first scan."""
+    tracker.initialised, tracker.counted, tracker.theta, tracker.latch = 0, 0, 0.0, 0
+
+
+@inlined
+def _hold(tracker: Any) -> None:
+    """Hold a line that FITTED_SCANS agree with; if the first one scatters, a jump before was of the stamps."""
+    clocks = tracker.clocks
+    if clocks.fitted != FITTED_SCANS:
+        return
+    scatters = math.sqrt(clocks.variance) > SCATTER_LIMIT * clocks.period
+    if scatters and not clocks.held and tracker.latch == INNOVATION_FAULT:
+        _begin_recording(tracker)
+    clocks.held, clocks.failed = 1, 0
 
 
 @inlined
@@ -214,8 +272,6 @@ def _fit(clocks: Any, steps: float, deviation: float) -> None:
     clocks.deviation = abs(deviation) if clocks.fitted > 1 else 0.0
     clocks.fitted = min(clocks.fitted + 1, MEMORY_SCANS)
     n = clocks.fitted
-    if n == FITTED_SCANS:
-        clocks.held, clocks.failed = 1, 0
     if n > 2:  # noqa: PLR2004  two scans fit any line
         # The innovation has the variance of a stamp times 1 + 2 (2 n - 1) / ((n - 1)(n - 2)), n - 1 scans fitted before
         share = 1.0 + 2.0 * (2.0 * n - 1.0) / ((n - 1.0) * (n - 2.0))
@@ -230,13 +286,15 @@ def _refuse(model: Model, scan: Any, stamp: float, elapsed: float) -> int:
     tracker = model.workspace[0].tracker
     clocks = tracker.clocks
     _follow_run(clocks, scan, stamp)
-    clocks.refused += 1
     has_new_rate = clocks.refused >= NEW_RATE_RUN
     if clocks.agreeing < LATE_RUN and not has_new_rate:
         return CONTRADICTORY
-    by_numbers = float(scan.number - clocks.number) * clocks.period
-    clocks.step = max(clocks.step, abs(elapsed - by_numbers))
-    tracker.time += min(elapsed, by_numbers) if elapsed > 0.0 else by_numbers
+    by_numbers, least = float(scan.number - clocks.number) * clocks.period, _least_elapsed(clocks)
+    clocks.step += max(abs(elapsed - by_numbers), least - elapsed)
+    if elapsed <= 0.0 or (elapsed > by_numbers and not has_new_rate):
+        tracker.time += max(by_numbers, least)
+    else:
+        tracker.time += max(elapsed, least)
     _doubt_count(model)
     clocks.line = stamp
     if has_new_rate:
@@ -249,23 +307,24 @@ def _refuse(model: Model, scan: Any, stamp: float, elapsed: float) -> int:
 def _follow_back(model: Model, scan: Any, stamp: float, elapsed: float) -> int:
     """Refuse a late scan, unless it ends a run of scans with earlier numbers: the driver or a recording restarted.
 
-    Only a recording that starts over, by number and by CLOCK_STEP_S, forgets the previous pose.
+    Only a recording that starts over, by number and by CLOCK_STEP_S, or earlier on the line, forgets the previous pose.
     """
     tracker = model.workspace[0].tracker
     clocks = tracker.clocks
-    advances = scan.number > clocks.refused_number or (clocks.fitted == 1 and scan.number == clocks.number)
-    clocks.late = clocks.late + 1 if clocks.late > 0 and advances and stamp > clocks.refused_stamp else 1
-    clocks.refused = 0
+    advances = scan.number >= clocks.refused_number and stamp > clocks.refused_stamp
+    clocks.late = clocks.late + 1 if clocks.late > 0 and advances else 1
     _follow_run(clocks, scan, stamp)
     is_restart_step = clocks.number - scan.number >= RESTART_NUMBERS or elapsed < -CLOCK_STEP_S
     if clocks.late < (RESTART_RUN if is_restart_step else LATE_RUN):
         return LATE
-    missing = clocks.late * clocks.period - elapsed  # at least one interval went by for each scan of the run
-    tracker.time += elapsed if elapsed > 0.0 else clocks.period
-    if elapsed < -CLOCK_STEP_S:
+    least = _least_elapsed(clocks)
+    deviation = elapsed + clocks.stamp - clocks.line + float(clocks.number - scan.number) * clocks.period
+    is_earlier = elapsed < 0.0 and clocks.fitted > 1 and abs(deviation) <= _tolerance(clocks, 1.0)
+    tracker.time += max(elapsed, least)
+    if elapsed < -CLOCK_STEP_S or is_earlier:
         tracker.initialised, tracker.counted, tracker.theta = 0, 0, 0.0
-    elif missing > LEAST_DEVIATION * clocks.period:
-        clocks.step = max(clocks.step, missing)
+    elif least - elapsed > LEAST_DEVIATION * clocks.period:
+        clocks.step += least - elapsed
         _doubt_count(model)
     _begin_line(clocks, scan, stamp)
     return IN_ORDER

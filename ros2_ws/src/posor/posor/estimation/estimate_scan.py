@@ -18,6 +18,7 @@ from posor.estimation.clocks import (
     add_stamp_variance,
     elapsed_at,
     follow_clocks,
+    is_repeated,
     motion_allowance,
     stamp_sigma,
     write_stamp_shift,
@@ -117,7 +118,8 @@ def begin_scan_estimate(model: Model, scan: Any, estimate: Any, linearised: bool
     estimate.stamp_ns = scan.stamp_ns
     if not tracker.epoch_known:
         tracker.epoch_known, tracker.epoch_ns = 1, scan.stamp_ns
-    frozen = NOT_FROZEN if workspace.is_retry else count_repetitions(model, scan)
+    counted_before = workspace.is_retry or is_repeated(tracker, scan)
+    frozen = NOT_FROZEN if counted_before else count_repetitions(model, scan)
     if linearised:
         estimate.faults = 0
         if not environment_is_valid(settings, scan):

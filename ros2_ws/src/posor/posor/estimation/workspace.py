@@ -66,13 +66,16 @@ CLOCKS = np.dtype(  # the line between scan numbers and stamps (``estimation.clo
         ("period", "f8"),  # slope of the line [s]
         ("variance", "f8"),  # of the stamps about the line [s^2]
         ("deviation", "f8"),  # of the present stamp from the line [s]
-        ("step", "f8"),  # largest step of the stamps that was accepted: they were or are wrong by as much [s]
+        ("step", "f8"),  # sum of the steps of the stamps that were accepted: they were or are wrong by as much [s]
+        ("off_line", "f8"),  # share of the last scans whose stamps contradict the line
         ("held", "i8"),  # 1: a line has held for FITTED_SCANS
         ("failed", "i8"),  # lines in a row that did not
         ("first_number", "u8"),  # of the scan that left the first of them
         ("first_stamp", "f8"),
-        ("refused", "i8"),  # scans in a row that contradict the line
-        ("agreeing", "i8"),  # the last of them and of the late ones that agree with one another
+        ("refused", "i8"),  # scans in a row that contradict the line or are late
+        ("agreeing", "i8"),  # the last of them that agree with one another
+        ("run_number", "u8"),  # of the first of these
+        ("run_stamp", "f8"),
         ("late", "i8"),  # scans in a row whose number is not after the last
         ("refused_number", "u8"),  # of the last scan that was refused or late
         ("refused_stamp", "f8"),
