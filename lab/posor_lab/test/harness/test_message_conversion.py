@@ -10,6 +10,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from posor.estimation.estimate import Estimate
+from posor.messages.raw_scan import scan_of
 from posor.model.fault import Fault, State
 from posor.model.scan import DIODES_ESTIMATED, HOME_BUMP, NO_SOURCE, PROBES_ESTIMATED, SATURATED, SIMULATED
 from posor_lab.harness.message_conversion import (
@@ -20,6 +21,7 @@ from posor_lab.harness.message_conversion import (
     transform_message,
 )
 from posor_msgs.msg import JointTransform, RawScan
+from posor_ros.message_classes import schema_of_class
 
 RANDOM = np.diag([1.0, 2.0, 3.0, 4.0, 5.0, 6.0]) * 1e-12
 SYSTEMATIC = np.outer(np.arange(1.0, 7.0), np.arange(1.0, 7.0)) * 1e-14
@@ -143,6 +145,11 @@ def test_a_scan_has_all_fields_of_its_message(raw: Any) -> None:
     assert scan.diode_currents.tolist() == [[1e-6, 2e-6, 3e-6, 4e-6], [5e-6, 6e-6, 7e-6, 8e-6]]
     assert scan.lit_sources == (3, NO_SOURCE)
     assert (scan.supply_voltage, scan.temperature) == (15.0, 293.15)
+    raw.exposure_offsets, raw.exposure_span = [1e-6, 2e-6], 3e-6
+    raw.stamp_uncertainty, raw.stamp_limit, raw.reference_voltage = 4e-6, 5e-6, 2.5
+    scan, from_bytes = scan_from_message(raw), scan_of(schema_of_class(RawScan).serialize(raw))
+    for name, value in vars(from_bytes).items():
+        np.testing.assert_array_equal(getattr(scan, name), value, err_msg=name)
 
 
 def test_an_empty_scan_has_no_readings() -> None:
