@@ -160,8 +160,9 @@ def _page_table(runs: Mapping[str, Mapping[str, Any]]) -> FigureTable:
     for text, run in ((text, runs[use]) for use, text in TEXTS["page"].items()):
         view = run["processes"].get(VIEW)
         used = ("", "") if view is None else (f"{100.0 * view['cpu_cores']:.1f}", f"{view['memory_mb']:.0f}")
-        rows.append((text, *_format_percentiles(run), _format_lost(run), *used))
-    header = ("", *PERCENTILES.values(), "lost", "view, % of a core", "view, MB")
+        published = _format_figure(run["published_p99_us"])
+        rows.append((text, *_format_percentiles(run), published, _format_lost(run), *used))
+    header = ("", *PERCENTILES.values(), "p99 published, us", "lost", "view, % of a core", "view, MB")
     return FigureTable("The main graph beside the live page", header, rows)
 
 
