@@ -25,7 +25,8 @@ from posor.ros_names import ENDPOINT_STATE_TOPIC, ENDPOINT_TOPIC, RAW_TOPIC
 from posor_bringup.arm_programs import group_programs
 from posor_estimator.composition_file import load_composition
 from posor_msgs.msg import EndpointState, RawScan
-from posor_ros.intra_process import DeliveryRound, IntraProcessPublisher, IntraProcessSubscription
+from posor_ros.delivery_round import DeliveryRound
+from posor_ros.intra_process import IntraProcessPublisher, IntraProcessSubscription
 from posor_ros.lifecycle_node import PosorNode
 from posor_ros.qos import result_qos
 from rclpy.impl.logging_severity import LoggingSeverity

@@ -11,8 +11,8 @@ from threading import Lock, Thread
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from posor.numerics.stamps import NEVER_NS, TimestampLog
+from posor_ros.delivery_round import DeliveryRound
 from posor_ros.idle_scheduler import TickSchedule
-from posor_ros.intra_process import DeliveryRound
 from posor_ros.realtime_process import SWITCH_INTERVAL_S
 
 from posor_drivers.ros_clock import SimulatedClock, TickClock, WallClock, disable_timer_slack, is_simulated

@@ -46,9 +46,10 @@ from posor.ros_names import (
     TRANSFORM_TOPIC,
 )
 from posor_msgs.msg import EndpointState, JointTransform
+from posor_ros.delivery_round import DeliveryGroup
 from posor_ros.diagnostics import Level
 from posor_ros.freshness import InputMonitor
-from posor_ros.intra_process import DeliveryGroup, IntraProcessManager, IntraProcessPublisher, IntraProcessSubscription
+from posor_ros.intra_process import IntraProcessManager, IntraProcessPublisher, IntraProcessSubscription
 from posor_ros.lifecycle_node import PosorNode
 from posor_ros.message_classes import schema_of_class
 from posor_ros.node_program import run_node
@@ -69,8 +70,8 @@ if TYPE_CHECKING:
     from posor.chain.endpoint_estimator import EndpointEstimator
     from posor.chain.robot_model import FreeJoint
     from posor.numerics.array_types import FloatArray
+    from posor_ros.delivery_round import Delivery
     from posor_ros.diagnostics import Status, Value
-    from posor_ros.intra_process import Delivery
     from std_srvs.srv import Trigger
 
 

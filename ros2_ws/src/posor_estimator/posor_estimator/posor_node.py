@@ -33,9 +33,10 @@ from posor.node_parameters import PosorParameters
 from posor.ros_names import RAW_TOPIC, TRANSFORM_THROTTLE_TOPIC, TRANSFORM_TOPIC
 from posor_msgs.msg import JointTransform, RawScan
 from posor_msgs.srv import Acknowledge
+from posor_ros.delivery_round import DeliveryGroup
 from posor_ros.diagnostics import Level
 from posor_ros.freshness import REPEATED, InputMonitor, ScanOrder
-from posor_ros.intra_process import DeliveryGroup, IntraProcessManager, IntraProcessPublisher, IntraProcessSubscription
+from posor_ros.intra_process import IntraProcessManager, IntraProcessPublisher, IntraProcessSubscription
 from posor_ros.lifecycle_node import PosorNode
 from posor_ros.message_classes import schema_of_class
 from posor_ros.node_program import run_node
@@ -52,8 +53,8 @@ if TYPE_CHECKING:
 
     from posor.calibration.calibration_file import Calibration
     from posor.messages.message_stream import EstimatedScan
+    from posor_ros.delivery_round import Delivery
     from posor_ros.diagnostics import StatusText, Value
-    from posor_ros.intra_process import Delivery
     from std_srvs.srv import Trigger
 
 

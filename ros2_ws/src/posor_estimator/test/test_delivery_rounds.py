@@ -25,7 +25,8 @@ from posor_estimator.composition_file import load_node_class
 from posor_lab.harness.in_process_nodes import NodeProcess
 from posor_lab.harness.program import HAND_FED
 from posor_msgs.msg import EndpointState, JointTransform, RawScan
-from posor_ros.intra_process import DeliveryRound, IntraProcessPublisher, IntraProcessSubscription
+from posor_ros.delivery_round import DeliveryRound
+from posor_ros.intra_process import IntraProcessPublisher, IntraProcessSubscription
 from posor_ros.lifecycle_node import PosorNode
 from posor_ros.qos import KEEP_ALL_QOS
 

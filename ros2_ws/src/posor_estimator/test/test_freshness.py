@@ -19,7 +19,7 @@ from posor_lab.harness.program import Program, installed
 from posor_msgs.msg import JointTransform, RawScan
 from posor_msgs.srv import Acknowledge
 from posor_ros.freshness import ScanOrder, StampLimits
-from posor_ros.intra_process import InputWatch
+from posor_ros.input_watch import InputWatch
 from posor_ros.ros_arguments import ros_arguments
 from rclpy.duration import Infinite
 from sensor_msgs.msg import JointState

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from posor.numerics.stamps import NS, is_accepted_age
 
 from posor_ros.diagnostics import Level
-from posor_ros.intra_process import InputWatch
+from posor_ros.input_watch import InputWatch
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -10,9 +10,7 @@ way. Messages are handed to DDS only where a DDS subscription has matched.
 Intra-process delivery loses and reorders nothing, whatever the quality of service; ``publish`` returns when the
 callbacks are done. Publishers in other processes are ignored while this process publishes the same topic.
 
-In a `DeliveryRound`, such as a tick of the drivers of an arm, a subscription of a `DeliveryGroup` receives at the end:
-all of the group in one call, so that the scans of all joints are handled together. At any other time, and over DDS, the
-group receives each message by itself.
+Subscriptions of a group receive the messages of a tick together, see ``delivery_round``.
 
 Both ends are destroyed with the cleanup of their node, unless they were destroyed before. If a callback raises, its
 node requests the end of the program with that exception and receives nothing more; the publisher and other nodes
@@ -21,19 +19,19 @@ continue.
 
 from __future__ import annotations
 
-import math
 import time
-from collections import deque
 from contextlib import ExitStack
-from statistics import median
-from threading import RLock, local
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeAlias
+from threading import RLock
+from typing import TYPE_CHECKING, Any, ClassVar
 from weakref import WeakKeyDictionary
 
 from posor.errors import TopicError
 from rclpy.duration import Duration
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.qos import HistoryPolicy
+
+from posor_ros.delivery_round import DeliveryGroup, hold, receive_together
+from posor_ros.input_watch import InputWatch
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -42,120 +40,6 @@ if TYPE_CHECKING:
     from rclpy.qos import QoSProfile
 
     from posor_ros.lifecycle_node import PosorNode
-
-
-SILENT_PERIODS = 10  # median periods without input that count as silence, unless ``max_silence`` is longer
-PERIODS = 5  # number of last measured periods whose median is used, so that neither a pause nor a burst changes it
-
-
-class InputWatch:
-    """Arrivals of one input; its ``name`` for the reports is a topic or a source."""
-
-    __slots__ = ("_arrivals", "_arrived_s", "_counted", "_counted_s", "_periods", "name")
-
-    def __init__(self, name: str) -> None:
-        """Create a watch; ``restart`` starts it."""
-        self.name = name
-        self._periods: deque[float] = deque(maxlen=PERIODS)
-        self.restart(-math.inf)
-
-    def restart(self, now_s: float) -> None:
-        """Forget all arrivals; silence begins at a steady time [s]."""
-        self._arrivals = self._counted = 0
-        self._arrived_s = self._counted_s = now_s
-        self._periods.clear()
-
-    def record(self, now_s: float) -> None:
-        """Record an arrival at a steady time [s]; takes a fraction of a microsecond."""
-        self._arrivals += 1
-        self._arrived_s = now_s
-
-    def silence(self, now_s: float, limit_s: float) -> str:
-        """Return the sentence on a silence that exceeds the limit [s] and ``SILENT_PERIODS``; else empty."""
-        arrivals, arrived_s = self._arrivals, self._arrived_s
-        if arrivals > self._counted:
-            if self._counted:
-                self._periods.append((arrived_s - self._counted_s) / (arrivals - self._counted))
-            self._counted, self._counted_s = arrivals, arrived_s
-        age_s = now_s - arrived_s
-        if age_s <= limit_s or (self._periods and age_s <= SILENT_PERIODS * median(self._periods)):
-            return ""
-        return f"no input on {self.name} {'for' if arrivals else 'since activation,'} {age_s:.2f} s"
-
-
-Delivery: TypeAlias = "tuple[IntraProcessSubscription, bytes]"  # a message for a subscription of a group
-
-
-class DeliveryGroup(NamedTuple):
-    """Subscriptions of one process whose messages of a round are received in one call: those of equal groups."""
-
-    receive: Callable[[list[Delivery]], Callable[[], None] | None]
-    """Takes at most one message of each subscription. May return what it has left to do once the messages that it has
-    published are delivered in this process."""
-    lock: RLock
-    """Held while it receives, see ``IntraProcessManager.delivery_lock``."""
-
-
-class _Held(local):
-    """Messages that are held until the end of this thread's round, in order; None: there is no round."""
-
-    messages: dict[IntraProcessSubscription, bytes] | None = None
-
-
-_held = _Held()
-
-
-class DeliveryRound:
-    """A ``with`` block of one thread; messages for groups are held until its end.
-
-    A second message for a subscription ends the first part of the round. What a group publishes while it receives is
-    delivered before the next group receives.
-    """
-
-    def __enter__(self) -> None:
-        _held.messages = {}
-
-    def __exit__(self, *_: object) -> None:
-        try:
-            _deliver_held_messages()
-        finally:
-            _held.messages = None
-
-
-def _deliver_held_messages() -> None:
-    """Deliver all messages that this thread holds, group by group."""
-    groups: dict[DeliveryGroup, list[Delivery]] = {}
-    now_s = time.monotonic()
-    for delivery in (_held.messages or {}).items():
-        subscription = delivery[0]
-        if subscription.group is not None and not subscription.closed:
-            subscription.watch.record(now_s)
-            groups.setdefault(subscription.group, []).append(delivery)
-    for group, deliveries in groups.items():
-        _held.messages = {}
-        _deliver(group, deliveries)
-    _held.messages = {}
-
-
-def _deliver(group: DeliveryGroup, deliveries: list[Delivery]) -> None:
-    """Have a group receive; an error ends the program, from the main thread."""
-    try:
-        _receive(group, deliveries)
-    except Exception as error:  # noqa: BLE001  all nodes of the group report it
-        for subscription, _ in deliveries:
-            subscription.fail(error)
-
-
-def _receive(group: DeliveryGroup, deliveries: list[Delivery]) -> None:
-    """Have a group receive, then whoever receives what it publishes."""
-    with group.lock:
-        afterwards = group.receive(deliveries)
-        if _held.messages:
-            _deliver_held_messages()
-        if afterwards is not None:
-            afterwards()
-            if _held.messages:
-                _deliver_held_messages()
 
 
 DESTROY_TIMEOUT_S = 5.0
@@ -394,11 +278,7 @@ class IntraProcessSubscription:
         """Handle a message of a publisher of this process."""
         if self.closed:
             return
-        if self.group is not None and (held := _held.messages) is not None:
-            if self in held:
-                _deliver_held_messages()
-                held = _held.messages = {}
-            held[self] = data
+        if self.group is not None and hold(self, data):
             return
         self.watch.record(time.monotonic())
         self.attempt(self._callback, data)
@@ -406,7 +286,7 @@ class IntraProcessSubscription:
     def _receive_alone(self, data: bytes) -> None:
         """Have the group receive a message outside of a round."""
         if self.group is not None:
-            _receive(self.group, [(self, data)])
+            receive_together(self.group, [(self, data)])
 
     def attempt(self, step: Callable[..., Any], *arguments: Any) -> Any:
         """Return the result of a step of the node; None: it has raised, see ``fail``."""

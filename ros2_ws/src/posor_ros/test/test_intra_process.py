@@ -16,13 +16,8 @@ from posor_lab.harness.in_process_nodes import NodeProcess
 from posor_lab.harness.program import wait_until
 from posor_msgs.msg import JointTransform, RawScan
 from posor_ros import intra_process
-from posor_ros.intra_process import (
-    Delivery,
-    DeliveryGroup,
-    DeliveryRound,
-    IntraProcessPublisher,
-    IntraProcessSubscription,
-)
+from posor_ros.delivery_round import Delivery, DeliveryGroup, DeliveryRound
+from posor_ros.intra_process import IntraProcessPublisher, IntraProcessSubscription
 from posor_ros.lifecycle_node import LISTENERS_STATUS, PosorNode
 from posor_ros.qos import KEEP_ALL_QOS
 from rclpy.serialization import serialize_message
