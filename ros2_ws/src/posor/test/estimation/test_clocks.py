@@ -225,6 +225,22 @@ def test_steps_of_the_stamps_add_up_to_their_largest_error() -> None:
     assert estimates.stamp_shifts[-1, 5] >= RATE * steps[-1]
 
 
+@pytest.mark.parametrize("name", ["interval grows by 0.2", "interval grows by 1", "interval shrinks by 0.2"])
+def test_another_rate_is_no_scatter_of_the_stamps(name: str) -> None:
+    _, shift, numbers, most = CASES[name]
+    estimates = estimate("light ring", INDEX * PERIOD_S + shift, numbers, simulated("light ring"))
+    assert set(estimates.states[AT + most + 4 :]) == {State.OK}  # the first three are within the tolerance
+
+
+def test_two_steps_of_the_stamps_are_as_large_as_one_of_their_sum() -> None:
+    shifts = []
+    for steps in (0.1 * (INDEX >= 100) + 0.1 * (INDEX >= 250), 0.2 * (INDEX >= 250)):
+        estimates = estimate("light ring", INDEX * PERIOD_S + steps, INDEX, simulated("light ring"))
+        assert usable(estimates)[-1]
+        shifts.append(estimates.stamp_shifts[-1])
+    np.testing.assert_allclose(shifts[0], shifts[1], rtol=1e-3)
+
+
 @pytest.mark.parametrize("kind", JOINTS)
 @pytest.mark.parametrize("scatter", [0.06, 0.2])
 def test_stamps_on_arrival_degrade_with_a_covariance_that_holds(kind: str, scatter: float) -> None:
