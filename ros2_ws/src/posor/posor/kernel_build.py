@@ -64,7 +64,8 @@ void {name}(int64_t *calls, int64_t count)
     for (int64_t n = 0; n < count; n++)
         ((kernel)calls[3 * n])((int64_t *)calls[3 * n + 1], (int64_t *)calls[3 * n + 2]);
 }}
-"""  # each call: addresses of code, table and results
+"""
+"""C text of the function that runs kernels one after the other; each call is the addresses of code, table, results."""
 
 
 class Entry(NamedTuple):

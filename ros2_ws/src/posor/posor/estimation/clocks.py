@@ -13,8 +13,8 @@ The tracker has a time of its own that only moves forward, so a step of the cloc
 
 * in general it advances by the difference of the stamps;
 * where the stamps scatter and the source does not state their uncertainty, by the numbers times the period;
-* where the two clocks contradict each other, by the smaller of both, which accepts the least motion, but by an interval
-  for each scan refused, at least; where the rate is another one, by the stamps. A count of theta is given up.
+* where the two clocks contradict each other, by the smaller of both, which accepts the least motion, but at least by an
+  interval for each refused scan; after a change of the rate, by the stamps. A count of theta is given up.
 
 Where more than SCATTER_SHARE of the last scans are off the line, by at most GREATEST_DEVIATION, their stamps scatter.
 
@@ -61,7 +61,7 @@ LATE_RUN = 10  # scans in a row, below the last number or off the line, that are
 RESTART_RUN = 3  # the same where the numbers are RESTART_NUMBERS, or the stamps CLOCK_STEP_S, before the last
 RESTART_NUMBERS = 64
 SHARE_MEMORY = 64.0  # scans, of the share of scans off the line
-SCATTER_SHARE = 0.2  # this share above which the stamps scatter; NEW_RATE_RUN in a row are less
+SCATTER_SHARE = 0.2  # above this share the stamps scatter; NEW_RATE_RUN scans in a row stay below it
 LEAST_DEVIATION, GREATEST_DEVIATION = 0.5, 8.0  # limits of the deviation that contradicts the line, in periods
 CLOCK_DRIFT = 1e-4  # largest change of the ratio of both clocks while no scan comes
 SCATTER_SIGMAS = 5.0  # standard deviations of the scatter that a stamp may deviate from the line
@@ -244,7 +244,10 @@ def _begin_recording(tracker: Any) -> None:
 
 @inlined
 def _hold(tracker: Any) -> None:
-    """Hold a line that FITTED_SCANS agree with; if the first one scatters, a jump before was of the stamps."""
+    """Hold a line that FITTED_SCANS agree with.
+
+    Where the first line scatters, a jump that was latched before it came from the stamps, not from the pose.
+    """
     clocks = tracker.clocks
     if clocks.fitted != FITTED_SCANS:
         return
