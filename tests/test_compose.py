@@ -142,7 +142,10 @@ def test_the_chain_receives_the_fault_effects_of_a_joint_of_its_process(tmp_path
             lambda: bool(states) and not any(map(math.isnan, states[-1].protection_level)), "a protection level"
         )
         assert all(each.startswith("joint1: ") for each in states[-1].protection_causes)
-        assert graph.node.count_subscribers("/rig/joint1/transform") == 0  # the bytes do not take the way over DDS
+        graph.wait_until(  # discovery tells of the end of a subscription later
+            lambda: graph.node.count_subscribers("/rig/joint1/transform") == 0,
+            "the end of the chain's subscription over DDS",
+        )
 
 
 class StoppedNode:

@@ -10,15 +10,31 @@ from __future__ import annotations
 
 import time
 from threading import RLock, local
-from typing import TYPE_CHECKING, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeAlias
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from posor_ros.intra_process import IntraProcessSubscription
+    from posor_ros.input_watch import InputWatch
 
 
-Delivery: TypeAlias = "tuple[IntraProcessSubscription, bytes]"  # a message for a subscription of a group
+class GroupMember(Protocol):
+    """What is used of a subscription here and by groups, see ``intra_process.IntraProcessSubscription``."""
+
+    node: Any
+    topic_name: str
+    group: DeliveryGroup | None
+    closed: bool
+    watch: InputWatch
+
+    def attempt(self, step: Callable[..., Any], *arguments: Any) -> Any:
+        """Return the result of a step of the node; None: it has raised."""
+
+    def fail(self, error: Exception) -> None:
+        """Receive nothing more, and end the program with an error."""
+
+
+Delivery: TypeAlias = tuple[GroupMember, bytes]  # a message for a subscription of a group
 
 
 class DeliveryGroup(NamedTuple):
@@ -34,7 +50,7 @@ class DeliveryGroup(NamedTuple):
 class _Held(local):
     """Messages that are held until the end of this thread's round, in order; None: there is no round."""
 
-    messages: dict[IntraProcessSubscription, bytes] | None = None
+    messages: dict[GroupMember, bytes] | None = None
 
 
 _held = _Held()
@@ -57,7 +73,7 @@ class DeliveryRound:
             _held.messages = None
 
 
-def hold(subscription: IntraProcessSubscription, data: bytes) -> bool:
+def hold(subscription: GroupMember, data: bytes) -> bool:
     """Hold a message for a subscription of a group; return False outside of a round, where it is to be received."""
     held = _held.messages
     if held is None:
