@@ -66,6 +66,7 @@ class InjectionRun:
     FAULT_S = 1.0  # duration of a fault
     ACKNOWLEDGE_S = 0.5  # time from its end to the acknowledgement
     REST_S = 0.0  # time after the acknowledgement
+    BY_LEVEL = False  # whether a pose is wrong only beyond the protection level, see ``PoseJudge``
     watch: GraphWatch
     receiver: ArrivalReceiver
 
@@ -77,7 +78,7 @@ class InjectionRun:
         self.arm = self._write_arm(seed)
         self.simulation = ArmSimulation(self.arm, IMPERFECTIONS)
         self.joints: Sequence[str] = self.simulation.joints
-        self._judge = PoseJudge(self.simulation)
+        self._judge = PoseJudge(self.simulation, by_level=self.BY_LEVEL)
 
     def run(self) -> list[RowResult]:
         """Run the nodes, inject all faults; return the results.

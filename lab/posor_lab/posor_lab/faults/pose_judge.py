@@ -16,7 +16,7 @@ from posor_msgs.msg import EndpointState, JointTransform
 from posor_lab.harness.message_conversion import is_usable, stamp_ns
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
 
     from posor.estimation.estimate import Estimates
     from posor.numerics.array_types import BoolArray, FloatArray, IntArray
@@ -71,18 +71,15 @@ def true_poses(simulation: ArmSimulation, times_ns: IntArray, joint: str = "") -
 
 
 class PoseJudge:
-    """Compares published poses with the truth of a simulation at their times."""
+    """Compares published poses with the truth of a simulation at their stamps."""
 
-    def __init__(
-        self, simulation: ArmSimulation, time_of: Callable[[Arrival], int] | None = None, *, by_level: bool = False
-    ) -> None:
+    def __init__(self, simulation: ArmSimulation, *, by_level: bool = False) -> None:
         """Compare with the truth of ``simulation``.
 
-        ``time_of`` returns the time of a pose [ns]; None: its stamp. ``by_level``: an endpoint is wrong only beyond the
-        protection level of its own message, and a transform beyond its ``stamp_shift`` in addition.
+        ``by_level``: an endpoint is wrong only beyond the protection level of its own message, and a transform beyond
+        its ``stamp_shift`` in addition.
         """
-        self._simulation, self._time_of = simulation, time_of or (lambda arrival: stamp_ns(arrival.message))
-        self._by_level = by_level
+        self._simulation, self._by_level = simulation, by_level
 
     def count_wrong(self, receiver: ArrivalReceiver, begin_ns: int, end_ns: int, joint: str = "") -> int:
         """Return how many poses that came as valid between two times [ns] are wrong or stale.
@@ -121,8 +118,8 @@ class PoseJudge:
         return found, true, wrong_poses(found, covariances, true)
 
     def _truth(self, arrivals: Sequence[Arrival], joint: str) -> PoseArray:
-        """Return the true poses of the endpoint or a joint at the times of messages."""
-        return true_poses(self._simulation, np.array([self._time_of(each) for each in arrivals]), joint)
+        """Return the true poses of the endpoint or a joint at the stamps of messages."""
+        return true_poses(self._simulation, np.array([stamp_ns(each.message) for each in arrivals]), joint)
 
     def _count_wrong(self, parts: Sequence[tuple[Arrival, Any]], joint: str = "") -> int:
         if not parts:

@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Faults of time: clocks that contradict each other, scans in another order, channels read one after another.
 
-A pose is compared with the truth at the time of its readings, which follows from its number, where the clock was set,
-and with the truth at the stamp where stamps scatter. What a fault costs is counted in the transforms of its joint.
+A pose is compared with the truth at its stamp, also where the clock was set, and its error with the protection level.
+What a fault costs is counted in the transforms of its joint.
 """
 
 from __future__ import annotations
@@ -12,48 +12,24 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from posor.model.fault import USABLE_STATES
-from posor.numerics.stamps import NS, tick_stamp_ns
+from posor.numerics.stamps import NS
 from posor.ros_names import TRANSFORM_TOPIC
 from posor_bringup.arm_programs import arm_programs, group_programs
 
 from posor_lab.faults.fault_table import IMPERFECTION_PARAMETERS, RATES
 from posor_lab.faults.injection_run import ReadingRun
-from posor_lab.faults.pose_judge import PoseJudge
-from posor_lab.harness.message_conversion import stamp_ns
 
 if TYPE_CHECKING:
     from posor_bringup.supervisor import ProgramCommand
 
     from posor_lab.faults.fault_table import FaultRow, RowResult
     from posor_lab.faults.injection_run import Span
-    from posor_lab.reports.arrival_receiver import Arrival
-
-
-SHIFTED = ("clock", "restart")
-"""Kinds after which the clock of the stamps is another one."""
 
 
 class TimeRun(ReadingRun):
     """Faults of time that the simulator injects, one in each slot of the scenario."""
 
-    TITLE = "time of {0.arm}"
-
-    def _count_wrong(self, row: FaultRow, span: Span) -> int:
-        joint, rate = self._joint_of(row), RATES[row.arm]
-        times: dict[int, int] = {}  # of the readings, by the stamp of the transform
-        if row.inject["kind"] in SHIFTED:
-            first = round(span.begin_ns * rate / NS)
-            for each in self.receiver.between(f"{joint}/{TRANSFORM_TOPIC}", span.begin_ns, span.until_ns):
-                number = each.message.scan
-                tick = number + (first if number < first // 2 else 0)  # a restarted driver numbers from zero
-                times[stamp_ns(each.message)] = int(tick_stamp_ns(tick, rate))
-
-        def time_of(arrival: Arrival) -> int:
-            stamp = stamp_ns(arrival.message)
-            return times.get(stamp, stamp)
-
-        judge = PoseJudge(self.simulation, time_of, by_level=True)
-        return judge.count_wrong(self.receiver, span.begin_ns, span.until_ns, joint)
+    TITLE, BY_LEVEL = "time of {0.arm}", True
 
     def _result(self, row: FaultRow, span: Span) -> RowResult:
         """Return the result with the scans that have no pose while the fault lasts."""

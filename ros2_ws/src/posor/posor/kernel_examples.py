@@ -63,7 +63,7 @@ def use_joint_kernels() -> None:
             raise AssertionError(message)
         stream = example_stream()
         MessageEstimator(posor, stream).estimate_rows()
-        begin_message(posor.model, stream, 0, 0)
+        begin_message(posor.model, stream, 0, 0, 0)
         end_message(posor.model, stream, 0)
         unpack_rows(stream.raw, stream.raw_layout, posor.model.workspace["scan"])
         records, layout = record_view(estimates._records), stream.transform_layout

@@ -328,8 +328,9 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
                 self._inputs.note(kind, text)
             if kind == REPEATED:
                 return b""
-        refusal = self._inputs.refusal(identity[0])
-        return stream.refuse_message(data, refusal) if refusal else stream.estimate_message(data)
+        if refusal := self._inputs.refusal(identity[0]):
+            return stream.refuse_message(data, refusal)
+        return stream.estimate_message(data, self._inputs.stamp_limits.now_ns())
 
     def _open_stream(self, data: bytes) -> bytes:
         """Make a stream for a scan of another layout; return the scan in plain CDR, empty if it is invalid."""

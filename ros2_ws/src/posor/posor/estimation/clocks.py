@@ -19,7 +19,9 @@ The tracker has a time of its own that only moves forward, so a step of the cloc
 Where more than SCATTER_SHARE of the last scans are off the line, by at most GREATEST_DEVIATION, their stamps scatter.
 
 A step of the stamps shows that they were or are wrong by as much. Until an acknowledgement, the largest error of the
-stamps is taken as at least the sum of these steps.
+stamps is taken as at least the sum of these steps. After a restart neither the numbers nor the stamps may show it: if
+the restart has lasted longer than the step, the stamps go on forward. The ages of live scans show it: their least,
+which depends little on the load of the host, is then another one. It is compared while the first MEMORY_SCANS come.
 
 A stamp with the standard uncertainty s displaces the pose along its motion: the random covariance grows by
 ``s^2 (xi xi' + diag(sigma_xi^2))``.
@@ -63,7 +65,8 @@ RESTART_NUMBERS = 64
 SHARE_MEMORY = 64.0  # scans, of the share of scans off the line
 SCATTER_SHARE = 0.2  # above this share the stamps scatter; NEW_RATE_RUN scans in a row stay below it
 LEAST_DEVIATION, GREATEST_DEVIATION = 0.5, 8.0  # limits of the deviation that contradicts the line, in periods
-CLOCK_DRIFT = 1e-4  # largest change of the ratio of both clocks while no scan comes
+CLOCK_DRIFT = 1e-4  # largest change of the ratio of two clocks while no scan comes
+LEAST_AGE_STEP_S = 5e-3  # least change of the least age that shows a step of the stamps [s]
 SCATTER_SIGMAS = 5.0  # standard deviations of the scatter that a stamp may deviate from the line
 DEVIATION_SIGMAS = 3.0  # the deviation of one stamp counts as at most as many standard deviations
 TIME_SHARE = 0.5  # TIME is set where the part from time exceeds this share of the rest of the standard uncertainty
@@ -136,6 +139,22 @@ def _begin_line(clocks: Any, scan: Any, stamp: float) -> None:
 def _accept(clocks: Any, scan: Any, stamp: float) -> None:
     clocks.number, clocks.stamp = scan.number, stamp
     clocks.refused, clocks.late, clocks.agreeing = 0, 0, 0
+    clocks.least_age += CLOCK_DRIFT * clocks.period
+    if not clocks.age > clocks.least_age:
+        clocks.least_age = clocks.age
+    if not math.isnan(clocks.former_age):
+        _compare_ages(clocks)
+
+
+@inlined
+def _compare_ages(clocks: Any) -> None:
+    """Correct the step of the stamps in a restart by the ages of the scans since then."""
+    change = abs(clocks.least_age - clocks.former_age)
+    shown = change if change > max(LEAST_AGE_STEP_S, LEAST_DEVIATION * clocks.period) else 0.0
+    clocks.step += shown - clocks.age_step
+    clocks.age_step = shown
+    if clocks.fitted >= MEMORY_SCANS:
+        clocks.former_age, clocks.age_step = math.nan, 0.0
 
 
 @inlined
@@ -149,7 +168,9 @@ def _follow_run(clocks: Any, scan: Any, stamp: float) -> None:
     clocks.refused += 1
     clocks.agreeing = clocks.agreeing + 1 if agrees else 1
     if not agrees:
-        clocks.run_number, clocks.run_stamp = scan.number, stamp
+        clocks.run_number, clocks.run_stamp, clocks.run_age = scan.number, stamp, clocks.age
+    elif clocks.age < clocks.run_age:
+        clocks.run_age = clocks.age
     clocks.refused_number, clocks.refused_stamp = scan.number, stamp
 
 
@@ -169,6 +190,8 @@ def follow_clocks(model: Model, scan: Any) -> int:
     stamp = (scan.stamp_ns - tracker.epoch_ns) * 1e-9
     elapsed = stamp - clocks.stamp
     unnumbered = clocks.fitted == 1 and scan.number == clocks.number
+    if clocks.fitted == 0:
+        clocks.least_age, clocks.former_age = clocks.age, math.nan
     if clocks.fitted == 0 or (unnumbered and elapsed > 0.0):
         tracker.time = tracker.time + elapsed if unnumbered else stamp
         _begin_line(clocks, scan, stamp)
@@ -324,12 +347,19 @@ def _follow_back(model: Model, scan: Any, stamp: float, elapsed: float) -> int:
     deviation = elapsed + clocks.stamp - clocks.line + float(clocks.number - scan.number) * clocks.period
     is_earlier = elapsed < 0.0 and clocks.fitted > 1 and abs(deviation) <= _tolerance(clocks, 1.0)
     tracker.time += max(elapsed, least)
+    step = 0.0
     if elapsed < -CLOCK_STEP_S or is_earlier:
         tracker.initialised, tracker.counted, tracker.theta = 0, 0, 0.0
-    elif least - elapsed > LEAST_DEVIATION * clocks.period:
-        clocks.step += least - elapsed
-        _doubt_count(model)
+        clocks.former_age, clocks.age_step = math.nan, 0.0
+    else:
+        if least - elapsed > LEAST_DEVIATION * clocks.period:
+            step = least - elapsed
+        clocks.step += step
+        clocks.former_age = step + (clocks.least_age if math.isnan(clocks.former_age) else clocks.former_age)
+    clocks.least_age = clocks.run_age
     _begin_line(clocks, scan, stamp)
+    if step + clocks.age_step > 0.0:
+        _doubt_count(model)
     return IN_ORDER
 
 

@@ -184,7 +184,8 @@ class Posor:
         if not self.has_latch:
             return False
         if not self.tracker["latch"]:
-            self.tracker["clocks"]["step"] = 0.0
+            clocks = self.tracker["clocks"]
+            clocks["step"], clocks["age_step"], clocks["former_age"] = 0.0, 0.0, math.nan
             return True
         kept = {name: self.tracker[name].copy() for name in ("theta", "last_raw", "repeats", "measured")}
         self.reset()

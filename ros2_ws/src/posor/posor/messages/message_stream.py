@@ -64,7 +64,7 @@ STAMP_NS, CHANGED, STEP, WITH_EFFECTS = (
 OTHER_LAYOUT, UNEXPECTED = 4, 5
 """Further results. OTHER_LAYOUT: the layout differs. UNEXPECTED: the number is not greater than the last one, or the
 age is out of the limits. In both cases the state is unchanged."""
-UNCHECKED = -1  # in place of the present time: numbers and ages are not checked
+RECORDED = -1  # in place of the present time: the age of a scan is unknown
 USABLE, UNUSABLE = 0, 1
 BAD_READING = int(Fault.BAD_READING)
 
@@ -151,15 +151,17 @@ def _write_step(scan: Any, clocks: Any, status: Any) -> None:
 
 
 @in_place
-def begin_message(model: Model, stream: MessageStream, n: int, now_ns: int) -> int:
+def begin_message(model: Model, stream: MessageStream, n: int, now_ns: int, only_expected: int) -> int:
     """Unpack message n into the workspace; return USABLE, UNUSABLE (its estimate is LOST), or why it was not used."""
     if not _has_layout(stream, n):
         return OTHER_LAYOUT
     workspace, status = model.workspace[0], stream.status[0]
     scan, estimate = workspace.scan, workspace.estimate
     unpack_scan(stream.raw, n, stream.raw_layout[0], scan)
-    if now_ns != UNCHECKED and not _is_expected(scan, status, now_ns):
+    if only_expected and not _is_expected(scan, status, now_ns):
         return UNEXPECTED
+    is_live = now_ns != RECORDED and status.oldest_ns < math.inf
+    workspace.tracker.clocks.age = (now_ns - scan.stamp_ns) / NS if is_live else math.nan
     _write_step(scan, workspace.tracker.clocks, status)
     if status.count_from_next:
         scan.at_home = STATED_HOME
@@ -192,15 +194,17 @@ def end_message(model: Model, stream: MessageStream, n: int) -> None:
 
 
 @in_place
-def estimate_messages(model: Model, stream: MessageStream, begin: int, end: int, now_ns: int) -> tuple[int, int]:
+def estimate_messages(
+    model: Model, stream: MessageStream, begin: int, end: int, now_ns: int, only_expected: int
+) -> tuple[int, int]:
     """Estimate messages ``begin`` to ``end``; stop at the first that needs a start, a retry or another layout.
 
-    ``now_ns``: the present time, to check numbers and ages, or UNCHECKED. Return where the loop stopped, ``end`` or the
-    message in question, and what is left to do for that message.
+    ``now_ns``: the present time, or RECORDED; ``only_expected``: 1 to stop at an unexpected scan, too. Return where the
+    loop stopped, ``end`` or the message in question, and what is left to do for that message.
     """
     workspace = model.workspace[0]
     for n in range(begin, end):
-        begun = begin_message(model, stream, n, now_ns)
+        begun = begin_message(model, stream, n, now_ns, only_expected)
         if begun >= OTHER_LAYOUT:
             return n, begun
         if begun == USABLE:
@@ -233,14 +237,11 @@ class MessageEstimator:
         else:
             self.kernel = bind_in_parts(estimate_messages, (posor.model, stream))
 
-    def estimate_rows(self, now_ns: int = UNCHECKED) -> bool:
-        """Estimate all rows; return False where a row has another layout and the rest has not been estimated.
-
-        With the present time, that is also the return value where a scan is unexpected, see ``STATUS``.
-        """
+    def estimate_rows(self) -> bool:
+        """Estimate all rows; return False where a row has another layout and the rest has not been estimated."""
         done = 0
         while done < self._count:
-            self.kernel.put((done, self._count, now_ns))
+            self.kernel.put((done, self._count, RECORDED, 0))
             self.kernel.run()
             done, left = self.kernel.results()
             if left != DONE:
@@ -258,11 +259,11 @@ class MessageEstimator:
         self._end(n)
         return True
 
-    def _estimate_in_python(self, begin: int, end: int, now_ns: int) -> tuple[int, int]:
+    def _estimate_in_python(self, begin: int, end: int, now_ns: int, only_expected: int) -> tuple[int, int]:
         """Do the same as ``estimate_messages`` by a POSOR with sensors written in plain Python."""
         model, stream = self._posor.model, self._stream
         for n in range(begin, end):
-            begun = begin_message(model, stream, n, now_ns)
+            begun = begin_message(model, stream, n, now_ns, only_expected)
             if begun >= OTHER_LAYOUT:
                 return n, begun
             if begun == USABLE:
@@ -339,24 +340,27 @@ class RawScanStream:
         """Set the least and the greatest age of expected scans [ns]; at first all are expected."""
         self.status["youngest_ns"], self.status["oldest_ns"] = youngest_ns, oldest_ns
 
-    def estimate_message(self, data: bytes, now_ns: int = UNCHECKED) -> bytes | None:
+    def estimate_message(self, data: bytes, now_ns: int = RECORDED) -> bytes | None:
         """Return the transform of a raw scan; None where the scan has another layout, which changes nothing.
 
-        With the present time [ns], that is also the return value where the scan is unexpected: its number is not
-        greater than that of the last scan, there is no last scan, or its age is not accepted.
+        ``now_ns``: the present time [ns] by the clock of the stamps, where the scan has just arrived.
         """
-        if not self.prepare(data, now_ns):
+        if not self.prepare(data, now_ns, only_expected=False):
             return None
         self.kernel.run()
         return self.finish(data)
 
-    def prepare(self, data: bytes, now_ns: int) -> bool:
-        """Have the next run estimate a raw scan, see ``estimate_message``; return False where it is too short."""
+    def prepare(self, data: bytes, now_ns: int, *, only_expected: bool = True) -> bool:
+        """Have the next run estimate a raw scan, see ``estimate_message``; return False where it is too short.
+
+        With ``only_expected`` the run leaves a scan as it does one of another layout if it is unexpected: its number is
+        not greater than that of the last scan, there is no last scan, or its age is not accepted.
+        """
         if len(data) < self._size:
             return False
         self._refusal = ""
         self._raw[:] = data if len(data) == self._size else data[: self._size]
-        self.kernel.put((0, 1, now_ns))
+        self.kernel.put((0, 1, now_ns, only_expected))
         return True
 
     @staticmethod

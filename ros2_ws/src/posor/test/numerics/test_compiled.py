@@ -197,7 +197,7 @@ def test_a_bound_kernel_takes_all_of_its_further_arguments() -> None:
         kernel.bind((np.zeros(16, dtype=np.uint8),))
     posor = Posor(design("triad_diodes"))
     run = bind(estimate_messages, (posor.model, example_stream()))
-    with pytest.raises(TypeError, match="2 further arguments; expected 3"):
+    with pytest.raises(TypeError, match="2 further arguments; expected 4"):
         run(0, 0)
 
 
