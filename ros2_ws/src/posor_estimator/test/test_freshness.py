@@ -30,7 +30,7 @@ pytestmark = pytest.mark.usefixtures("ros_domain")
 
 ERROR, WARN = b"\x02", b"\x01"
 INPUT, ESTIMATE = "/posor_node: input", "/posor_node: estimate"
-NS = 1_000_000_000
+NS, COUNT = 1_000_000_000, 30
 
 
 def test_silence_is_the_longer_of_the_limit_and_ten_periods() -> None:
@@ -226,6 +226,31 @@ def test_two_publishers_are_an_error_and_their_scans_are_not_used(rig: Rig) -> N
     finally:
         rig.graph.node.destroy_publisher(impostor)
     rig.wait_for_sound_scan()
+
+
+def test_the_age_of_scans_shows_that_a_restarted_driver_has_another_clock() -> None:
+    command = [*installed("posor_estimator", "posor_node"), *ros_arguments({**POSOR, "lossless": True})]
+    with Program(command), Graph() as graph:
+        rig = Rig(graph)
+
+        def send_regularly(begin_s: float, age_s: float) -> list[JointTransform]:
+            """Send scans at a steady rate that are of an age when they are sent; return the transforms."""
+            rig.transforms.clear()
+            for number in range(COUNT):
+                exposed_s = begin_s + number * PERIOD_S
+                time.sleep(max(0.0, exposed_s - time.time()))
+                rig.sender.publisher.publish(rig.sender.template.at(round((exposed_s - age_s) * NS), number))
+            graph.wait_until(lambda: len(rig.transforms) == COUNT, "all transforms")
+            return rig.transforms
+
+        begin_s = time.time()
+        transforms = send_regularly(begin_s, 0.0)
+        assert transforms[-1].state == JointTransform.STATE_OK
+        assert not any(transforms[-1].stamp_shift)
+        begin_s += (COUNT + 15) * PERIOD_S  # so the stamps go on forward
+        transforms = send_regularly(begin_s, 10 * PERIOD_S)
+        assert transforms[-1].state == JointTransform.STATE_OK
+        assert min(transforms[-1].stamp_shift) > 0.0
 
 
 def test_no_deadline_and_no_liveliness_is_requested() -> None:
