@@ -4,9 +4,10 @@
 
 A multiplexing converter reads the channels of a scan one after another, while the target moves on (thesis 8.3.3: eleven
 conversions of 100 us). With the tracker's twist xi and the offset t of a reading's exposure from the stamp, the reading
-exceeds the reading at the stamp by ``J xi t``, J its derivative. The shift is subtracted before the solution, so the
-pose is that at the stamp; the uncertainty of xi enters the variance of the reading (JCGM 100, 5.1.2). An unknown offset
-is uniformly distributed over the span of the scan and enters the variance with ``span^2 / 12`` (4.3.7).
+exceeds the reading at the stamp by ``J xi t``, J its derivative at the pose of ``t / 2``, by linear interpolation
+between the pose at the stamp and that at half of the longest offset. The shift is subtracted before the solution, so
+the pose is that at the stamp; the uncertainty of xi enters the variance of the reading (JCGM 100, 5.1.2). An unknown
+offset is uniformly distributed over the span of the scan and enters the variance with ``span^2 / 12`` (4.3.7).
 
 The ratio ``u = (A - C)/(A + C)`` of two contact currents that are read at times a and c has the offset
 ``((1 - u) a + (1 + u) c) / 2``. A map mixes both ratios; its slope M turns the offsets of the ratios into
@@ -16,13 +17,17 @@ The ratio ``u = (A - C)/(A + C)`` of two contact currents that are read at times
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from posor.estimation.clocks import TIME_SHARE
+from posor.estimation.tracking import copy_pose, turn_about_z
 from posor.model.reading_rows import predict_readings
 from posor.model.scan import CONTACTS
 from posor.numerics.compiled import in_place, inlined
 from posor.numerics.vector import square
+
+if TYPE_CHECKING:
+    from posor.numerics.array_types import FloatArray
 
 LONGEST_OFFSET_S = 1.0  # largest offset of an exposure from the stamp that is accepted [s]
 
@@ -77,6 +82,35 @@ def write_spot_offsets(workspace: Any, scan: Any, r: int, diode: int) -> None:
     workspace.offset_variances[r] = workspace.offset_variances[r + 1] = 0.0
 
 
+@inlined
+def _move(pose: Any, twist: FloatArray, time: float, moved: Any) -> None:
+    """Write the pose after ``time`` [s] of a motion that turns about the target's Z, see ``tracking.write_twist``."""
+    copy_pose(pose, moved)
+    turn = 0.0
+    for i in range(3):
+        moved.translation[i] += twist[i] * time
+        turn += twist[3 + i] * pose.rotation[i, 2] * time
+    turn_about_z(moved.rotation, turn)
+
+
+@in_place
+def _write_rates(workspace: Any, pose: Any, rates: FloatArray, sigmas: FloatArray) -> None:
+    """Write the rates of the readings at a pose by the workspace's twist, (m,) [m/s], and their uncertainties."""
+    m, jacobian = workspace.reading_count, workspace.jacobian
+    for i in range(6):
+        workspace.step_sum[i] = 0.0
+    predict_readings(workspace.rows, m, pose, workspace.step_sum, rates, jacobian)
+    for r in range(m):
+        rate = variance = 0.0
+        for i in range(6):
+            first, derivative = i - i % 3, 0.0  # by motion along or about axis i of the parent
+            for k in range(3):
+                derivative += jacobian[r, first + k] * pose.rotation[i - first, k]
+            rate += derivative * workspace.twist[i]
+            variance += square(derivative * workspace.twist_sigmas[i])
+        rates[r], sigmas[r] = rate, math.sqrt(variance)
+
+
 @in_place
 def move_to_stamp(workspace: Any) -> bool:
     """Subtract from each reading what it changed between the stamp and its exposure, and add the uncertainty.
@@ -84,25 +118,20 @@ def move_to_stamp(workspace: Any) -> bool:
     ``workspace.pose``: the start; ``workspace.twist``: that of the target there. Return whether a variance has grown by
     more than TIME_SHARE allows.
     """
-    rotation, m = workspace.pose.rotation, workspace.reading_count
-    # Residuals and weights are free until the solution.
-    jacobian, rates, sigmas = workspace.jacobian, workspace.residuals, workspace.weights
-    for i in range(6):
-        workspace.step_sum[i] = 0.0
-    predict_readings(workspace.rows, m, workspace.pose, workspace.step_sum, rates, jacobian)
+    m, longest = workspace.reading_count, 0.0
     for r in range(m):
-        rate = variance = 0.0
-        for i in range(6):
-            first, derivative = i - i % 3, 0.0  # by motion along or about axis i of the parent
-            for k in range(3):
-                derivative += jacobian[r, first + k] * rotation[i - first, k]
-            rate += derivative * workspace.twist[i]
-            variance += square(derivative * workspace.twist_sigmas[i])
-        rates[r], sigmas[r] = rate, math.sqrt(variance)
+        if abs(workspace.offsets[r]) > abs(longest):
+            longest = workspace.offsets[r]
+    # Residuals and weights are free until the solution.
+    rates, moved_rates, sigmas = workspace.residuals, workspace.moved_rates, workspace.weights
+    _move(workspace.pose, workspace.twist, 0.5 * longest, workspace.moved_pose)
+    _write_rates(workspace, workspace.moved_pose, moved_rates, sigmas)
+    _write_rates(workspace, workspace.pose, rates, sigmas)
     doubtful = False
     for r in range(m):
         own, cross, partner = workspace.offsets[r], workspace.cross_offsets[r], workspace.partners[r]
-        workspace.values[r] -= own * rates[r] + cross * rates[partner]
+        change = (moved_rates[r] - rates[r]) * own / longest if longest != 0.0 else 0.0
+        workspace.values[r] -= own * (rates[r] + change) + cross * rates[partner]
         added = square(own * sigmas[r]) + square(cross * sigmas[partner])
         added += workspace.offset_variances[r] * (square(rates[r]) + square(sigmas[r]))
         doubtful = doubtful or added > square(TIME_SHARE) * workspace.variances[r]

@@ -202,6 +202,8 @@ WORKSPACE = np.dtype(  # memory of fixed capacity for one POSOR
         ("offset_variances", "f8", (READINGS,)),  # variance of an unknown offset [s^2]
         ("twist", "f8", (6,)),  # of the target, ROS order [m/s], [rad/s]
         ("twist_sigmas", "f8", (6,)),
+        ("moved_pose", POSE),  # after half of the longest offset
+        ("moved_rates", "f8", (READINGS,)),  # of the readings there [m/s]
         ("sensitivities", "f8", (READINGS, 2)),  # of each reading to supply and temperature [m/V], [m/K]
         ("evidence", "f8", (READINGS,)),  # of one repetition of each reading, see estimation.frozen
         # Linearised readings; the entries behind the readings belong to the prior.

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cache
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -312,13 +313,18 @@ def multiplexed(kind: str, rate: float, offsets: Array) -> Scans:
     return scans.with_fields({name: flat[name].reshape(shapes[name]) for name in names if flat[name].size})
 
 
-@pytest.mark.parametrize("kind", JOINTS)
-@pytest.mark.parametrize("stated", [True, False], ids=["stated", "unknown"])
-def test_channels_read_one_after_another(kind: str, stated: bool) -> None:  # noqa: FBT001  a parameter
-    rate, times = 1.0, INDEX * PERIOD_S
+@pytest.mark.parametrize(
+    ("kind", "conversion_s", "rate", "stated"),
+    [
+        *product(JOINTS, [20e-6], [1.0], [True, False]),
+        ("bumpy ring", 100e-6, FAST, True),  # of the thesis, 8.3.3; the readings are far from linear in time
+    ],
+)
+def test_channels_read_one_after_another(kind: str, conversion_s: float, rate: float, stated: bool) -> None:  # noqa: FBT001
+    times = INDEX * PERIOD_S
     plain = simulated(kind, rate)
     channels = sum(getattr(plain, name)[0].size for name in ("gap_voltages", "ring_voltages", "diode_currents"))
-    offsets = 20e-6 * (np.arange(channels) - 0.5 * (channels - 1))
+    offsets = conversion_s * (np.arange(channels) - 0.5 * (channels - 1))
     statement = {"exposure_offsets": np.tile(offsets if stated else np.full(channels, np.nan), (COUNT, 1))}
     statement |= {"exposure_spans": np.full(COUNT, np.ptp(offsets))}
     scans = multiplexed(kind, rate, offsets).with_fields(statement)
