@@ -16,7 +16,8 @@ The tracker has a time of its own that only moves forward, so a step of the cloc
 * where the two clocks contradict each other, by the smaller of both, which accepts the least motion, but at least by an
   interval for each refused scan; after a change of the rate, by the stamps. A count of theta is given up.
 
-Where more than SCATTER_SHARE of the last scans are off the line, by at most GREATEST_DEVIATION, their stamps scatter.
+Where more than SCATTER_SHARE of the last scans are off the line, by at most GREATEST_DEVIATION, and contradict each
+other, their stamps scatter.
 
 A step of the stamps shows that they were or are wrong by as much. Until an acknowledgement, the largest error of the
 stamps is taken as at least the sum of these steps. After a restart neither the numbers nor the stamps may show it: if
@@ -158,13 +159,18 @@ def _compare_ages(clocks: Any) -> None:
 
 
 @inlined
-def _follow_run(clocks: Any, scan: Any, stamp: float) -> None:
-    """Count the scans in a row, late or refused, that agree with the first of them."""
+def _agrees_with_run(clocks: Any, scan: Any, stamp: float) -> bool:
+    """Return whether a scan agrees with the first of those in a row, late or refused, before it."""
     steps = float(scan.number - clocks.run_number)
     since = stamp - clocks.run_stamp
     agrees = clocks.agreeing > 0 and scan.number > clocks.refused_number and stamp > clocks.refused_stamp
-    if clocks.fitted > 1:
-        agrees = agrees and abs(since - steps * clocks.period) <= _tolerance(clocks, 1.0)
+    return bool(agrees and (clocks.fitted <= 1 or abs(since - steps * clocks.period) <= _tolerance(clocks, 1.0)))
+
+
+@inlined
+def _follow_run(clocks: Any, scan: Any, stamp: float) -> None:
+    """Count the scans in a row, late or refused, that agree with the first of them."""
+    agrees = _agrees_with_run(clocks, scan, stamp)
     clocks.refused += 1
     clocks.agreeing = clocks.agreeing + 1 if agrees else 1
     if not agrees:
@@ -201,7 +207,9 @@ def follow_clocks(model: Model, scan: Any) -> int:
     steps = float(scan.number - clocks.number)
     deviation = stamp - (clocks.line + steps * clocks.period)
     off_line = clocks.fitted > 1 and abs(deviation) > _tolerance(clocks, steps)
-    if clocks.fitted >= FITTED_SCANS and _begin_to_scatter(clocks, off_line, deviation):
+    # Scans off the line that agree with one another are no scatter: the clock may have been set.
+    scatters = off_line and not _agrees_with_run(clocks, scan, stamp)
+    if clocks.fitted >= FITTED_SCANS and _begin_to_scatter(clocks, scatters, deviation):
         off_line = False
     if (off_line and clocks.fitted >= FITTED_SCANS) or (elapsed <= 0.0 and (off_line or clocks.fitted == 1)):
         return _refuse(model, scan, stamp, elapsed)
@@ -225,11 +233,11 @@ def follow_clocks(model: Model, scan: Any) -> int:
 
 
 @inlined
-def _begin_to_scatter(clocks: Any, off_line: bool, deviation: float) -> bool:  # noqa: FBT001  kernels take no keywords
-    """Return whether a stamp off the line is one of too many; the scatter of the line then allows for it."""
-    clocks.off_line += ((1.0 if off_line else 0.0) - clocks.off_line) / SHARE_MEMORY
+def _begin_to_scatter(clocks: Any, scatters: bool, deviation: float) -> bool:  # noqa: FBT001  kernels take no keywords
+    """Return whether a stamp that scatters is one of too many; the scatter of the line then allows for it."""
+    clocks.off_line += ((1.0 if scatters else 0.0) - clocks.off_line) / SHARE_MEMORY
     near = abs(deviation) <= GREATEST_DEVIATION * clocks.period
-    if not (off_line and near and clocks.off_line > SCATTER_SHARE):
+    if not (scatters and near and clocks.off_line > SCATTER_SHARE):
         return False
     clocks.step += abs(deviation)
     clocks.fitted, clocks.variance = FITTED_SCANS, square(deviation) / 12.0

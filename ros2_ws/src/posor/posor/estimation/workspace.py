@@ -72,7 +72,7 @@ CLOCKS = np.dtype(  # the line between scan numbers and stamps (``estimation.clo
         ("run_age", "f8"),  # of the scans in a row that are late or contradict the line and agree with one another [s]
         ("former_age", "f8"),  # ``least_age`` before a restart, to be compared with; NaN: there is nothing to compare
         ("age_step", "f8"),  # part of ``step`` that the ages show [s]; later ones may correct it
-        ("off_line", "f8"),  # share of the last scans whose stamps contradict the line
+        ("off_line", "f8"),  # share of the last scans whose stamps contradict the line and each other
         ("held", "i8"),  # 1: a line has held for FITTED_SCANS
         ("failed", "i8"),  # lines in a row that did not
         ("first_number", "u8"),  # of the scan that left the first of them

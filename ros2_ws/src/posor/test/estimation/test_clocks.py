@@ -219,6 +219,14 @@ def test_stamps_that_were_set_may_be_wrong_by_the_step_until_it_is_acknowledged(
     assert not posor.estimate_all(scans.part(COUNT - 1, COUNT)).stamp_shifts.any()
 
 
+def test_a_clock_that_is_set_back_and_forth_is_no_scatter() -> None:
+    """Else a later step within the scatter would pass."""
+    is_back = INDEX // 25 % 4 == 3
+    found = estimate("light ring", (INDEX - 2.65 * is_back) * PERIOD_S, INDEX, simulated("light ring"))
+    steps = int(np.count_nonzero(np.diff(is_back)))
+    assert np.count_nonzero(found.states == State.LOST) == steps * (LATE_RUN - 1)
+
+
 def test_steps_of_the_stamps_add_up_to_their_largest_error() -> None:
     steps = 0.02 * (np.maximum(0, INDEX - AT) // 30)
     estimates = estimate("light ring", INDEX * PERIOD_S + steps, INDEX, simulated("light ring"))
