@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 import pinocchio as pin
-from posor.calibration.parameter_covariance import shared_effects
 from posor.chain.arm_file import load_arm_file
 from posor.errors import ChainError
 from posor.estimation.forward import empty_scans
@@ -149,9 +148,7 @@ class StatementTruth:
         for random, common in zip(randoms, terms, strict=True):
             wrong = stack.parameter_sigmas * random.normal(size=stack.parameters)
             if calibration.shared:
-                wrong += shared_effects(calibration, calibration.session) @ [
-                    common[name] for name in calibration.shared
-                ]
+                wrong += posor.shared_effects @ [common[name] for name in calibration.shared]
             true = self._truth.joint(joint, dict(zip(stack.parameter_names, wrong.tolist(), strict=True)))
             supply, warmth = (surroundings_of(calibration, what, len(self.angles), random) for what in SURROUNDINGS)
             for name, values in true.readings(*places, supply, warmth).items():

@@ -47,14 +47,13 @@ def shared_effects(calibration: Calibration, session: str = "") -> FloatArray:
 
 def _shared_effects(calibration: Calibration, entries: Sequence[ParameterEntry | None]) -> FloatArray:
     effects = np.zeros((len(entries), len(calibration.shared)))
-    for own, entry in zip(effects, entries, strict=True):
-        if entry is None:
-            continue
-        for k, term in enumerate(calibration.shared.values()):
-            values = entry.quantity.array
-            own[k] = effect_on(term, entry.key, values)[entry.index]
-            if entry.index:
-                own[k] += effect_on(term, entry.name, values[entry.index])
+    for k, term in enumerate(calibration.shared.values()):
+        named = {*term.relative, *term.change}
+        for own, entry in zip(effects, entries, strict=True):
+            if entry is not None and entry.key in named:
+                own[k] += effect_on(term, entry.key, entry.quantity.array)[entry.index]
+            if entry is not None and entry.index and entry.name in named:
+                own[k] += effect_on(term, entry.name, entry.quantity.array[entry.index])
     return effects
 
 
