@@ -30,7 +30,7 @@ from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 
 from bags.make_arm_bag import arm_endpoints
-from tests.rig_replay import all_message_bits, message_bits, read_bag_messages
+from tests.rig_messages import all_message_bits, message_bits, read_bag_messages
 
 BAGS = Path(__file__).resolve().parents[1] / "bags"
 BAG = BAGS / "five_axis"

@@ -32,7 +32,7 @@ from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 
 from tests.composed_rig import COMPOSE, NODES, RIG, write_composition
-from tests.rig_replay import all_message_bits, read_bag_messages
+from tests.rig_messages import all_message_bits, read_bag_messages
 
 pytestmark = pytest.mark.usefixtures("ros_domain")
 

@@ -17,7 +17,7 @@ from ament_index_python.packages import get_package_prefix, get_package_share_di
 from posor_lab.harness.case_tables import edited
 from posor_lab.replay_1985.replay import TOPICS
 
-from tests.rig_replay import read_bag_messages
+from tests.rig_messages import read_bag_messages
 
 Demo = Callable[..., subprocess.Popen[str]]
 

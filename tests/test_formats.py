@@ -26,7 +26,7 @@ from posor_drivers.simulator.scenario import load_scenario
 from posor_lab.harness.case_tables import refusal
 from rosbags.rosbag2 import StoragePlugin, Writer
 
-from tests.rig_replay import read_bag_messages
+from tests.rig_messages import read_bag_messages
 
 FORMATS = Path(__file__).parent / "formats"
 ROOT = Path(__file__).resolve().parents[1]

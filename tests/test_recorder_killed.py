@@ -23,7 +23,7 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
 from std_msgs.msg import UInt64
 
-from tests.rig_replay import read_bag_messages
+from tests.rig_messages import read_bag_messages
 
 pytestmark = pytest.mark.usefixtures("ros_domain")
 

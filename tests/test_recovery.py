@@ -19,14 +19,8 @@ from posor_msgs.msg import JointTransform
 from rclpy.qos import qos_profile_sensor_data
 from rclpy.serialization import deserialize_message
 
-from tests.rig_replay import (
-    estimate_endpoints,
-    estimate_transforms,
-    make_plan,
-    message_bits,
-    open_replay,
-    read_bag_messages,
-)
+from tests.rig_messages import estimate_endpoints, estimate_transforms, make_plan, message_bits, read_bag_messages
+from tests.rig_replay import open_replay
 
 RAW, TRANSFORM, ENDPOINT, TRUTH = TOPICS
 FURTHER_POSES = 5  # number of further poses that show a working graph

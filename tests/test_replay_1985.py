@@ -23,15 +23,15 @@ from posor_lab.thesis_data import data_path
 from posor_msgs.msg import JointTransform
 from rclpy.serialization import deserialize_message
 
-from tests.rig_replay import (
+from tests.rig_messages import (
     all_message_bits,
     estimate_endpoints,
     estimate_transforms,
     make_plan,
     message_bits,
     read_bag_messages,
-    run_replay,
 )
+from tests.rig_replay import run_replay
 
 RAW, TRANSFORM, ENDPOINT, TRUTH = TOPICS
 ALPHA, BETA, THETA = range(3)

@@ -35,7 +35,7 @@ from rclpy.serialization import deserialize_message
 from rosbags.interfaces import Connection
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 
-from tests.rig_replay import (
+from tests.rig_messages import (
     all_message_bits,
     estimate_endpoints,
     estimate_transforms,

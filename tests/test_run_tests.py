@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -15,7 +16,7 @@ from textwrap import dedent
 import pytest
 from environment import THIS
 from posor_lab.harness.program import in_background
-from run_tests import PROCESSES, SHARED, SLOW, find_test_files, make_test_jobs, uses_ros
+from run_tests import PROCESSES, SLOW, find_test_files, make_test_jobs, shared_process, uses_ros
 
 RUNNER = [sys.executable, str(THIS.root / "tools" / "run_tests.py")]
 
@@ -57,26 +58,32 @@ def test_long_tests_run_only_when_asked_for(tmp_path: Path) -> None:
         assert done.stdout.splitlines()[-1] == f"{count} passed, 0 failed, 0 skipped"
 
 
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("def test_a(): pass\ndef test_b(): assert 1 == 2\n", "assert 1 == 2"),
-        ("import os\ndef test_a(): os._exit(3)\n", "pytest ended with exit code 3"),
-        ("import os, signal\ndef test_a(): os.kill(os.getpid(), signal.SIGKILL)\n", "pytest ended with exit code -9"),
-        ("def nothing(): pass\n", "pytest ended with exit code 5"),
-        ("import no_such_module\n", "No module named 'no_such_module'"),
-        ("import pytest\n@pytest.fixture\ndef broken(): raise KeyError('key')\ndef test_a(broken): pass\n", "KeyError"),
-    ],
-    ids=["assertion", "exit", "killed", "no tests", "import", "fixture"],
-)
-def test_failures(tmp_path: Path, text: str, words: str) -> None:
-    write_test_files(tmp_path, bad=text, good="def test_a(): pass\n")
+FAILURES = {
+    "assertion": ("def test_a(): pass\ndef test_b(): assert 1 == 2\n", "assert 1 == 2"),
+    "exit": ("import os\ndef test_a(): os._exit(3)\n", "pytest ended with exit code 3"),
+    "killed": (
+        "import os, signal\ndef test_a(): os.kill(os.getpid(), signal.SIGKILL)\n",
+        "pytest ended with exit code -9",
+    ),
+    "no_tests": ("def nothing(): pass\n", "pytest ended with exit code 5"),
+    "import": ("import no_such_module\n", "No module named 'no_such_module'"),
+    "fixture": (
+        "import pytest\n@pytest.fixture\ndef broken(): raise KeyError('key')\ndef test_a(broken): pass\n",
+        "KeyError",
+    ),
+}
+
+
+def test_failures(tmp_path: Path) -> None:
+    write_test_files(tmp_path, good="def test_a(): pass\n", **{name: text for name, (text, _) in FAILURES.items()})
     done = run_tests(tmp_path)
     assert done.returncode == 1
-    details, _, summary = done.stdout.partition("\nfailed: ")
-    assert words in details
-    assert words in summary
-    assert ", 1 failed, 0 skipped" in done.stdout.splitlines()[-1]
+    details, *summary = done.stdout.split("\nfailed: ")
+    assert len(summary) == len(FAILURES)
+    for name, (_, words) in FAILURES.items():
+        assert words in re.split(r"^\[\d+/\d+\] ", details.partition(f"test_{name}.py")[2], flags=re.MULTILINE)[0], name
+        assert words in next(each for each in summary if each.splitlines()[0].endswith(f"test_{name}.py")), name
+    assert done.stdout.splitlines()[-1] == f"2 passed, {len(FAILURES)} failed, 0 skipped"
 
 
 def test_each_file_has_a_process_of_its_own(tmp_path: Path) -> None:
@@ -112,8 +119,25 @@ def test_files_of_a_folder_share_a_process_but_those_with_ros(tmp_path: Path, mo
 
 
 def test_what_tests_of_a_shared_process_import_makes_no_ros_context() -> None:
-    files = [file for folder in SHARED for file in folder.rglob("*.py")]
-    assert not [file.name for file in files if not file.name.startswith("test_") and uses_ros(file)]
+    files = [file for file in find_test_files([]) if shared_process(file) and not uses_ros(file)]
+    helpers = [file for folder in {file.parent for file in files} for file in folder.glob("*.py")]
+    makers = {file.stem for file in helpers if not file.name.startswith("test_") and uses_ros(file)}
+    words = {file.name: set(re.findall(r"\w+", file.read_text(encoding="utf-8"))) for file in files}
+    assert {name: found & makers for name, found in words.items() if found & makers} == {}
+
+
+def test_files_of_one_folder_are_divided_by_the_first_pattern_that_they_match(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    patterns = tmp_path / "deep", tmp_path / "test_[a-b]*.py", tmp_path
+    monkeypatch.setattr("run_tests.SHARED", patterns)
+    (tmp_path / "deep").mkdir()
+    names = ("test_a.py", "test_b.py", "test_c.py", "deep/test_a.py")
+    files = [tmp_path / name for name in names]
+    for file in files:
+        file.touch()
+    shared = {job.name: [Path(word) for word in job.command if word.endswith(".py")] for job in make_test_jobs(files)}
+    assert shared == {str(patterns[0]): files[3:], str(patterns[1]): files[:2], str(patterns[2]): files[2:3]}
 
 
 def test_slow_files_and_folders_come_first() -> None:

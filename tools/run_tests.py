@@ -3,7 +3,7 @@
 """Run the linters and the tests in parallel processes, and print one line for each.
 
 A test file that may use ROS has a pytest process of its own, so that no ROS context leaks from one file into another;
-two such processes run at a time. The other files of a folder of SHARED have one process, which saves seconds of imports
+two such processes run at a time. The other files of an entry of SHARED have one process, which saves seconds of imports
 for each file. These and the linters run at low priority in the processor time that the nodes of the other tests leave
 while they wait; a process that has no such job left runs tests that may use ROS, and the reverse. Those of SLOW come
 first, so that none of them is left for the end. The linters need no build and start before it. Every process uses one
@@ -44,48 +44,53 @@ DEFAULTS = {  # the caller's own settings have precedence
 }
 FAILURE_LENGTH = 1000  # last characters of a failure, in the summary; the whole is printed when its job ends
 REPORTS = THIS.root / "build" / "test"
-USES_ROS = re.compile(r"rclpy\.init|\bContext\(|ros_context|ros_domain|isolated_network|harness\.graph")
-SHARED = tuple(  # folders whose files share a process, except those that use ROS
-    THIS.root / folder
-    for folder in (
-        *(f"ros2_ws/src/posor/test/{part}" for part in ("numerics", "model", "sensors", "estimation", "chain")),
-        *(f"ros2_ws/src/posor/test/{part}" for part in ("calibration", "uncertainty", "messages", "bags", "reporting")),
-        *(f"ros2_ws/src/posor/test/{part}" for part in ("correction", "tables")),
-        *(f"ros2_ws/src/{package}/test" for package in ("posor_bringup", "posor_calibration", "posor_design")),
-        *(f"ros2_ws/src/posor_drivers/test/{part}" for part in ("simulator", "sources")),
-        *(f"lab/posor_lab/test/{part}" for part in ("accuracy", "benchmark", "campaign", "arm_study", "independent")),
-        *(f"lab/posor_lab/test/{part}" for part in ("thesis_budgets", "thesis_table", "replay_1985")),
+USES_ROS = re.compile(
+    r"rclpy\.init|\bContext\(|ros_context|ros_domain|isolated_network|harness\.graph|rig_replay|\bProgram\("
+)
+SHARED = tuple(  # folders, or files of a folder, that share a process, except those that may use ROS; the first counts
+    THIS.root / pattern
+    for pattern in (
+        *(f"ros2_ws/src/posor/test/{part}" for part in ("estimation", "calibration")),
+        *(f"ros2_ws/src/{package}/test" for package in ("posor", "posor_bringup", "posor_calibration", "posor_design")),
+        *("ros2_ws/src/posor_drivers/test/simulator", "ros2_ws/src/posor_drivers/test"),
+        "ros2_ws/src/posor_[er]*/test",
+        *(f"lab/posor_lab/test/{part}" for part in ("accuracy", "arm_study", "commissioning", "health", "mutations")),
+        "lab/posor_lab/test",
+        *(f"tests/test_[{letters}]*.py" for letters in ("a-b", "c", "d-e", "f-o", "p-q", "r", "s-z")),
     )
 )
 
 
 SLOW = (
+    "lab/posor_lab/test",
+    "tests/test_[d-e]*.py",
     "ros2_ws/src/posor_design/test",
-    "ros2_ws/src/posor/test/estimation",
     "lab/posor_lab/test/arm_study",
-    "ros2_ws/src/posor_calibration/test",
-    "lab/posor_lab/test/accuracy",
-    "ros2_ws/src/posor/test/calibration",
-    "lab/posor_lab/test/faults/test_faults_command.py",
     "ros2_ws/src/posor_bringup/test",
+    "ros2_ws/src/posor_calibration/test",
+    "ros2_ws/src/posor/test",
+    "ros2_ws/src/posor/test/estimation",
+    "ros2_ws/src/posor_drivers/test",
+    "lab/posor_lab/test/faults/test_faults_command.py",
+    "tests/test_[c]*.py",
+    "tests/test_[r]*.py",
+    "lab/posor_lab/test/commissioning",
     "ros2_ws/src/posor_drivers/test/simulator",
-    "lab/posor_lab/test/commissioning/test_commissioning_command.py",
     "tests/test_view.py",
     "tests/test_soak_arm.py",
-    "tests/test_bag_order.py",
     "tests/test_instruments.py",
-    "lab/posor_lab/test/mutations/test_mutations.py",
-    "lab/posor_lab/test/health/test_health.py",
-    "tests/test_tutorials.py",
-    "ros2_ws/src/posor_ros/test/test_lifecycle_node.py",
-    "ros2_ws/src/posor_estimator/test/test_time_offset_nodes.py",
-    "tests/test_example_plain_controller.py",
-    "tests/test_calibrate_bad_data.py",
-    "ros2_ws/src/posor_drivers/test/instruments/test_stream_device.py",
-    "ros2_ws/src/posor_drivers/test/test_driver_node.py",
+    "tests/test_bag_order.py",
+    "lab/posor_lab/test/health",
+    "lab/posor_lab/test/mutations",
     "tests/test_setup.py",
+    "tests/test_tutorials.py",
+    "ros2_ws/src/posor_drivers/test/test_driver_node.py",
+    "tests/test_example_plain_controller.py",
+    "ros2_ws/src/posor_ros/test/test_lifecycle_node.py",
+    "lab/posor_lab/test/accuracy",
+    "ros2_ws/src/posor_estimator/test/test_time_offset_nodes.py",
 )
-"""Files and shared folders that take longest, the longest first."""
+"""Files and entries of SHARED that take longest, the longest first."""
 
 
 @dataclass
@@ -160,14 +165,19 @@ def uses_ros(file: Path) -> bool:
     return bool(USES_ROS.search(file.read_text(encoding="utf-8")))
 
 
+def shared_process(file: Path) -> Path | None:
+    """Return the entry of SHARED of a file, or None."""
+    return next((each for each in SHARED if any(path.match(str(each)) for path in (file, *file.parents))), None)
+
+
 def make_test_jobs(files: list[Path], marked: str = "not long") -> list[Job]:
-    """Return one job for the files of a folder that share a process, and one for each other, those of SLOW first.
+    """Return one job for the files that share a process, and one for each other, those of SLOW first.
 
     ``marked``: marker of the tests that run.
     """
     groups: dict[Path, list[str]] = {}
     for file in files:
-        shared = next((folder for folder in SHARED if file.is_relative_to(folder)), None)
+        shared = shared_process(file)
         key = file if shared is None or uses_ros(file) else shared
         groups.setdefault(key, []).append(str(file))
     jobs = []
