@@ -27,6 +27,7 @@ NO_SCAN = "sent no scan"
 GIVEN_UP = "given up by the chain, a transform came too late"
 DROPPED = "scan dropped by the scenario"
 MISSED = "tick missed, its process was late"
+BLOCK = 200  # ticks simulated at a time, to know which scans are dropped
 UNKNOWN = np.full((3, 3), np.nan), np.full(3, np.nan)
 
 
@@ -117,18 +118,17 @@ class Dropouts:
     """Scans that the scenario drops; they depend only on the tick."""
 
     def __init__(self, simulation: ArmSimulation) -> None:
-        """Cycles are simulated when they are needed."""
+        """Ticks are simulated in blocks when they are needed."""
         self._simulation = simulation
-        self._cycle_ticks = simulation.scenario.cycle_ticks
         self._sent: dict[int, dict[str, BoolArray]] = {}
 
     def dropped_joints(self, tick: int) -> frozenset[str]:
         """Return the joints whose scan of a tick is dropped."""
-        cycle, index = divmod(tick, self._cycle_ticks)
-        if cycle not in self._sent:
-            ticks = np.arange(cycle * self._cycle_ticks, (cycle + 1) * self._cycle_ticks)
-            self._sent[cycle] = {joint: self._simulation.scans(joint, ticks).sent for joint in self._simulation.joints}
-        return frozenset(joint for joint, sent in self._sent[cycle].items() if not sent[index])
+        block, index = divmod(tick, BLOCK)
+        if block not in self._sent:
+            ticks = np.arange(block * BLOCK, (block + 1) * BLOCK)
+            self._sent[block] = {joint: self._simulation.scans(joint, ticks).sent for joint in self._simulation.joints}
+        return frozenset(joint for joint, sent in self._sent[block].items() if not sent[index])
 
 
 @dataclass(frozen=True)

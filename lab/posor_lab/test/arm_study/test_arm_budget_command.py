@@ -32,7 +32,7 @@ from posor_lab.thesis_data import data_path, read_table
 from scipy.constants import inch
 
 ARMS = share() / "arms"
-DRAWS = 3_000
+DRAWS = 1_500
 CASES = (THESIS, NOISE, WHOLE)
 CONFIGURATIONS = ("extended", "bent")
 TURNS, SHIFTS = FIGURES[:3], FIGURES[3:6]

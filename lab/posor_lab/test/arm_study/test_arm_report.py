@@ -199,15 +199,15 @@ def test_page_shows_the_parts_that_were_run(outcome: ArmOutcome, simulation: Arm
     assert sum(text.startswith(("Many arms:", "Sag:", "Truth, endpoint")) for text in alone.texts) == 2
 
 
-def test_record_with_gaps_is_drawn(outcome: ArmOutcome, simulation: ArmSimulation) -> None:
+def test_record_with_gaps_is_drawn(simulation: ArmSimulation) -> None:
     gaps = record(reasons={0: {"elbow": NO_SCAN}, 7: {CHAIN: GIVEN_UP}})
-    data = read_page(replace(outcome, before=gaps), simulation).data["Position_error_along_the_path.csv"]
+    data = read_page(ArmOutcome(before=gaps), simulation).data["Position_error_along_the_path.csv"]
     posors = [row["distance from the truth [µm]"] for row in data if row["series"].startswith("POSORs")]
     assert [n for n, cell in enumerate(posors) if not cell] == [0, 7]
 
 
-def test_a_long_record_stays_a_small_page(outcome: ArmOutcome, simulation: ArmSimulation) -> None:
-    long = replace(outcome, before=record(20_001), after=record(20_001, off_target=NEAR))
+def test_a_long_record_stays_a_small_page(simulation: ArmSimulation) -> None:
+    long = ArmOutcome(before=record(20_001))
     assert any("(1 tick of 11)" in text for text in read_page(long, simulation).texts)
 
 

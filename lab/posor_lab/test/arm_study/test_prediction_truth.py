@@ -11,7 +11,7 @@ from posor.arm_names import find_arm
 from posor_lab.arm_study.prediction_truth import AHEAD, BETWEEN, GAPS, SCANS
 from posor_lab.arm_study.prediction_truth_command import failures, sample_predictions
 
-ARMS, SECONDS, COST_S = 4, 2.0, 1e-5
+ARMS, SECONDS, COST_S = 2, 2.0, 1e-5
 
 
 @pytest.fixture(scope="module")
