@@ -32,7 +32,7 @@ def test_ray_traced_cases() -> None:
 
 @pytest.mark.parametrize("stack", STACKS)
 def test_closure_over_the_full_range(stack: DesignName) -> None:
-    exact, simple = closure(stack, 500, SEED)
+    exact, simple = closure(stack, 200, SEED)
     assert exact.translation_m < 1e-9
     assert exact.rotation_rad < 1e-9
     assert simple.translation_m > 1e-6  # the closed form is worth replacing
@@ -41,7 +41,7 @@ def test_closure_over_the_full_range(stack: DesignName) -> None:
 
 @pytest.mark.parametrize("stack", STACKS)
 def test_normalised_errors_are_in_their_band(stack: DesignName) -> None:
-    figures = nees(stack, 1000, SEED)
+    figures = nees(stack, 400, SEED)
     assert figures.low < figures.mean < figures.high
 
 
@@ -55,7 +55,7 @@ def test_both_covariances_agree_with_monte_carlo(stack: DesignName) -> None:
 
 @pytest.mark.parametrize("fault", FAULTS)
 def test_faults_are_flagged_in_their_first_scan(fault: str) -> None:
-    figures = detection(fault, 100, SEED)
+    figures = detection(fault, 40, SEED)
     assert figures.detected_fraction == 1.0
     assert figures.false_alarm_fraction < 5e-3
 
