@@ -8,11 +8,11 @@ import math
 from typing import TYPE_CHECKING
 
 import numpy as np
-import pinocchio as pin
 from posor.calibration.designs import THETA_OF_TWO_SOURCES, DesignName
 from posor.estimation.forward import scans_at
 from posor.model.native_coordinates import rotation_from_native
 from posor.model.scan import STATED_HOME
+from scipy.spatial.transform import Rotation
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -85,5 +85,5 @@ def errors_in_parent(
     rotations: FloatArray, translations: FloatArray, true_rotations: FloatArray, true_translations: FloatArray
 ) -> FloatArray:
     """Return the errors of poses in ROS order, shape (n, 6): x, y, z [m], small turn about X, Y, Z of R [rad]."""
-    turns = [pin.log3(r @ t.T) for r, t in zip(rotations, true_rotations, strict=True)]
-    return np.column_stack([translations - true_translations, np.array(turns)])
+    turns = Rotation.from_matrix(rotations @ np.swapaxes(true_rotations, 1, 2)).as_rotvec()
+    return np.column_stack([translations - true_translations, turns])

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from posor import Estimates, Fault, Posor, Scans, State, load_calibration, simulate
+from posor import Calibration, Estimates, Fault, Posor, Scans, State, load_calibration, simulate
 from posor.estimation.clocks import FAILED_LINES, FITTED_SCANS, LATE_RUN, NEW_RATE_RUN, RESTART_RUN
 from posor.estimation.exposure import LONGEST_OFFSET_S
 from scipy.stats import chi2
@@ -31,6 +31,11 @@ INDEX = np.arange(COUNT)
 JUMP = 450e-6  # of the gap [m]
 
 
+@cache
+def calibration_of(kind: str) -> Calibration:
+    return load_calibration(ARMS / JOINTS[kind])
+
+
 def poses(times: Array, rate: float = RATE) -> Array:
     """Return the true poses at times [s], shape (n, 7)."""
     theta = START + rate * times
@@ -43,13 +48,13 @@ def poses(times: Array, rate: float = RATE) -> Array:
 @cache
 def simulated(kind: str, rate: float = RATE) -> Scans:
     """Return scans of a joint that turns."""
-    return simulate(load_calibration(ARMS / JOINTS[kind]), poses(INDEX * PERIOD_S, rate), seed=1)
+    return simulate(calibration_of(kind), poses(INDEX * PERIOD_S, rate), seed=1)
 
 
 def estimate(kind: str, times: Array, numbers: Array, scans: Scans) -> Estimates:
     """Estimate scans that arrive in this order; a reference counts theta at the first."""
     fields = {"stamps_ns": FIRST_NS + np.round(times * 1e9).astype(np.int64), "numbers": numbers.astype(np.uint64)}
-    posor = Posor(load_calibration(ARMS / JOINTS[kind]), false_alarm=1e-9)
+    posor = Posor(calibration_of(kind), false_alarm=1e-9)
     posor.confirm_theta(START, 1e-4)
     return posor.estimate_all(scans.with_fields(fields))
 
@@ -177,7 +182,7 @@ def test_a_home_mark_that_counts_anew_does_not_pass_a_jump_of_the_gaps() -> None
     _, shift, numbers, _ = CASES["driver restarts, stamps two ticks back"]
     jumped = poses(INDEX * PERIOD_S)
     jumped[AT:, 2] += JUMP
-    calibration = load_calibration(ARMS / JOINTS["bumpy ring"])
+    calibration = calibration_of("bumpy ring")
     scans = simulated("bumpy ring").with_fields({"gap_voltages": simulate(calibration, jumped, seed=1).gap_voltages})
     posor = Posor(calibration, false_alarm=1e-9)
     posor.settings["home_theta"] = START + RATE * AT * PERIOD_S
@@ -195,7 +200,7 @@ def test_a_jump_beside_a_clock_fault_is_seen(name: str) -> None:
     order, shift, numbers, _ = CASES[name]
     jumped = poses(INDEX * PERIOD_S)
     jumped[AT:, 2] += JUMP
-    biased = simulate(load_calibration(ARMS / JOINTS["light ring"]), jumped, seed=1).gap_voltages
+    biased = simulate(calibration_of("light ring"), jumped, seed=1).gap_voltages
     scans = simulated("light ring").with_fields({"gap_voltages": biased})
     estimates = estimate("light ring", (INDEX * PERIOD_S + shift)[order], numbers[order], scans.select(order))
     assert count_wrong(estimates, poses(INDEX * PERIOD_S)[order]) == 0
@@ -208,7 +213,7 @@ def test_a_jump_beside_a_clock_fault_is_seen(name: str) -> None:
 )
 def test_stamps_that_were_set_may_be_wrong_by_the_step_until_it_is_acknowledged(name: str, step: float) -> None:
     _, shift, numbers, _ = CASES[name]
-    posor = Posor(load_calibration(ARMS / JOINTS["light ring"]), false_alarm=1e-9)
+    posor = Posor(calibration_of("light ring"), false_alarm=1e-9)
     fields = {"stamps_ns": FIRST_NS + np.round((INDEX * PERIOD_S + shift) * 1e9).astype(np.int64)}
     scans = simulated("light ring").with_fields({**fields, "numbers": numbers.astype(np.uint64)})
     found = posor.estimate_all(scans.part(0, COUNT - 1))
@@ -309,7 +314,7 @@ def test_a_stated_uncertainty_of_the_stamps_enters_the_random_covariance() -> No
 def multiplexed(kind: str, rate: float, offsets: Array) -> Scans:
     """Return scans whose channels are read at their own times, in the order gap, ring, currents."""
     scans = simulated(kind, rate)
-    calibration = load_calibration(ARMS / JOINTS[kind])
+    calibration = calibration_of(kind)
     names = ("gap_voltages", "ring_voltages", "diode_currents")
     flat = {name: getattr(scans, name).reshape(COUNT, -1).copy() for name in names}
     channels = [(name, column) for name in names for column in range(flat[name].shape[1])]

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from posor import Estimates, Posor, Scans, State, load_calibration, simulate
+from posor import Estimates, Posor, Scans, State, simulate
 
-from .test_clocks import ARMS, FIRST_NS, JOINTS, RATE, START, poses
+from .test_clocks import FIRST_NS, JOINTS, RATE, START, calibration_of, poses
 
 COUNT, PERIOD_S = 12, 5e-3
 TIMES = PERIOD_S * np.arange(COUNT)
@@ -21,13 +21,13 @@ NAMES = ("gap_voltages", "ring_voltages", "diode_currents")
 
 def turned(kind: str, times: NDArray[Any], period_s: float = PERIOD_S) -> Scans:
     """Return scans without noise of a joint that turns; stamps at regular times."""
-    scans = simulate(load_calibration(ARMS / JOINTS[kind]), poses(times))
+    scans = simulate(calibration_of(kind), poses(times))
     stamps = FIRST_NS + np.round(period_s * 1e9 * np.arange(len(times))).astype(np.int64)
     return scans.with_fields({"stamps_ns": stamps, "numbers": np.arange(len(times), dtype=np.uint64)})
 
 
 def estimate(kind: str, scans: Scans) -> Estimates:
-    posor = Posor(load_calibration(ARMS / JOINTS[kind]))
+    posor = Posor(calibration_of(kind))
     posor.confirm_theta(START, 1e-4)
     return posor.estimate_all(scans)
 
@@ -78,7 +78,7 @@ def test_an_encoder_shows_the_offset_of_the_stamps_in_motion(late_s: float) -> N
     """The joint turns forth and back, so that an error of the encoder's zero is distinguished from the offset."""
     times = 0.02 * np.arange(60)
     scans, rng = turned("light ring", np.abs(times - late_s - 0.6), 0.02), np.random.default_rng(2)
-    posor = Posor(load_calibration(ARMS / JOINTS["light ring"]))
+    posor = Posor(calibration_of("light ring"))
     for n in range(len(scans)):
         theta = START + RATE * abs(times[n] - 0.6)
         posor.confirm_theta(theta + 6e-3 * rng.standard_normal(), 6e-3, scans[n].stamp_ns)

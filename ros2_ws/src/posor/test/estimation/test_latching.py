@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import math
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -33,7 +34,16 @@ def sized(name: str) -> Posor:
 
 
 def oscillating(posor: Posor, seed: int = 1, count: int = COUNT) -> tuple[Scans, FloatArray, FloatArray]:
-    """Noisy scans at 1 kHz of a joint that oscillates widely in all freedoms, counted at once; the true poses."""
+    """Noisy scans at 1 kHz of a joint that oscillates widely in all freedoms, counted at once; the true poses.
+
+    ``posor``: a sized one.
+    """
+    scans, rotations, translations = simulated(posor.calibration.name, seed, count)
+    return scans.editable(), rotations, translations
+
+
+@cache
+def simulated(name: str, seed: int, count: int) -> tuple[Scans, FloatArray, FloatArray]:
     time = np.arange(count) * 1e-3
     thetas = 0.3 * np.sin(2.0 * math.pi * 0.7 * time)
     alphas, betas = 4e-4 * np.sin(2.0 * math.pi * 1.9 * time), 4e-4 * np.cos(2.0 * math.pi * 2.3 * time)
@@ -42,7 +52,7 @@ def oscillating(posor: Posor, seed: int = 1, count: int = COUNT) -> tuple[Scans,
         [5e-5 * np.sin(9.0 * time), 5e-5 * np.cos(7.0 * time), 0.72e-3 + 1e-4 * np.sin(11.0 * time)]
     )
     stamps = np.arange(1, count + 1, dtype=np.int64) * TICK_NS
-    scans = scans_at(posor.stack, rotations, translations, stamps, noise=np.random.default_rng(seed)).editable()
+    scans = scans_at(sized(name).stack, rotations, translations, stamps, noise=np.random.default_rng(seed)).editable()
     scans.at_home[0] = STATED_HOME
     scans.supply_voltages[:], scans.temperatures[:] = 15.0, 293.15
     return scans, rotations, translations

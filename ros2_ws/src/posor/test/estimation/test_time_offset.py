@@ -9,12 +9,12 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from posor import Estimate, Fault, Posor, Scan, Scans, State, load_calibration, simulate
+from posor import Estimate, Fault, Posor, Scan, Scans, State, simulate
 from posor.chain.fault_bounds import COVERAGE_FACTOR
 from posor.model.scan import STATED_HOME
 from posor.numerics.array_types import FloatArray
 
-from .test_clocks import ARMS, FIRST_NS, JOINTS, PERIOD_S, errors
+from .test_clocks import FIRST_NS, JOINTS, PERIOD_S, calibration_of, errors
 
 COUNT, MOVING = 800, 200  # scans, and those at rest before the joint swings
 TIMES: FloatArray = np.asarray(np.arange(COUNT) * PERIOD_S, dtype=np.float64)
@@ -38,7 +38,7 @@ def poses(times: FloatArray) -> FloatArray:
 
 def swung(kind: str, late_s: float, limit_s: float = 0.0, times: FloatArray = TIMES) -> Scans:
     """Return scans whose content is older than their stamps."""
-    scans = simulate(load_calibration(ARMS / JOINTS[kind]), poses(times - late_s), seed=1)
+    scans = simulate(calibration_of(kind), poses(times - late_s), seed=1)
     index = np.arange(len(times))
     fields = {"stamps_ns": FIRST_NS + np.round(times * 1e9).astype(np.int64), "numbers": index.astype(np.uint64)}
     fields["at_home"] = np.where(index == 0, STATED_HOME * (kind == "bumpy ring"), 0)
@@ -48,7 +48,7 @@ def swung(kind: str, late_s: float, limit_s: float = 0.0, times: FloatArray = TI
 @pytest.mark.parametrize("late_s", [1e-4, 0.01, LATE_S, -LATE_S])
 def test_a_stated_limit_bounds_the_error_of_late_and_early_stamps(late_s: float) -> None:
     kind, times, limit = "light ring", TIMES + MOVING * PERIOD_S + 0.5, abs(late_s)
-    posor = Posor(load_calibration(ARMS / JOINTS[kind]))
+    posor = Posor(calibration_of(kind))
     found = posor.estimate_all(swung(kind, late_s, limit, times))
     assert (found.states == State.OK).all()
     off, which = np.abs(errors(found, poses(times))), [0, 1, 2, 5]
@@ -67,14 +67,14 @@ def test_a_stated_limit_bounds_the_error_of_late_and_early_stamps(late_s: float)
 @pytest.mark.parametrize("late_s", [LATE_S, -LATE_S])
 def test_a_motion_that_begins_within_the_limit_is_bounded(late_s: float) -> None:
     kind = "light ring"
-    assert errors(Posor(load_calibration(ARMS / JOINTS[kind])).estimate_all(swung(kind, late_s)), poses(TIMES)).any()
-    found = Posor(load_calibration(ARMS / JOINTS[kind])).estimate_all(swung(kind, late_s, abs(late_s)))
+    assert errors(Posor(calibration_of(kind)).estimate_all(swung(kind, late_s)), poses(TIMES)).any()
+    found = Posor(calibration_of(kind)).estimate_all(swung(kind, late_s, abs(late_s)))
     allowed = found.stamp_shifts + COVERAGE_FACTOR * found.standard_uncertainties
     assert (np.abs(errors(found, poses(TIMES))) <= allowed[:, [0, 1, 2, 5]]).all()
 
 
 def test_without_motion_limits_nothing_is_bounded_and_without_accelerations_by_the_velocity() -> None:
-    calibration, limit = load_calibration(ARMS / JOINTS["light ring"]), 1e-3
+    calibration, limit = calibration_of("light ring"), 1e-3
     motion = calibration.motion
     assert motion is not None
     scans = swung("light ring", 0.0, limit)
@@ -88,7 +88,7 @@ def test_without_motion_limits_nothing_is_bounded_and_without_accelerations_by_t
 def test_without_a_limit_or_a_pose_nothing_is_added() -> None:
     scans = swung("light ring", 0.0, 0.01).editable()
     scans.stamp_limits[300:320], scans.gap_voltages[350] = 0.0, math.nan
-    shifts = Posor(load_calibration(ARMS / JOINTS["light ring"])).estimate_all(scans).stamp_shifts
+    shifts = Posor(calibration_of("light ring")).estimate_all(scans).stamp_shifts
     assert not shifts[300:320].any()
     assert shifts[0, 5] > 2.0 * shifts[299, 5] > 0.0
     assert np.isnan(shifts[350]).all()
@@ -103,7 +103,7 @@ def confirmed(
     kind: str, scans: Scans, sigma: float, error: Callable[[float], float], age_s: float = 0.0
 ) -> list[Estimate]:
     """Return the estimates of scans with a reading of an encoder for each, older than its stamp by up to ``age_s``."""
-    posor, rng, found = Posor(load_calibration(ARMS / JOINTS[kind])), np.random.default_rng(4), []
+    posor, rng, found = Posor(calibration_of(kind)), np.random.default_rng(4), []
     for scan in one_by_one(scans):
         time_s = (scan.stamp_ns - FIRST_NS) * 1e-9 - age_s * rng.uniform()
         theta = float(thetas(np.array([time_s]))[0]) + error(time_s)
@@ -150,7 +150,7 @@ def test_a_time_offset_is_named_soon_in_motion_where_the_angle_still_agrees(
 
 def test_a_precise_encoder_tells_the_offset_precisely_and_its_uncertainty_holds() -> None:
     scans = swung("light ring", LATE_S)
-    posor = Posor(load_calibration(ARMS / JOINTS["light ring"]))
+    posor = Posor(calibration_of("light ring"))
     assert all(math.isnan(value) for value in posor.time_offset)
     for scan in one_by_one(scans):
         theta = float(thetas(np.array([(scan.stamp_ns - FIRST_NS) * 1e-9]))[0])
@@ -175,7 +175,7 @@ def test_a_reading_is_used_at_its_own_time() -> None:
 
 def test_an_acknowledgement_forgets_the_offset() -> None:
     scans = swung("light ring", LATE_S)
-    posor = Posor(load_calibration(ARMS / JOINTS["light ring"]))
+    posor = Posor(calibration_of("light ring"))
     for scan in one_by_one(scans.part(0, 500)):
         posor.confirm_theta(float(thetas(np.array([(scan.stamp_ns - FIRST_NS) * 1e-9]))[0]), SIGMA, scan.stamp_ns)
         posor.estimate(scan)
