@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from copy import deepcopy
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -102,9 +103,7 @@ def perfect(content: dict[str, Any]) -> dict[str, Any]:
 def write_arm(folder: Path, content: dict[str, Any] | None = None) -> Path:
     (folder / "arm.urdf").write_text(URDF, encoding="utf-8")
     for joint in JOINTS:
-        frames = (f"{joint}_receiving", f"{joint}_target")
-        calibration = sized_design(*DESIGNS[joint], frames=frames, title=joint)
-        _write(folder / f"{joint}.yaml", calibration.model_dump(mode="json", exclude_none=True))
+        (folder / f"{joint}.yaml").write_text(_calibration(joint), encoding="utf-8")
     _write(folder / "beams.yaml", _beams())
     _write(folder / "scenario.yaml", scenario() if content is None else content)
     arm = {
@@ -122,8 +121,18 @@ def write_arm(folder: Path, content: dict[str, Any] | None = None) -> Path:
     return folder / "arm.yaml"
 
 
+@cache
+def _calibration(joint: str) -> str:
+    frames = (f"{joint}_receiving", f"{joint}_target")
+    return _text(sized_design(*DESIGNS[joint], frames=frames, title=joint).model_dump(mode="json", exclude_none=True))
+
+
+def _text(content: object) -> str:
+    return str(yaml.dump(content, Dumper=yaml.CSafeDumper, sort_keys=False))
+
+
 def _write(path: Path, content: object) -> None:
-    path.write_text(yaml.dump(content, Dumper=yaml.CSafeDumper, sort_keys=False), encoding="utf-8")
+    path.write_text(_text(content), encoding="utf-8")
 
 
 def simulation(

@@ -13,7 +13,7 @@ from posor.model.scan import HOME_BUMP
 from posor.sensors.diodes import DiodesCalibration
 from posor.sensors.gap_probes import GapProbesCalibration
 from posor_drivers.simulator.arm_simulation import ArmSimulation
-from posor_drivers.simulator.faults import KINDS
+from posor_drivers.simulator.faults import KINDS, SimulatedFault
 from posor_drivers.simulator.imperfections import Imperfections
 from posor_drivers.simulator.simulated_scans import PROBE_FIELDS, SimulatedScans
 from posor_lab.harness.beams import quantity
@@ -107,14 +107,13 @@ def test_every_kind_has_a_case() -> None:
 
 @pytest.mark.parametrize(("kind", "entries", "fields"), CASES, ids=[kind for kind, *_ in CASES])
 def test_a_fault_changes_its_fields_at_its_time(
-    tmp_path: Path, sound: tuple[ArmSimulation, SimulatedScans], kind: str, entries: dict[str, Any], fields: set[str]
+    sound: tuple[ArmSimulation, SimulatedScans], kind: str, entries: dict[str, Any], fields: set[str]
 ) -> None:
     arm, expected = sound
     names = dict(zip(("gap", "diode"), channels(arm), strict=True))
     if "channel" in entries:
         entries = {**entries, "channel": names[entries["channel"]]}
-    content = {**scenario(), "faults": [fault(kind, **entries)]}
-    faulty = simulation(tmp_path, Imperfections.only("noise"), content)
+    faulty = arm.with_faults([SimulatedFault.model_validate(fault(kind, **entries))])
     scans = faulty.scans("shoulder", TICKS)
     assert changed_fields(scans, expected) == fields
     delays = [faulty.latency_ns("shoulder", tick) for tick in (FIRST - 1, FIRST, END - 1, END)]
@@ -147,16 +146,15 @@ def test_sizes_of_faults(tmp_path: Path, sound: tuple[ArmSimulation, SimulatedSc
     assert np.all(scans.statuses[part] & HOME_BUMP)
 
 
-def test_faults_of_time(tmp_path: Path, sound: tuple[ArmSimulation, SimulatedScans]) -> None:
+def test_faults_of_time(sound: tuple[ArmSimulation, SimulatedScans]) -> None:
     tick_ns, part = SECOND // 100, slice(FIRST, END)
     sizes = {"arrival": (2e-3, "s"), "burst": (4, "1"), "late_scan": (2, "1"), "restart": (-0.02, "s")}
     sizes["aged"] = (0.04, "s")
-    expected = sound[1].scans
+    arm, expected = sound[0], sound[1].scans
 
     def published(kind: str) -> Any:
-        (folder := tmp_path / kind).mkdir()
-        content = {**scenario(), "faults": [fault(kind, size=quantity(*sizes[kind]))]}
-        return simulation(folder, Imperfections.only("noise"), content).scans("shoulder", TICKS).scans
+        entry = SimulatedFault.model_validate(fault(kind, size=quantity(*sizes[kind])))
+        return arm.with_faults([entry]).scans("shoulder", TICKS).scans
 
     late = (published("arrival").stamps_ns - expected.stamps_ns)[part] * 1e-9
     assert 1e-3 < np.std(late) < 3e-3
