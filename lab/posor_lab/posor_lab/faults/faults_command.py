@@ -119,12 +119,12 @@ def run_without_faults(
 
 SOUND_ARMS: tuple[ArmName, ...] = ("five_axis", "six_axis")
 DRAWN_ARMS: tuple[ArmName, ...] = ("six_axis", "five_axis_checked")
-QUICK_INJECTED, QUICK_CASES, QUICK_SCANS = 15_000, 50, 100
+QUICK_INJECTED, QUICK_CASES, QUICK_SCANS = 6_000, 50, 40
 OPTIONS = (
     Option("--seed", 1985, "of motion, noise and faults", least=0),
     Option("--rows", "", "only rows whose name contains TEXT; no storm"),
     Option("--no-rows", default=False, text="storms, drawn arms and runs without faults only"),
-    Option("--quick", default=False, text="a few rows and a short storm, for less than 40 s"),
+    Option("--quick", default=False, text="a few rows and a short storm, for less than 30 s"),
     Option("--storm", 1_000_000, "faulty scans of the storm through the estimator, of all stacks together", least=0),
     Option("--node-storm", 100_000, "faulty scans of the storm through nodes", least=0),
     Option("--arms", 100, "drawn arms of each design without faults, every one of which must be OK", least=0),

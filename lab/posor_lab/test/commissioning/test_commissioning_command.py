@@ -36,6 +36,13 @@ def arms(tmp_path_factory: pytest.TempPathFactory) -> dict[str, SimulatedCommiss
     return {name: SimulatedCommissioning(name, folder / name, seed=11) for name in ARMS}
 
 
+@pytest.fixture(scope="module")
+def bag(arms: dict[str, SimulatedCommissioning], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The recording of the five-axis arm without a fault."""
+    sound = arms["five_axis"]
+    return sound.write_bag(sound.recording, tmp_path_factory.mktemp("recorded") / "bag")
+
+
 def commission(sound: SimulatedCommissioning, bag: Path, output: Path, *options: str) -> int:
     reference = ("--reference-topic", REFERENCE, "--serial", sound.arm.serial)
     arguments = [str(sound.arm.path), "--bag", str(bag), "--output", str(output), *reference, *options]
@@ -73,10 +80,9 @@ def test_a_sound_arm_passes_and_says_what_was_not_checked(
 
 
 def test_the_program_writes_page_numbers_and_a_record_from_a_bag(
-    arms: dict[str, SimulatedCommissioning], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    arms: dict[str, SimulatedCommissioning], bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     sound, output = arms["five_axis"], tmp_path / "out"
-    bag = sound.write_bag(sound.recording, tmp_path / "bag")
     record = sound.arm.path.parent / "commissioning.json"
     assert commission(sound, bag, output) == 0
     first = load_record(record)
@@ -128,9 +134,7 @@ def test_a_record_that_was_changed_is_refused_before_anything_is_started(
     assert all(error.where.startswith(str(path.parent / "record.json")) for error in caught.value.parts)
 
 
-def test_a_recording_without_steps_is_refused(arms: dict[str, SimulatedCommissioning], tmp_path: Path) -> None:
-    sound = arms["five_axis"]
-    bag = sound.write_bag(sound.recording, tmp_path / "bag")
+def test_a_recording_without_steps_is_refused(bag: Path) -> None:
     topics = CommissioningTopics({"elbow": "/five_axis/elbow/raw"}, {}, "/five_axis/other")
     assert "there is no topic /five_axis/other" in refusal(BagError, load_commissioning, bag, topics).what
 
