@@ -209,7 +209,7 @@ def test_fault_is_named_and_nothing_is_written(
         ("2_supply", outliers(GAPS), r"left out \d+ of \d+ readings of gap voltage 3"),
         ("4_map_1", outliers(CURRENTS), r"left out \d+ of \d+ readings of current D of diode 1"),
         ("6_rays", outliers(CURRENTS), r"left out \d+ of \d+ readings of current A of diode 2"),
-        ("8_drift", lost(0.5), r"100 of 200 scans are not used"),
+        pytest.param("8_drift", lost(0.5), r"100 of 200 scans are not used", marks=pytest.mark.long),
     ],
 )
 def test_harmless_fault_is_reported(

@@ -38,6 +38,8 @@ OF_NODES: dict[str, tuple[str, dict[str, Parameter]]] = {
 """A parameter of each kind, given as users do: whole numbers for floats and the other way round."""
 WITHOUT_DATA = {"bag", "looped", "table", "instruments"}
 """Sources whose files do not exist: their nodes stay unconfigured."""
+LONG = {"bag", "table"}
+"""Sources with parameters of the kinds that the others have."""
 
 
 def values_of_node(command: Sequence[str], name: str, state: str) -> dict[str, Any]:
@@ -76,7 +78,7 @@ def program_of(kind: str) -> ProgramCommand:
 
 
 @pytest.mark.usefixtures("ros_domain")
-@pytest.mark.parametrize("kind", OF_NODES)
+@pytest.mark.parametrize("kind", [pytest.param(kind, marks=[pytest.mark.long] * (kind in LONG)) for kind in OF_NODES])
 def test_a_node_starts_from_a_dump_of_its_parameters(kind: str, tmp_path: Path) -> None:
     program, file = program_of(kind), tmp_path / "dump.yaml"
     name, state = full_name(program), "unconfigured" if kind in WITHOUT_DATA else "active"

@@ -161,7 +161,9 @@ def test_equal_values_at_rest_are_not_repeated() -> None:
     assert not find_repeated_values(recording, track).any()
 
 
-@pytest.mark.parametrize("count", [9, pytest.param(1000, marks=[pytest.mark.long, pytest.mark.timeout(3600)])])
+@pytest.mark.parametrize(
+    "count", [len(TRAVELS), pytest.param(1000, marks=[pytest.mark.long, pytest.mark.timeout(3600)])]
+)
 def test_sound_recordings_raise_no_alarm(count: int) -> None:
     procedure, calibration, alarms = PROCEDURES["gap_linearisation"], diode_calibration(), Counter[str]()
     options = procedure.options(**ORDER)
