@@ -48,7 +48,10 @@ def _replay(folder: Path) -> Path:
 
 
 def _budget(folder: Path) -> Path:
-    assert budget([str(ELBOW), "--draws", "20000", "--output", str(folder)]) == 0
+    with pytest.MonkeyPatch.context() as few:  # draws, to save time
+        for module in ("monte_carlo", "budget_command"):
+            few.setattr(f"posor_design.{module}.BATCH", 500)
+        assert budget([str(ELBOW), "--draws", "1000", "--output", str(folder)]) == 0
     return folder / "budget.html"
 
 
