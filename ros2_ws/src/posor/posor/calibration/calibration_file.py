@@ -304,7 +304,7 @@ def _calibration_with(named_types: tuple[tuple[str, type[SensorCalibration]], ..
     """Return the model of a calibration with sensors of these types."""
     types = dict(named_types)
     union: Any = Annotated[Union[tuple(types.values())], select_model_by_key("type", types)]  # noqa: UP007
-    sensors = (Annotated[list[union], Field(min_length=1)], ...)
+    sensors: Any = (Annotated[list[union], Field(min_length=1)], ...)
     return create_model("Calibration", __base__=Calibration, sensors=sensors)
 
 
