@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import copy
 import math
-from functools import cached_property
+from functools import cached_property, partial
 from operator import index as whole_number
 from typing import TYPE_CHECKING, Any
 
@@ -103,6 +103,7 @@ class Posor:
         self._plain = PlainSensors(self.stack, self.model, self.parameter_square_root)
         self._known_theta: float | None = None
         self._one = _OneScan(self)
+        self._solve_start: Callable[[], int] | None = None
         write_settings(self.model, self.calibration, self.redundancy, self._false_alarm)
 
     def with_parameter_values(self, values: FloatArray) -> Posor:
@@ -331,12 +332,15 @@ class Posor:
             raise ShapeError("thetas", received=np.shape(thetas), expected=f"({len(scans)},)")
         estimates = np.zeros(len(scans), dtype=ESTIMATE)
         effects = self.allocate_effects(len(scans) if fault_effects else 0)
-        records = np.require(scans._records, requirements=["C", "W"])
+        arrays = record_view(np.require(scans._records, requirements=["C", "W"])), record_view(estimates), effects
+        run = self._bind_scans(*arrays)
         try:
             for n in range(len(scans)):
                 self.reset()
                 self._known_theta = None if thetas is None else float(thetas[n])
-                self.estimate_records(records[n : n + 1], estimates[n : n + 1], effects[n : n + 1])
+                _, left = run(n, n + 1)
+                if left != DONE:
+                    self.finish_scan(*arrays, n, left, run)
         finally:
             self._known_theta = None
             self.reset()
@@ -351,18 +355,25 @@ class Posor:
         """
         scans, estimates = record_view(scans), record_view(estimates)
         effects = self.allocate_effects(0) if effects is None else effects
+        run = self._bind_scans(scans, estimates, effects)
         done, count = 0, len(scans)
         while done < count:
-            done, left = self._estimate_scans(scans, estimates, effects, done, count)
+            done, left = run(done, count)
             if left != DONE:
-                self.finish_scan(scans, estimates, effects, done, left)
+                self.finish_scan(scans, estimates, effects, done, left, run)
                 done += 1
 
-    def _estimate_scans(
+    def _bind_scans(
+        self, scans: NDArray[np.void], estimates: NDArray[np.void], effects: NDArray[np.float32]
+    ) -> Callable[[int, int], tuple[int, int]]:
+        """Return a function that estimates scans from one number to another; it returns as ``estimate_scans``."""
+        if not self._plain.present:
+            return bind(estimate_scans, (self.model, scans, estimates, effects))
+        return partial(self._estimate_plain, scans, estimates, effects)
+
+    def _estimate_plain(
         self, scans: NDArray[np.void], estimates: NDArray[np.void], effects: NDArray[np.float32], begin: int, end: int
     ) -> tuple[int, int]:
-        if not self._plain.present:
-            return estimate_scans(self.model, scans, estimates, effects, begin, end)
         for n in range(begin, end):
             _, left = self._plain.estimate_scans(scans, estimates, n, n + 1)
             if left != DONE:
@@ -372,18 +383,26 @@ class Posor:
         return end, DONE
 
     def finish_scan(
-        self, scans: NDArray[np.void], estimates: NDArray[np.void], effects: NDArray[np.float32], n: int, left: int
+        self,
+        scans: NDArray[np.void],
+        estimates: NDArray[np.void],
+        effects: NDArray[np.float32],
+        n: int,
+        left: int,
+        run: Callable[[int, int], tuple[int, int]] | None = None,
     ) -> None:
         """Do what ``estimate_scans`` left to do for scan n: start from a closed form, or retry from there.
 
         The arrays are those of ``estimate_records`` in the view for kernels (``numerics.compiled.record_view``).
+        ``run``: estimates them, if that is known already.
         """
+        run = run or self._bind_scans(scans, estimates, effects)
         if left == START and self.counts_bumps:
             self.tracker["counted"] = 0  # a closed form does not know the count
         self._start(scans, estimates, n)
         self.model.workspace["is_retry"] = 1
         try:
-            self._estimate_scans(scans, estimates, effects, n, n + 1)
+            run(n, n + 1)
         finally:
             self.model.workspace["is_retry"] = 0
 
@@ -398,12 +417,13 @@ class Posor:
         near = float(self.tracker["theta"]) if known is None and self.tracker["initialised"] else (known or 0.0)
         guesses = [near + bump * (i / PHASE_GUESSES - 0.5) for i in range(PHASE_GUESSES)]
         workspace["rows_active"] = 0
+        self._solve_start = self._solve_start or bind(solve_start, (self.model, SINGULAR))
         best = math.inf
         for start in start_poses(selected, values, guesses if self.counts_bumps else [0.0]):
             rows[:m] = selected
             self.stack.expand_plain_rows(rows, start.rotation, start.translation)
             pose["rotation"], pose["translation"] = start.rotation, start.translation
-            settled = solve_start(self.model, SINGULAR) == CONVERGED
+            settled = self._solve_start() == CONVERGED
             misfit = float((1.0 / variances) @ np.square(workspace["residuals"][:m])) if settled else math.inf
             misfit += float(np.sum(np.square(pose["translation"][:2] / LIKELY_RUNOUT)))
             if settled and self.counts_bumps and known is not None:
