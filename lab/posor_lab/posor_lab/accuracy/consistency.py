@@ -23,7 +23,7 @@ from posor.model.fault import State
 from posor.model.native_coordinates import rotation_from_native
 from posor.model.reading_rows import GAP, RING, SPOT_X
 from posor.numerics.vector import thetas_of
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from posor_lab.harness.random_poses import errors_in_parent, readable_poses
 from posor_lab.true_scans import TruePosor
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 FREEDOMS = 6
 BAND = 0.95
 REGION = 0.95
-REGION_LIMIT = float(chi2.ppf(REGION, FREEDOMS))
+REGION_LIMIT = float(chdtri(FREEDOMS, 1.0 - REGION))
 """Largest normalised error squared inside the published 95 % region of a pose."""
 FALSE_ALARM = 1e-12  # probability so small that no scan is excluded because of its residual
 
@@ -88,7 +88,7 @@ def nees(stack: DesignName, runs: int, seed: int) -> Nees:
 def normalised(errors: FloatArray, covariances: FloatArray, band: float = BAND) -> Nees:
     """Return the mean normalised error squared of errors (n, 6) with stated covariances (n, 6, 6)."""
     count = FREEDOMS * len(errors)
-    low, high = (float(chi2.ppf(p, count)) / count for p in (0.5 - 0.5 * band, 0.5 + 0.5 * band))
+    low, high = (float(chdtri(count, p)) / count for p in (0.5 + 0.5 * band, 0.5 - 0.5 * band))
     return Nees(float(np.sum(normalised_squares(errors, covariances))) / count, low, high)
 
 

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from posor.reporting.figure_style import BLUE, GREEN, GREY, LIGHT_BLUE, MICRON, ORANGE
 from posor.reporting.plot import Plot
-from scipy.stats import chi2
 
 from posor_lab.accuracy.consistency import FREEDOMS, REGION_LIMIT
 from posor_lab.arm_study.arm_record import rms
@@ -72,6 +71,8 @@ def plot_controller(before: ArmRecord, after: ArmRecord) -> Plot:
 
 def plot_coverage(coverage: Coverage) -> list[Plot]:
     """Return the normalised errors of many arms, and the displacement that an uncorrected sag leaves."""
+    from scipy.stats import chi2  # noqa: PLC0415  takes half a second to load
+
     edges = np.linspace(0.0, NEES_END, BINS + 1)
     counts, _ = np.histogram(coverage.normalised, edges)
     title = f"{coverage.arms} arms: {100.0 * coverage.inside.value:.1f} % of the poses in their 95 % region"

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from posor.errors import FitError, TrackError
-from scipy.stats import spearmanr, theilslopes
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -177,6 +176,8 @@ def check_unit(measured: FloatArray, reference: FloatArray, source: str, unit: s
 
     ``measured`` (d,) are the readings converted with the present calibration, in ``unit``.
     """
+    from scipy.stats import theilslopes  # noqa: PLC0415  takes half a second to load
+
     ratio = float(theilslopes(reference, measured)[0])
     if ratio < 0.0:
         raise TrackError(
@@ -206,6 +207,8 @@ def check_axis(measured: FloatArray, reference: FloatArray, column: int, names: 
 
 def _rank_correlation(first: FloatArray, second: FloatArray) -> float:
     """Return the size of the rank correlation of two series, zero if one of them is constant."""
+    from scipy.stats import spearmanr  # noqa: PLC0415  takes half a second to load
+
     if np.ptp(first) == 0.0 or np.ptp(second) == 0.0:
         return 0.0
     return abs(float(spearmanr(first, second).statistic))

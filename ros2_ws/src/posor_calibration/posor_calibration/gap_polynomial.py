@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, Literal, TypeAlias
 import numpy as np
 from numpy.polynomial import Chebyshev, Polynomial
 from posor.errors import FitError
-from scipy.stats import theilslopes
 
 from posor_calibration.data_checks import check_count
 from posor_calibration.fit_report import IMPROBABLE
@@ -117,6 +116,8 @@ class _Powers:
     """
 
     def __init__(self, probe: SingleProbe, data: GapData, highest: int) -> None:
+        from scipy.stats import theilslopes  # noqa: PLC0415  takes half a second to load
+
         self.probe, self.data = probe, data
         volts = probe.shifted_volts(data.scans)
         self.span = float(volts.min()), float(volts.max())
