@@ -56,7 +56,10 @@ if TYPE_CHECKING:
 IN_ORDER, LATE, CONTRADICTORY = 0, -103, -104
 """Results of ``follow_clocks``, and codes of the estimate of a refused scan."""
 CLOCK_STEP_S = 1.0  # step back of the stamps [s] that, with numbers that go back, shows a new start of a recording
-FITTED_SCANS = 16  # scans after which the line can be contradicted
+SETTLING_SCANS = 4  # scans of a line, with fewer of which it allows for GREATEST_DEVIATION
+FITTED_SCANS = (
+    16  # scans of a line, with fewer of which a new one begins where it is contradicted; later, scans are refused
+)
 MEMORY_SCANS = 256  # of the line and of the scatter
 NEW_RATE_RUN = 14  # scans in a row off the line after which a new line begins, because their rate is another one
 FAILED_LINES = 3  # lines in a row, left within FITTED_SCANS, after which the stamps scatter
@@ -246,10 +249,10 @@ def _begin_to_scatter(clocks: Any, scatters: bool, deviation: float) -> bool:  #
 
 @in_place
 def _begin_again(model: Model, scan: Any, stamp: float, deviation: float) -> None:
-    """Begin a new line where the first scans leave it, by ``deviation`` [s]; the third time, stamps scatter.
+    """Begin a new line where the first scans leave it, by ``deviation`` [s], a step; the third time, stamps scatter.
 
     The period is then that of the scans since the first time. If no line has held before, the elapsed times were wrong
-    since the first scan: the recording begins here.
+    since the first scan: the recording begins here, and there was no step.
     """
     tracker = model.workspace[0].tracker
     clocks = tracker.clocks
@@ -259,11 +262,13 @@ def _begin_again(model: Model, scan: Any, stamp: float, deviation: float) -> Non
         clocks.first_number, clocks.first_stamp = scan.number, stamp
     _begin_line(clocks, scan, stamp)
     clocks.deviation = deviation
+    clocks.step += deviation
     if clocks.failed < FAILED_LINES:
         return
     clocks.period = (stamp - first_stamp) / float(scan.number - first_number)
     clocks.fitted, clocks.variance = FITTED_SCANS, square(deviation) / 12.0
     if not clocks.held:
+        clocks.step = 0.0
         _begin_recording(tracker)
 
 
@@ -291,7 +296,7 @@ def _hold(tracker: Any) -> None:
 @inlined
 def _tolerance(clocks: Any, steps: float) -> float:
     """Return the deviation from the line [s] beyond which a stamp contradicts its number, ``steps`` after the last."""
-    if clocks.fitted < FITTED_SCANS:
+    if clocks.fitted < SETTLING_SCANS:
         return float(GREATEST_DEVIATION * clocks.period)
     scatter = SCATTER_SIGMAS * math.sqrt(clocks.variance)
     least = min(max(LEAST_DEVIATION * clocks.period, scatter), GREATEST_DEVIATION * clocks.period)

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from posor import Calibration, Estimates, Fault, Posor, Scans, State, load_calibration, simulate
-from posor.estimation.clocks import FAILED_LINES, FITTED_SCANS, LATE_RUN, NEW_RATE_RUN, RESTART_RUN
+from posor.estimation.clocks import FAILED_LINES, FITTED_SCANS, LATE_RUN, NEW_RATE_RUN, RESTART_RUN, SETTLING_SCANS
 from posor.estimation.exposure import LONGEST_OFFSET_S
 from scipy.stats import chi2
 
@@ -230,6 +230,15 @@ def test_a_clock_that_is_set_back_and_forth_is_no_scatter() -> None:
     found = estimate("light ring", (INDEX - 2.65 * is_back) * PERIOD_S, INDEX, simulated("light ring"))
     steps = int(np.count_nonzero(np.diff(is_back)))
     assert np.count_nonzero(found.states == State.LOST) == steps * (LATE_RUN - 1)
+
+
+@pytest.mark.parametrize("first", [SETTLING_SCANS, 8, FITTED_SCANS - 1])
+def test_a_step_of_the_clock_within_the_first_scans_is_no_scatter(first: int) -> None:
+    """Else poses before the step are at wrong times, and a later step within the scatter passes."""
+    shift = np.where(first > INDEX, 4.15, 0.0) - np.where((INDEX >= AT) & (INDEX < AT + 25), 2.65, 0.0)
+    found = estimate("light ring", (INDEX + shift) * PERIOD_S, INDEX, simulated("light ring"))
+    assert (found.stamp_shifts[first + LATE_RUN : AT, 5] > 0.0).all()
+    assert np.count_nonzero(found.states[AT : AT + 25] == State.LOST) == LATE_RUN - 1
 
 
 def test_steps_of_the_stamps_add_up_to_their_largest_error() -> None:
