@@ -1,0 +1,111 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""A driver that restarts with another clock: the ages of its scans show a step that its stamps and numbers hide."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from posor.calibration.designs import DesignName, design
+from posor.estimation.forward import scans_at
+from posor.estimation.posor import Posor
+from posor.messages.message_stream import RawScanStream
+from posor.messages.raw_scan import ScanTemplate
+from posor.model.fault import USABLE_STATES, State
+from posor.model.native_coordinates import rotation_from_native
+from posor.numerics.stamps import NS
+from posor_lab.harness.graph import scan_message
+from posor_msgs.msg import JointTransform, RawScan
+from posor_ros.message_classes import schema_of_class
+from rclpy.serialization import deserialize_message
+
+RAW_SCAN = schema_of_class(RawScan)
+
+
+class RestartedDriver:
+    """A joint at rest whose driver restarts after 100 scans and is away for three intervals; ages of scans in s."""
+
+    PERIOD_S, AGE_S, AWAY = 0.02, 0.003, 3
+
+    def __init__(self, stack: DesignName = "triad_diodes") -> None:
+        self.posor = Posor(design(stack, motion=True))
+        self._scans = iter(self._at_rest())
+        self._stream = RawScanStream(self.posor, next(self._scans).at(NS, 1))
+        self._stream.accept_ages(-0.5 * NS, 1.0 * NS)
+        self._now_ns, self._number, self.step_s = 10**18, 0, 0.0
+        for _ in range(100):
+            self.receive()
+        self._now_ns += round(self.AWAY * self.PERIOD_S * NS)
+
+    def _at_rest(self) -> list[ScanTemplate]:
+        """Return noisy scans of one pose."""
+        count = 600
+        rotations, translations = (
+            np.tile(rotation_from_native(0.0, 0.0, 0.05), (count, 1, 1)),
+            np.tile([0.0, 0.0, 0.7e-3], (count, 1)),
+        )
+        noise = np.random.default_rng(7)
+        scans = scans_at(self.posor.stack, rotations, translations, np.zeros(count, dtype=np.int64), noise=noise)
+        return [ScanTemplate(RAW_SCAN.serialize(scan_message(scans[n]))) for n in range(count)]
+
+    def receive(self, late_s: float = 0.0, *, live: bool = True) -> JointTransform:
+        """Return the transform of the next scan, whose stamp is ``step_s`` ahead."""
+        self._now_ns += round(self.PERIOD_S * NS)
+        data = next(self._scans).at(self._now_ns + round(self.step_s * NS), self._number)
+        self._number += 1
+        arrival_ns = self._now_ns + round((self.AGE_S + late_s) * NS)
+        found = self._stream.estimate_message(data, *([arrival_ns] if live else []))
+        assert found is not None
+        return deserialize_message(found, JointTransform)
+
+    def receive_missed(self) -> JointTransform:
+        """Return the transform of a scan of the old clock, after those that were missed."""
+        self._number += self.AWAY
+        return self.receive()
+
+    def begin_numbers(self) -> None:
+        """Number the scans from 0."""
+        self._number = 0
+
+    def restart(self, late_s: float = 0.0, *, live: bool = True) -> JointTransform:
+        """Return the first transform with a pose after the restart."""
+        self.begin_numbers()
+        found = (self.receive(late_s, live=live) for _ in range(100))
+        return next(each for each in found if each.state in USABLE_STATES)
+
+
+@pytest.mark.parametrize("step_s", [-0.04, 0.04])
+def test_ages_of_scans_show_a_step_of_the_stamps_that_a_restart_hides(step_s: float) -> None:
+    driver = RestartedDriver()
+    driver.step_s = step_s
+    assert np.all(driver.restart().stamp_shift)
+    assert driver.posor.tracker["clocks"]["step"] == pytest.approx(abs(step_s), rel=1e-6)
+    assert driver.posor.acknowledge()
+    for _ in range(400):
+        assert not np.any(driver.receive().stamp_shift)
+
+
+def test_a_restart_without_a_step_of_the_stamps_shifts_no_pose() -> None:
+    assert not np.any(RestartedDriver().restart().stamp_shift)
+    driver = RestartedDriver()
+    driver.step_s = -0.04
+    assert not np.any(driver.restart(live=False).stamp_shift)  # a recording has no ages
+
+
+def test_a_late_start_of_a_restarted_driver_is_a_step_only_until_a_scan_arrives_in_time() -> None:
+    driver = RestartedDriver()
+    assert np.all(driver.restart(0.03).stamp_shift)
+    assert not np.any(driver.receive().stamp_shift)
+    assert not driver.posor.has_latch
+
+
+def test_a_step_that_only_the_ages_show_gives_up_a_count() -> None:
+    for step_s, is_usable in ((0.0, True), (-0.04, False)):
+        driver = RestartedDriver("triad_bumpy_ring")
+        driver.posor.confirm_theta(0.05, 1e-3)
+        assert driver.receive_missed().state == State.OK
+        driver.step_s = step_s
+        driver.begin_numbers()
+        states = [driver.receive().state for _ in range(10)]
+        assert states[:2] == [State.LOST] * 2
+        assert (states[-1] in USABLE_STATES) == is_usable
