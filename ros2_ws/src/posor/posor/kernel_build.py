@@ -34,7 +34,7 @@ JOINT_ENTRIES = {
     "estimation.linearise": ("linearise_scan", "linearise_scans"),
     "estimation.solver": ("solve_start",),
     "messages.joint_transform": ("pack_rows",),
-    "messages.message_stream": ("begin_message", "end_message", "estimate_messages"),
+    "messages.message_stream": ("begin_message", "copy_transform", "end_message", "estimate_messages"),
     "messages.raw_scan": ("unpack_rows",),
     "model.reading_rows": ("_differentiate", "_evaluate", "_evaluate_poses", "prepare_rows", "turn_rows"),
     "model.spot_map": ("position_of_ratios", "ratios_of_positions"),

@@ -11,7 +11,7 @@ import numpy as np
 from posor.calibration.designs import DesignName, design
 from posor.chain.beam_vibration import Oscillators, follow_reading, write_vibration
 from posor.chain.endpoint_predictor import EndpointPredictor
-from posor.chain.joint_measurements import VIBRATION, JointRowLayout
+from posor.chain.joint_measurements import VIBRATION, JointRowLayout, JointRows
 from posor.chain.kinematic_chain import Chain
 from posor.estimation.estimate_scan import begin_scan_estimate, solve_and_check, write_lost
 from posor.estimation.fault_model import EFFECT
@@ -20,7 +20,14 @@ from posor.estimation.linearise import linearise_scan
 from posor.estimation.posor import Posor
 from posor.messages import byte_kernels
 from posor.messages.joint_transform import TRANSFORM_LAYOUT, pack_rows
-from posor.messages.message_stream import STATUS, MessageEstimator, MessageStream, begin_message, end_message
+from posor.messages.message_stream import (
+    STATUS,
+    MessageEstimator,
+    MessageStream,
+    begin_message,
+    copy_transform,
+    end_message,
+)
 from posor.messages.message_table import MessageRows
 from posor.messages.raw_scan import RAW_SCAN_LAYOUT, unpack_rows
 from posor.model.fault import State
@@ -44,6 +51,17 @@ FIELD_BYTES = {  # bytes of the fields of a message that are longer than eight b
     "covariance_systematic": 288,
     "stamp_shift": 48,
 }
+EXAMPLE_ROW = JointRowLayout(
+    pose=32,
+    native=88,
+    covariance_random=144,
+    covariance_systematic=432,
+    shared=0,
+    effects=0,
+    stamp_shift=720,
+    state=21,
+    size=ROW_BYTES,
+)
 
 ARM = """<robot name="arm"><link name="base"/><link name="plate"/><link name="endpoint"/>
 <joint name="joint" type="floating"><parent link="base"/><child link="plate"/></joint>
@@ -65,6 +83,7 @@ def use_joint_kernels() -> None:
         MessageEstimator(posor, stream).estimate_rows()
         begin_message(posor.model, stream, 0, 0, 0)
         end_message(posor.model, stream, 0)
+        copy_transform(stream, JointRows.allocate([EXAMPLE_ROW]), 0)
         unpack_rows(stream.raw, stream.raw_layout, posor.model.workspace["scan"])
         records, layout = record_view(estimates._records), stream.transform_layout
         pack_rows(records, stream.effects, layout, stream.template, stream.transforms)
@@ -130,19 +149,8 @@ def example_stream(count: int = 1) -> MessageStream:
 
 def _use_chain() -> None:
     """Find the endpoint of an arm of one joint, and one more from a row of bytes."""
-    layout = JointRowLayout(
-        pose=32,
-        native=88,
-        covariance_random=144,
-        covariance_systematic=432,
-        shared=0,
-        effects=0,
-        stamp_shift=720,
-        state=21,
-        size=ROW_BYTES,
-    )
     chain = Chain(ARM, "endpoint")
-    estimator = chain.estimator(row_layouts=[layout])
+    estimator = chain.estimator(row_layouts=[EXAMPLE_ROW])
     if not estimator.estimate():
         message = "an arm of one joint has no endpoint"
         raise AssertionError(message)
@@ -156,7 +164,7 @@ def _use_chain() -> None:
     follow_reading(oscillators, np.zeros(3), 0, 1)
     write_vibration(oscillators, np.zeros((1, 1), dtype=VIBRATION), 0, 1)
     predictor = EndpointPredictor(chain, EncodersParameters(sigma=(1e-6,)))
-    predictor.use_row_layout(0, layout)
+    predictor.use_row_layout(0, EXAMPLE_ROW)
     predictor.read(1, np.zeros(1))
     predictor.use_transform(0, 1)
     predictor.use_row(0, 1)

@@ -27,13 +27,13 @@ from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 from posor.chain.arm_file import CHAIN_NODE
 from posor.chain.beam_temperatures import BeamTemperatures
 from posor.chain.beam_vibration import BeamVibrations
+from posor.chain.forward_kinematics import UNUSABLE
 from posor.chain.kinematic_chain import load_chain
 from posor.chain.time_synchroniser import MAX_OPEN_SCANS, TimeSynchroniser
 from posor.errors import TopicError
-from posor.messages.cdr_schema import STAMP
+from posor.messages.cdr_schema import LITTLE_ENDIAN, STAMP
 from posor.messages.endpoint_messages import EndpointStateWriter, EndpointVerdict, EndpointWriter
 from posor.messages.joint_transform import JointTransformFormat, TransformConstants, stamp_ns_of
-from posor.messages.message_table import LEAD
 from posor.model.fault import State
 from posor.node_parameters import ChainParameters
 from posor.numerics.stamps import NO_TIME, NS, time_ns
@@ -62,17 +62,24 @@ from sensor_msgs.msg import Imu, JointState, Temperature
 from posor_estimator.acceleration_reader import AccelerationReader
 from posor_estimator.alarm_rate import AlarmRate
 from posor_estimator.endpoint_prediction import EndpointPrediction, JointMessage
-from posor_estimator.endpoint_verdict import SOUND, JointStatus, degraded_verdict, unusable_verdict, with_beam_faults
+from posor_estimator.endpoint_verdict import SOUND, degraded_verdict, unusable_verdict, with_beam_faults
 from posor_estimator.frame_publisher import FramePublisher
 from posor_estimator.identity_check import IdentityCheck
+from posor_estimator.joint_stream import TakenScans
+from posor_estimator.scan_rows import ScanRows
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from posor.chain.endpoint_estimator import EndpointEstimator
     from posor.chain.robot_model import FreeJoint
+    from posor.messages.arm_pass import ArmPass
     from posor.numerics.array_types import FloatArray
     from posor_ros.delivery_round import Delivery
     from posor_ros.diagnostics import Status, Value
     from std_srvs.srv import Trigger
+
+    from posor_estimator.joint_stream import JointStream
 
 
 OK = int(State.OK)
@@ -95,8 +102,8 @@ class ChainNode(PosorNode[ChainParameters]):
     _temperatures: BeamTemperatures
     _vibrations: BeamVibrations
     _formats: dict[str, JointTransformFormat]  # of the last transform of each joint
-    _rows: list[tuple[str, JointTransformFormat, memoryview]]  # joints, formats and memory of the estimator's rows
-    _transforms: list[IntraProcessSubscription]
+    _rows: ScanRows
+    _transforms: dict[IntraProcessSubscription, int]  # with the number of the joint of each
     _joints: dict[str, tuple[int, FreeJoint]]  # number and joint of each topic of transforms
     _home: FloatArray | None
     _frames: FramePublisher | None
@@ -137,7 +144,7 @@ class ChainNode(PosorNode[ChainParameters]):
         self._estimator = chain.estimator(self.parameters.acceleration_window)
         self._temperatures = BeamTemperatures(chain.beams, self._estimator, chain.plates)
         self._vibrations = BeamVibrations(chain.beams, self._estimator)
-        self._rows, self._transforms, self._reads_effects = [], [], True
+        self._rows, self._transforms, self._reads_effects = ScanRows(self._estimator), {}, True
         self._home, self._pose_stamp, self._reported = None, b"", None
         self._poses = self._scans_refused = self._scans_incomplete = self._transforms_refused = 0
         self._refusals.clear()
@@ -166,7 +173,7 @@ class ChainNode(PosorNode[ChainParameters]):
             status = self._prediction_status = self._prediction_status or self.diagnostics.add_status("prediction")
             self._prediction = EndpointPrediction(self, chain, frames, self._lock, self._with_arm, status)
         self.add_cleanup(self._inputs.clear)
-        self._transforms_group = DeliveryGroup(self._on_transforms, self._lock)
+        self._transforms_group = DeliveryGroup(self._on_transforms, self._lock, self._take_scans)
         self._joints = {}
         for number, joint in enumerate(chain.joints):
             self._subscribe(number, joint)
@@ -183,7 +190,7 @@ class ChainNode(PosorNode[ChainParameters]):
         topic, qos = f"{joint.name}/{TRANSFORM_TOPIC}", input_qos(self.parameters)
         subscription = IntraProcessSubscription(self, JointTransform, topic, qos, self._transforms_group)
         self._inputs.add(subscription)
-        self._transforms.append(subscription)
+        self._transforms[subscription] = number
         self._joints[subscription.topic_name] = number, joint
 
     def _subscribe_to_beams(self) -> None:
@@ -272,9 +279,10 @@ class ChainNode(PosorNode[ChainParameters]):
             if self._synchroniser.incomplete:
                 self._report_incomplete_scans()
             if scan is not None:
-                last_ns = stamp_ns_of(self._last_stamp)
-                self._publish_endpoint(scan, stamp_ns)
-                self._expect_effects(stamp_ns, last_ns)
+                if constants := self._rows.fill(scan):
+                    self._identity.update([each.calibration for each in constants])
+                    self._state_writer.identity = self._identity.sha256
+                self._estimate_endpoint(stamp, stamp_ns)
 
     def _read_transform(self, number: int, joint: FreeJoint, data: bytes) -> JointMessage | None:
         """Return a transform in plain CDR and its format; None: it is refused."""
@@ -376,53 +384,77 @@ class ChainNode(PosorNode[ChainParameters]):
             for subscription in self._transforms:
                 subscription.reads_whole = is_due
 
-    def _fill_rows(self, scan: dict[str, JointMessage]) -> bytes:
-        """Copy the transforms of a scan into the estimator; return the bytes of its stamp."""
-        if not self._rows:
-            self._use_formats([scan[name][0] for name in self._estimator.joints])
-        data = b""
-        for name, expected, row in self._rows:
-            found, data = scan[name]
-            if found is not expected:
-                self._rows = []
-                return self._fill_rows(scan)
-            row[:] = data if len(data) == found.size else data[: found.size]
-        return data[STAMP]
+    def _take_scans(self, streams: Sequence[JointStream]) -> TakenScans | None:
+        """Take the transforms of prepared streams without messages, in the call that estimates scans and endpoint.
 
-    def _use_formats(self, formats: list[JointTransformFormat]) -> None:
-        """Take the rows, shared terms, causes and calibrations of the formats of all joints."""
-        estimator, constants = self._estimator, [each.constants for each in formats]
-        estimator.use_rows([each.row_layout for each in formats])
-        estimator.use_terms([each.shared for each in constants])
-        estimator.use_causes([each.causes for each in constants])
-        self._identity.update([each.calibration for each in constants])
-        self._state_writer.identity = self._identity.sha256
-        self._rows = [
-            (name, each, row[LEAD : LEAD + each.size].data)
-            for name, each, row in zip(estimator.joints, formats, estimator.rows, strict=True)
-        ]
-
-    def _publish_endpoint(self, scan: dict[str, JointMessage], stamp_ns: int) -> None:
-        estimator, identity = self._estimator, self._identity
-        self._last_stamp = stamp = self._fill_rows(scan)
-        if not self._inputs.accepts(stamp_ns) and (refusal := self._inputs.refusal(stamp_ns)):
-            self._refuse_scan(stamp, stamp_ns, EndpointVerdict(EndpointState.STATE_LOST, 0, "", refusal))
-            return
+        None: the messages are needed, because the scans are not one of each joint with an accepted stamp.
+        """
+        header = streams[0].data[: STAMP.stop]
+        for stream in streams:
+            if stream.data[: STAMP.stop] != header or stream.taker is None or stream.taker.closed:
+                return None
+        stamp = header[STAMP]
+        stamp_ns = stamp_ns_of(stamp)
+        if (
+            len(streams) != len(self._transforms)
+            or not (self.may_publish and stamp_ns and header.startswith(LITTLE_ENDIAN))
+            or self._vibrations.names
+            or not self._synchroniser.is_next(stamp_ns)
+            or not self._inputs.accepts(stamp_ns)
+            or (found := self._rows.find_pass(streams, self._transforms)) is None
+        ):
+            return None
         if self._temperatures.names:
             self._temperatures.update(stamp_ns)
-        if self._vibrations.names:
-            self._vibrations.update(stamp_ns)
-        worst = estimator.estimate_rows(stamp_ns)
-        if worst < 0 or identity.refuses:
-            verdict = unusable_verdict(self._joints_of(scan)) if worst < 0 else identity.verdict
-            self._refuse_scan(stamp, stamp_ns, verdict)
-            return
+        return TakenScans(partial(found.run, stamp_ns), partial(self._publish_taken, found, stamp, stamp_ns))
+
+    def _publish_taken(self, arm_pass: ArmPass, stamp: bytes, stamp_ns: int) -> None:
+        """Publish the endpoint of the scans that a pass has estimated."""
         if self._prediction is not None:
-            self._prediction.use_scan(estimator, identity.sha256)
+            for number, message in enumerate(self._rows.messages()):
+                self._prediction.add_transform(number, stamp_ns, message)
+        self._end_scan(stamp, stamp_ns, arm_pass.worst)
+        self._synchroniser.complete(stamp_ns)
+        now_s = time.monotonic()
+        for subscription in self._transforms:
+            subscription.watch.record(now_s)
+
+    def _estimate_endpoint(self, stamp: bytes, stamp_ns: int) -> None:
+        """Estimate the endpoint of the rows, unless the stamp is refused, and publish it."""
+        worst, refusal = UNUSABLE, "" if self._inputs.accepts(stamp_ns) else self._inputs.refusal(stamp_ns)
+        if not refusal:
+            if self._temperatures.names:
+                self._temperatures.update(stamp_ns)
+            if self._vibrations.names:
+                self._vibrations.update(stamp_ns)
+            worst = self._estimator.estimate_rows(stamp_ns)
+        self._end_scan(stamp, stamp_ns, worst, refusal)
+
+    def _end_scan(self, stamp: bytes, stamp_ns: int, worst: int, refusal: str = "") -> None:
+        """Publish the endpoint of a complete scan, or why there is none.
+
+        ``worst``: result of ``EndpointEstimator.estimate_rows``; ``refusal``: why the scan must not be used.
+        """
+        last_ns = stamp_ns_of(self._last_stamp)
+        self._last_stamp = stamp
+        if refusal:
+            self._refuse_scan(stamp, stamp_ns, EndpointVerdict(EndpointState.STATE_LOST, 0, "", refusal))
+        elif worst < 0:
+            self._refuse_scan(stamp, stamp_ns, unusable_verdict(self._rows.statuses()))
+        elif self._identity.refuses:
+            self._refuse_scan(stamp, stamp_ns, self._identity.verdict)
+        else:
+            self._publish_endpoint(stamp, stamp_ns, worst)
+        self._expect_effects(stamp_ns, last_ns)
+
+    def _publish_endpoint(self, stamp: bytes, stamp_ns: int, worst: int) -> None:
+        identity = self._identity
+        if self._prediction is not None:
+            self._prediction.use_scan(self._estimator, identity.sha256)
         self._publish_pose(stamp)
         is_sound = worst == OK and identity.verdict is SOUND
         is_sound = is_sound and not self._temperatures.reason and not self._vibrations.reason
-        verdict = SOUND if is_sound else self._verdict_of_pose(scan, worst)
+        verdict = SOUND if is_sound else self._verdict_of_pose(worst)
         self._publish_state(stamp, stamp_ns, verdict)
         self.timing.record(stamp_ns)
         self._poses += 1
@@ -447,20 +479,15 @@ class ChainNode(PosorNode[ChainParameters]):
         if self._frames is not None and self._frames.publisher.has_subscriptions:
             self._frames.publish(stamp)
 
-    def _verdict_of_pose(self, scan: dict[str, JointMessage], worst: int) -> EndpointVerdict:
+    def _verdict_of_pose(self, worst: int) -> EndpointVerdict:
         """Return the verdict on a scan with a pose; ``worst``: state of its joints."""
-        return self._with_arm(SOUND if worst == OK else degraded_verdict(self._joints_of(scan)))
+        return self._with_arm(SOUND if worst == OK else degraded_verdict(self._rows.statuses()))
 
     def _refuse_scan(self, stamp: bytes, stamp_ns: int, verdict: EndpointVerdict) -> None:
         self._scans_refused += 1
         self._pose_stamp = b""
         self._publish_state(stamp, stamp_ns, verdict)
         self._report_refused_scan(verdict)
-
-    def _joints_of(self, scan: dict[str, JointMessage]) -> list[JointStatus]:
-        """Return the status of each joint of a complete scan after the estimate, in the chain's order."""
-        joints = zip(self._rows, self._estimator.faults.tolist(), strict=True)
-        return [JointStatus(name, *each.read_state(scan[name][1]), code) for (name, each, _), code in joints]
 
     def _scan_number(self) -> int:
         return self._poses + self._scans_refused + self._scans_incomplete

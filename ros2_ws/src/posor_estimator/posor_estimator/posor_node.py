@@ -47,6 +47,7 @@ from posor_estimator.alarm_rate import AlarmRate
 from posor_estimator.encoder_subscription import subscribe_to_encoder
 from posor_estimator.endpoint_verdict import NOT_COUNTED, waits_to_be_counted
 from posor_estimator.fault_release import EncoderReading, FaultRelease, check_plausible
+from posor_estimator.joint_stream import JointStream
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -56,6 +57,8 @@ if TYPE_CHECKING:
     from posor_ros.delivery_round import Delivery
     from posor_ros.diagnostics import StatusText, Value
     from std_srvs.srv import Trigger
+
+    from posor_estimator.joint_stream import TakenScans
 
 
 LOST = int(State.LOST)
@@ -75,8 +78,8 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
 
     _calibration: Calibration
     _posor: Posor
-    _stream: RawScanStream | None
-    _last_stream: RawScanStream | None
+    _stream: JointStream | None
+    _last_stream: JointStream | None
     _recent_scans: deque[bytes]
     _reported: tuple[int, int, bool] | None
     _alarms: AlarmRate
@@ -267,24 +270,26 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
     def estimate_scans(deliveries: list[Delivery]) -> Callable[[], None]:
         """Estimate a scan of each of some nodes in one compiled call, and deliver the transforms within this process.
 
-        Return what can wait until the endpoint is published: transforms for other processes, counts, and reports.
+        A chain_node of this process takes the transforms of its joints in that call and publishes its endpoint at once.
+        Return what can wait until the endpoint is published: transforms for others, counts, and reports.
         """
-        prepared, transforms = [], []
+        prepared = []
         for subscription, data in deliveries:
             if (stream := subscription.attempt(subscription.node.prepare_scan, data)) is not None:
-                prepared.append((subscription, stream, data))
-        RawScanStream.run_prepared(tuple([stream for _, stream, _ in prepared]))
-        for subscription, stream, data in prepared:
-            if (transform := subscription.attempt(subscription.node.finish_scan, stream, data)) is not None:
-                transforms.append((subscription, stream, data, transform))
+                prepared.append((subscription, stream))
+        if _estimate_and_give([stream for _, stream in prepared]):
+            finished = [(*each, None) for each in prepared]
+        else:
+            results = [(each, each[0].attempt(each[0].node.finish_scan, each[1])) for each in prepared]
+            finished = [(*each, transform) for each, transform in results if transform is not None]
 
         def complete_scans() -> None:
-            for subscription, *scan in transforms:
-                subscription.attempt(subscription.node.complete_scan, *scan)
+            for subscription, stream, transform in finished:
+                subscription.attempt(subscription.node.complete_scan, stream, transform)
 
         return complete_scans
 
-    def prepare_scan(self, data: bytes) -> RawScanStream | None:
+    def prepare_scan(self, data: bytes) -> JointStream | None:
         """Return the stream whose next run estimates a scan; None: the scan is dealt with already."""
         if not self.may_publish:
             return None
@@ -294,15 +299,16 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
         if stream is not None:
             stream.use_effects(used=self._publisher.is_read_whole)
             if not inputs.several and stream.prepare(data, inputs.stamp_limits.now_ns()):
+                stream.taker = self._publisher.taker
                 return stream
         self._use_unexpected_scan(data)
         return None
 
-    def finish_scan(self, stream: RawScanStream, data: bytes) -> bytes | None:
+    def finish_scan(self, stream: JointStream) -> bytes | None:
         """Return the transform of a prepared scan after the run, delivered within this process; None: dealt with."""
-        transform = stream.finish(data)
+        transform = stream.finish()
         if transform is None:
-            self._use_unexpected_scan(data)
+            self._use_unexpected_scan(stream.data)
         else:
             self._publisher.deliver(transform)
         return transform
@@ -315,7 +321,7 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
             transform = self._estimate_scan(data)
         if transform and self._stream is not None:
             self._publisher.deliver(transform)
-            self.complete_scan(self._stream, data, transform)
+            self.complete_scan(self._stream, transform)
 
     def _estimate_scan(self, data: bytes) -> bytes | None:
         """Return the transform of a scan, empty for a repeated one; None if there is no stream for it."""
@@ -336,7 +342,7 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
         """Make a stream for a scan of another layout; return the scan in plain CDR, empty if it is invalid."""
         try:
             data = schema_of_class(RawScan).normal(data)
-            stream = RawScanStream(self._posor, data)
+            stream = JointStream(self._posor, data)
         except TopicError as error:
             self._messages_refused += 1
             self._reported = None
@@ -351,30 +357,41 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
             stream.count_from_next()
         return data
 
-    def complete_scan(self, stream: RawScanStream, data: bytes, transform: bytes) -> None:
+    def complete_scan(self, stream: JointStream, transform: bytes | None) -> None:
         """Publish the transform of a scan to other processes, count the scan, and report a change of the status.
 
-        A sound scan is kept for the digital zero.
+        ``transform``: None: it was taken and not delivered. A sound scan is kept for the digital zero.
         """
-        self._publisher.publish_over_dds(transform)
+        if transform is None:
+            self._publish_taken(stream)
+        else:
+            self._publisher.publish_over_dds(transform)
         stamp_ns, changed, missing = stream.stamp_change_and_missing()
         if missing:
-            self._inputs.note(*self._order.count_missing(stream.number_of(data), missing))
+            self._inputs.note(*self._order.count_missing(stream.number_of(stream.data), missing))
         if self._throttle.has_subscriptions and self._throttle.is_due(stamp_ns, changed=bool(changed)):
-            self._throttle.publish(transform)
+            self._throttle.publish(transform or stream.transform())
         if stamp_ns:
             self.timing.record(stamp_ns)
         self._scans += 1
         if changed or self._is_lost or self._reported is None:
             self._update_status(stream)
         if not self._is_lost:
-            self._recent_scans.append(data)
+            self._recent_scans.append(stream.data)
         if self._count_from_next:
             if self._is_lost:
                 self._forget_home()
             self._count_from_next = stream.counts_from_next
 
-    def _update_status(self, stream: RawScanStream) -> None:
+    def _publish_taken(self, stream: JointStream) -> None:
+        """Publish a transform that was taken to all others."""
+        stream.keep()
+        if self._publisher.subscription_count > 1:
+            transform = stream.transform()
+            self._publisher.deliver(transform, taken_by=stream.taker)
+            self._publisher.publish_over_dds(transform)
+
+    def _update_status(self, stream: JointStream) -> None:
         """Handle a scan that is LOST, or whose state, faults or light source differ from those of the scan before.
 
         The digital zero needs consecutive scans of one light source: a LOST scan or another source discards kept scans.
@@ -415,6 +432,21 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
                 self._reported = None  # the rate of alarms may have become normal
         self._inputs.update(self._order.counts)
         self._status.update(_status_values(counts, last))
+
+
+def _estimate_and_give(streams: list[JointStream]) -> bool:
+    """Run prepared streams in one compiled call; return whether transforms were taken, see ``DeliveryGroup.take``."""
+    taker = streams[0].taker if streams else None
+    if taker is not None and taker.group is not None and taker.group.take is not None:
+        with taker.group.lock:
+            taken: TakenScans | None = taker.attempt(taker.group.take, streams)
+            if taken is not None:
+                is_taken = taken.run()
+                if is_taken:
+                    taker.attempt(taken.publish)
+                return is_taken
+    RawScanStream.run_prepared(tuple(streams))
+    return False
 
 
 def _format_status(state: int, faults: int, excess: str, counts: dict[str, Value], scan: EstimatedScan) -> StatusText:

@@ -17,6 +17,8 @@ from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 from posor.bags.bag_reader import opened_bag
 from posor.bags.block_reader import read_messages
 from posor.chain.arm_file import ArmFile, load_arm_file
+from posor.messages.arm_pass import ArmPass
+from posor.messages.cdr_schema import STAMP
 from posor.messages.message_stream import RawScanStream
 from posor.node_parameters import NodeParameters
 from posor.ros_names import ENDPOINT_COVARIANCE_TOPIC, ENDPOINT_STATE_TOPIC, ENDPOINT_TOPIC, RAW_TOPIC, TRANSFORM_TOPIC
@@ -143,34 +145,92 @@ def test_scans_of_a_round_give_the_bytes_of_single_scans(arm: ArmFile, ticks: li
     assert feed(arm, rounds, together=True) == expected
 
 
-def test_a_round_takes_one_compiled_call_and_the_endpoint_leaves_first(
-    arm: ArmFile, ticks: list[list[Scan]], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    calls, published = list[int](), list[str]()
-    run, publish = RawScanStream.run_prepared, IntraProcessPublisher.publish_over_dds
+@pytest.fixture
+def calls(monkeypatch: pytest.MonkeyPatch) -> list[str | int]:
+    """The compiled calls: "arm" for scans and endpoint in one, or the number of the scans that run by themselves."""
+    found, run, run_arm = list[str | int](), RawScanStream.run_prepared, ArmPass.run
 
-    def counted_run(streams: tuple[RawScanStream, ...]) -> None:
-        calls.append(len(streams))
+    def noted_run(streams: tuple[RawScanStream, ...]) -> None:
+        found.append(len(streams))
         run(streams)
+
+    def noted_run_of_arm(arm_pass: ArmPass, stamp_ns: int) -> bool:
+        found.append("arm")
+        return run_arm(arm_pass, stamp_ns)
+
+    monkeypatch.setattr(RawScanStream, "run_prepared", staticmethod(noted_run))
+    monkeypatch.setattr(ArmPass, "run", noted_run_of_arm)
+    return found
+
+
+def test_a_round_takes_one_compiled_call_and_the_endpoint_leaves_first(
+    arm: ArmFile, ticks: list[list[Scan]], calls: list[str | int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    published = list[str]()
+    publish = IntraProcessPublisher.publish_over_dds
 
     def noted_publish(publisher: IntraProcessPublisher, data: bytes) -> bool:
         published.append(publisher.message_type.__name__)
         return publish(publisher, data)
 
-    monkeypatch.setattr(RawScanStream, "run_prepared", staticmethod(counted_run))
     monkeypatch.setattr(IntraProcessPublisher, "publish_over_dds", noted_publish)
     feed(arm, ticks, together=True)
     joints = len(arm.calibrations)
-    assert calls == [0] + [joints] * (len(ticks) - 1)  # the first scans open the streams
+    assert calls == [0, *["arm"] * (len(ticks) - 1)]  # the first scans open the streams
     last = published[-published[::-1].index("RawScan") :]
     assert last.index("PoseStamped") < last.index("JointTransform")
     assert last.count("JointTransform") == joints
 
 
-@pytest.mark.parametrize("step", ["prepare_scan", "finish_scan", "complete_scan"])
-def test_a_failure_ends_the_node_that_fails_and_the_other_joints_continue(
-    arm: ArmFile, ticks: list[list[Scan]], monkeypatch: pytest.MonkeyPatch, step: str
+def test_a_new_calibration_and_a_lost_scan_give_the_bytes_of_single_scans(
+    arm: ArmFile, ticks: list[list[Scan]], calls: list[str | int]
 ) -> None:
+    """The transforms of a new calibration have other bytes, and a scan that begins anew needs more than the kernels."""
+    joint, results = list(arm.calibrations)[1], []
+    for together in (False, True):
+        with NodeProcess() as process:
+            nodes = start_nodes(process, arm)
+            feeder = process.start(Feeder)
+            feeder.open(arm)
+            node: Any = nodes[f"{arm.namespace}/{joint}"]
+            calls.clear()
+            feeder.feed(ticks[:10], together=together)
+            node._use_calibration(node._calibration.model_copy(update={"name": "another"}))
+            feeder.feed(ticks[10:20], together=together)
+            node._posor.tracker["initialised"] = 0
+            feeder.feed(ticks[20:], together=together)
+            results.append(feeder.received)
+    assert results[0] == results[1]
+    assert len(results[0][f"{arm.namespace}/{ENDPOINT_TOPIC}"]) > len(ticks) // 2
+    of_new_stream = len(arm.calibrations) - 1
+    assert calls == [0, *["arm"] * 9, of_new_stream, *["arm"] * (len(ticks) - 11)]
+
+
+def test_a_subscription_of_the_process_receives_transforms_that_are_taken(
+    arm: ArmFile, ticks: list[list[Scan]], calls: list[str | int]
+) -> None:
+    joint, received = list(arm.calibrations)[2], list[bytes]()
+    topic = f"{arm.namespace}/{joint}/{TRANSFORM_TOPIC}"
+    with NodeProcess() as process:
+        start_nodes(process, arm)
+        feeder = process.start(Feeder)
+        feeder.raw = {name: feeder.publisher(f"{arm.namespace}/{name}/{RAW_TOPIC}") for name in arm.calibrations}
+        feeder.feed(ticks[:5], together=True)  # nobody else reads transforms
+        assert calls == [0, *["arm"] * 4]
+        IntraProcessSubscription(feeder, JointTransform, topic, KEEP_ALL_QOS, received.append)
+        feeder.feed(ticks[5:], together=True)
+    assert [data[STAMP] for data in received] == [dict(scans)[joint][STAMP] for scans in ticks[5:]]
+
+
+@pytest.mark.parametrize(
+    ("step", "taken"),
+    [("prepare_scan", True), ("complete_scan", True), ("prepare_scan", False), ("finish_scan", False)],
+)
+def test_a_failure_ends_the_node_that_fails_and_the_other_joints_continue(
+    arm: ArmFile, ticks: list[list[Scan]], monkeypatch: pytest.MonkeyPatch, step: str, *, taken: bool
+) -> None:
+    if not taken:
+        monkeypatch.setattr(ArmPass, "is_possible", lambda _: False)
     with NodeProcess() as process:
         nodes = start_nodes(process, arm)
         feeder = process.start(Feeder)
@@ -183,7 +243,23 @@ def test_a_failure_ends_the_node_that_fails_and_the_other_joints_continue(
         with pytest.raises(ValueError, match="of one joint"):
             broken.raise_failure()
         counts = [len(feeder.received[f"{arm.namespace}/{joint}/{TRANSFORM_TOPIC}"]) for joint in arm.calibrations]
-        assert sorted(counts) == [5 + (step == "complete_scan"), *[10] * (len(counts) - 1)]
+        assert sorted(counts) == [5, *[10] * (len(counts) - 1)]
+
+
+def test_a_failure_of_the_chain_leaves_the_joints_alone(
+    arm: ArmFile, ticks: list[list[Scan]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with NodeProcess() as process:
+        nodes = start_nodes(process, arm)
+        feeder = process.start(Feeder)
+        feeder.open(arm)
+        feeder.feed(ticks[:5], together=True)
+        chain = nodes[arm.namespace]
+        monkeypatch.setattr(chain, "_publish_pose", Mock(side_effect=ValueError("of the chain")))
+        feeder.feed(ticks[5:10], together=True)
+        assert [node for node in nodes.values() if node.exit_requested] == [chain]
+        topics = [f"{arm.namespace}/{joint}/{TRANSFORM_TOPIC}" for joint in arm.calibrations]
+        assert {len(feeder.received[topic]) for topic in topics} == {10}
 
 
 def test_an_arm_whose_subscriber_blocks_does_not_stop_another_arm(

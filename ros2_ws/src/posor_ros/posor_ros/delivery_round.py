@@ -45,6 +45,8 @@ class DeliveryGroup(NamedTuple):
     published are delivered in this process."""
     lock: RLock
     """Held while it receives, see ``IntraProcessManager.delivery_lock``."""
+    take: Callable[..., Any] | None = None
+    """Takes from the nodes that publish, in their own call, what would be in the messages. Those are not delivered."""
 
 
 class _Held(local):

@@ -78,6 +78,7 @@ class IntraProcessPublisher:
         self._dds_subscriptions = 0
         self._subscriptions: tuple[IntraProcessSubscription, ...] = ()
         self._is_read_whole_here = False
+        self._taker: IntraProcessSubscription | None = None
         self._manager = IntraProcessManager.of(node.context)
         self._manager.check_type(self)
         self._count_listeners = count_listeners
@@ -108,9 +109,16 @@ class IntraProcessPublisher:
         """Whether any subscription reads all parts of a message, see ``IntraProcessSubscription.reads_whole``."""
         return self._is_read_whole_here or bool(self._handle.get_subscription_count())
 
+    @property
+    def taker(self) -> IntraProcessSubscription | None:
+        """The first subscription of this process whose group can take what is published, see ``DeliveryGroup``."""
+        return self._taker
+
     def note_readers(self) -> None:
-        """Note which subscriptions of this process read all parts of a message."""
+        """Note which subscriptions of this process read all parts of a message, and the taker."""
         self._is_read_whole_here = any(subscription.reads_whole for subscription in self._subscriptions)
+        takers = (each for each in self._subscriptions if each.group is not None and each.group.take is not None)
+        self._taker = next(takers, None)
 
     def publish(self, data: bytes) -> bool:
         """Deliver a serialised message within this process, then publish it over DDS; return whether all received it.
@@ -120,11 +128,15 @@ class IntraProcessPublisher:
         self.deliver(data)
         return self.publish_over_dds(data)
 
-    def deliver(self, data: bytes) -> None:
-        """Deliver a serialised message within this process; the caller then calls ``publish_over_dds``."""
+    def deliver(self, data: bytes, *, taken_by: IntraProcessSubscription | None = None) -> None:
+        """Deliver a serialised message within this process; the caller then calls ``publish_over_dds``.
+
+        ``taken_by``: subscription whose group has taken it, see ``DeliveryGroup.take``.
+        """
         if self._node.may_publish:
             for subscription in self._subscriptions:
-                subscription.receive(data)
+                if subscription is not taken_by:
+                    subscription.receive(data)
 
     def publish_over_dds(self, data: bytes) -> bool:
         """Publish a message of ``deliver`` over DDS, see ``publish``; return whether all received it."""

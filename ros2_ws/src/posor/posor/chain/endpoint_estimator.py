@@ -23,7 +23,7 @@ from posor.chain.forward_kinematics import (
 from posor.chain.joint_measurements import FAULT_TEXTS, VIBRATION, JointMeasurements, JointRows
 from posor.errors import ChainError
 from posor.estimation.fault_model import EFFECT, JointCauses
-from posor.numerics.compiled import bind
+from posor.numerics.compiled import bind, bind_in_parts
 from posor.numerics.vector import rotation_of_pose
 
 if TYPE_CHECKING:
@@ -61,6 +61,7 @@ class EndpointEstimator:
         static_forces: Gravity less acceleration in the last scan, (b, 3) [m/s^2], axes of the beams' starts; NaN: no
             beam states its vibration.
         rows: Serialised measurements of one scan, (j, bytes).
+        rows_kernel: Estimates the endpoint of ``rows``; another one after the arrays of the kernels have changed.
         pose: Endpoint in the base frame, (7,), as ``poses``.
         covariance_random: Of the same, (6, 6), as ``Endpoint.covariance_random``.
         covariance_systematic: Of the same, (6, 6), as ``Endpoint.covariance_systematic``.
@@ -133,6 +134,11 @@ class EndpointEstimator:
     def rows(self) -> ByteArray:
         """See the class."""
         return self._rows.octets
+
+    @property
+    def joint_rows(self) -> JointRows:
+        """``rows`` as the kernels take them."""
+        return self._rows
 
     def use_rows(self, layouts: Sequence[JointRowLayout]) -> None:
         """Take rows of other layouts, one for each joint, from the next scan on; ``rows`` is then another array."""
@@ -267,10 +273,12 @@ class EndpointEstimator:
 
     def estimate_rows(self, stamp_ns: int) -> int:
         """Estimate the endpoint from ``rows``; return the worst state of the joints, negative without an endpoint."""
-        self._stamp_ns[0] = stamp_ns
-        worst: int
-        while (worst := self._estimate_rows()) == HISTORY_FULL:
+        self.rows_kernel.put((stamp_ns,))
+        self.rows_kernel.run()
+        worst = int(self.rows_kernel.results())
+        if worst == HISTORY_FULL:
             self._enlarge_history()
+            return self.estimate_rows(stamp_ns)
         return worst
 
     def estimate_all(
@@ -358,7 +366,7 @@ class EndpointEstimator:
         """Bind the kernels to the arrays, so that a call allocates next to nothing."""
         workspace = self._arm, self._history, self._measurements, self._endpoints
         self._estimate = bind(estimate_endpoints, workspace)
-        self._estimate_rows = bind(estimate_endpoint_of_rows, (*workspace, self._rows))
+        self.rows_kernel = bind_in_parts(estimate_endpoint_of_rows, (*workspace, self._rows))
         self._bound_errors = tuple(
             bind(bound_endpoints, (self._arm, self._arm_causes, self._measurements, endpoints, axes, self._bounds))
             for endpoints, axes in ((self._endpoints, self._axes), (self._relative, self._home_axes))

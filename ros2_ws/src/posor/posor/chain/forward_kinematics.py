@@ -63,8 +63,9 @@ if TYPE_CHECKING:
     from posor.chain.joint_measurements import JointMeasurements, JointRows, RecordArray
     from posor.numerics.array_types import BoolArray, FloatArray, IntArray
 
-UNUSABLE, HISTORY_FULL = -1, -2
-"""Results of ``estimate_endpoint_of_rows``: there is no endpoint; nothing was done, enlarge the history and repeat."""
+UNUSABLE, HISTORY_FULL, ROWS_MISSING = -1, -2, -3
+"""Results of ``estimate_endpoint_of_rows``: there is no endpoint; nothing was done, enlarge the history and repeat;
+nothing was done, because rows are missing."""
 WORST_USABLE_STATE = int(max(USABLE_STATES))
 
 
@@ -306,12 +307,22 @@ def estimate_endpoints(
 
 @in_place
 def estimate_endpoint_of_rows(
-    arm: ArmGeometry, history: BeamHistory, measurements: JointMeasurements, endpoints: Endpoints, rows: JointRows
+    arm: ArmGeometry,
+    history: BeamHistory,
+    measurements: JointMeasurements,
+    endpoints: Endpoints,
+    rows: JointRows,
+    stamp_ns: int,
 ) -> int:
     """Read the joints of one scan from serialised rows into ``measurements`` and write its endpoint.
 
-    Return the worst state of the joints, ``UNUSABLE`` or ``HISTORY_FULL``. Faults are zero where a state is the reason.
+    ``stamp_ns``: of the scan. Return the worst state of the joints, ``UNUSABLE``, ``HISTORY_FULL`` or ``ROWS_MISSING``.
+    Faults are zero where a state is the reason.
     """
+    if rows.missing[0] > 0:
+        rows.missing[0] = 0
+        return ROWS_MISSING
+    measurements.stamps_ns[0] = stamp_ns
     worst = 0
     for j in range(rows.numbers.shape[0]):
         worst = max(worst, int(rows.octets[j, rows.layouts[j]["state"]]))

@@ -164,6 +164,7 @@ class JointRows(NamedTuple):
     numbers: FloatArray  # the rows as 8-byte floats, (j, w)
     octets: ByteArray  # the same memory as bytes, (j, 8 w)
     singles: NDArray[np.float32]  # the same memory as floats of 4 bytes, (j, 2 w)
+    missing: IntArray  # number of rows that do not hold the present scan, (1,)
 
     @classmethod
     def allocate(cls, layouts: Sequence[JointRowLayout]) -> JointRows:
@@ -171,7 +172,8 @@ class JointRows(NamedTuple):
         numbers = np.zeros((len(layouts), max((-(-layout.size // 8) for layout in layouts), default=0)))
         records = [layout.record for layout in layouts]
         layout = np.concatenate(records) if records else np.empty(0, ROW_LAYOUT)
-        return cls(layout, numbers, numbers.view(np.uint8), numbers.view(np.float32))
+        missing = np.zeros(1, dtype=np.int64)
+        return cls(layout, numbers, numbers.view(np.uint8), numbers.view(np.float32), missing)
 
 
 @inlined

@@ -234,6 +234,6 @@ class JointTransformFormat:
             and data.startswith(LITTLE_ENDIAN)
         )
 
-    def read_state(self, data: bytes) -> tuple[int, int]:
+    def read_state(self, data: bytes | memoryview) -> tuple[int, int]:
         """Return ``State`` and ``Fault`` of a message as plain numbers."""
         return data[self._state], int(_FAULTS.unpack_from(data, self._faults)[0])

@@ -35,10 +35,12 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from posor.chain.joint_measurements import JointRows
     from posor.estimation.posor import Posor
     from posor.estimation.workspace import Model
     from posor.model.scan import Scan
     from posor.numerics.array_types import ByteArray, FloatArray, WordArray
+    from posor.numerics.kernel_library import BoundKernel
 
 STATUS = np.dtype(  # status of a stream of scans
     [
@@ -54,6 +56,7 @@ STATUS = np.dtype(  # status of a stream of scans
         ("row_changes", "i8"),  # how often scans have read other rows than the scan before, as another light source
         ("changed", "i8"),  # 1: state, faults or row changes differ from the scan before
         ("step", "u8"),  # number of the last scan less the newest before it; 1: none is missing, or it was not newer
+        ("left", "i8"),  # what the kernel has left to do for the last message; DONE: nothing
     ]
 )
 _FIELDS: Any = STATUS.fields
@@ -202,19 +205,30 @@ def estimate_messages(
     ``now_ns``: the present time, or RECORDED; ``only_expected``: 1 to stop at an unexpected scan, too. Return where the
     loop stopped, ``end`` or the message in question, and what is left to do for that message.
     """
-    workspace = model.workspace[0]
+    workspace, status = model.workspace[0], stream.status[0]
     for n in range(begin, end):
-        begun = begin_message(model, stream, n, now_ns, only_expected)
-        if begun >= OTHER_LAYOUT:
-            return n, begun
-        if begun == USABLE:
+        left = begin_message(model, stream, n, now_ns, only_expected)
+        if left == USABLE:
             left = estimate_scan(model, workspace.scan, workspace.estimate)
-            if left != DONE:
-                return n, left
-            if workspace.estimate.state != LOST:
-                stream.status[0].count_from_next = 0
+            if left == DONE and workspace.estimate.state != LOST:
+                status.count_from_next = 0
+        elif left == UNUSABLE:
+            left = DONE
+        status.left = left
+        if left != DONE:
+            return n, left
         end_message(model, stream, n)
     return end, DONE
+
+
+@in_place
+def copy_transform(stream: MessageStream, rows: JointRows, j: int) -> None:
+    """Copy the first transform of a stream into row j of the joints of an arm; if it is not done, j is missing."""
+    if stream.status[0].left != DONE:
+        rows.missing[0] += 1
+        return
+    for k in range(stream.transforms.floats.shape[1]):
+        rows.numbers[j, k] = stream.transforms.floats[0, k]
 
 
 class MessageEstimator:
@@ -286,6 +300,8 @@ class RawScanStream:
         frame: Frame of the scans.
         status: Status of the stream, shape (1,), dtype ``message_stream.STATUS``.
         kernel: Estimates the scan of ``prepare``.
+        transform: Returns the transform of the last estimated scan.
+        data: The scan of ``prepare``.
 
     """
 
@@ -295,8 +311,10 @@ class RawScanStream:
         transform = TransformConstants.of(posor).layout(installed_schema(JOINT_TRANSFORM))
         self._posor, self._parent, self.frame = posor, posor.calibration.frames.parent, raw.strings["header.frame_id"]
         row, out = raw.row[None].copy(), transform.row[None].copy()
-        self._estimator = MessageEstimator(posor, MessageStream.of(raw, transform, row, out, check=True))
+        self._messages = MessageStream.of(raw, transform, row, out, check=True)
+        self._estimator = MessageEstimator(posor, self._messages)
         self.kernel, self.status = self._estimator.kernel, self._estimator.status
+        self._put = self.kernel.put
         self._numbers = self.status.view(np.int64).data  # as plain numbers, which take a tenth of the time to read
         self._size = raw.size
         self._refusal = ""
@@ -304,8 +322,8 @@ class RawScanStream:
         self._unpack_identity = struct.Struct(f"<iI{number - STAMP.stop}xQ").unpack_from
         self._frame_bytes = example[STAMP.stop : STAMP.stop + 5 + len(self.frame.encode())]
         self._raw = row[0, LEAD : LEAD + raw.size].data
-        self._transform = out[0, LEAD : LEAD + transform.size].data.tobytes
-        self._last = self._last_but_one = example
+        self.transform = out[0, LEAD : LEAD + transform.size].data.tobytes
+        self.data = self._last = self._last_but_one = example
         _run_of.cache_clear()  # the calls keep the stream that this one may replace, megabytes with its model
 
     def identity(self, data: bytes) -> tuple[int, int] | None:
@@ -348,7 +366,7 @@ class RawScanStream:
         if not self.prepare(data, now_ns, only_expected=False):
             return None
         self.kernel.run()
-        return self.finish(data)
+        return self.finish()
 
     def prepare(self, data: bytes, now_ns: int, *, only_expected: bool = True) -> bool:
         """Have the next run estimate a raw scan, see ``estimate_message``; return False where it is too short.
@@ -358,9 +376,9 @@ class RawScanStream:
         """
         if len(data) < self._size:
             return False
-        self._refusal = ""
+        self._refusal, self.data = "", data
         self._raw[:] = data if len(data) == self._size else data[: self._size]
-        self.kernel.put((0, 1, now_ns, only_expected))
+        self._put((0, 1, now_ns, only_expected))
         return True
 
     @staticmethod
@@ -371,13 +389,23 @@ class RawScanStream:
         else:
             _run_of(streams)()
 
-    def finish(self, data: bytes) -> bytes | None:
+    def finish(self) -> bytes | None:
         """Return the transform of the raw scan of ``prepare`` after the run, as ``estimate_message`` does."""
         done, left = self.kernel.results()
         if not done and not self._estimator.finish_row(0, left):
             return None
-        self._last_but_one, self._last = self._last, data
-        return self._transform()
+        self.keep()
+        return self.transform()
+
+    def keep(self) -> None:
+        """Take the raw scan of ``prepare`` as the last scan, after a run that has estimated it."""
+        self._last_but_one, self._last = self._last, self.data
+
+    def copies_to(self, rows: JointRows, j: int) -> BoundKernel:
+        """Return the kernel that copies the transform of the last run to row j of an arm, see ``copy_transform``."""
+        kernel = bind_in_parts(copy_transform, (self._messages, rows))
+        kernel.put((j,))
+        return kernel
 
     def stamp_change_and_missing(self) -> tuple[int, int, int]:
         """Return what concerns the last scan: its stamp, a change, and a gap.
