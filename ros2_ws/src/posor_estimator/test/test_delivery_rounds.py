@@ -4,16 +4,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import nullcontext
 from functools import partial
 from pathlib import Path
 from threading import Event, Thread
+from types import MappingProxyType
 from typing import Any
 from unittest.mock import Mock
 
 import pytest
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
+from nav_msgs.msg import Odometry
 from posor.bags.bag_reader import opened_bag
 from posor.bags.block_reader import read_messages
 from posor.chain.arm_file import ArmFile, load_arm_file
@@ -21,7 +23,14 @@ from posor.messages.arm_pass import ArmPass
 from posor.messages.cdr_schema import STAMP
 from posor.messages.message_stream import RawScanStream
 from posor.node_parameters import NodeParameters
-from posor.ros_names import ENDPOINT_COVARIANCE_TOPIC, ENDPOINT_STATE_TOPIC, ENDPOINT_TOPIC, RAW_TOPIC, TRANSFORM_TOPIC
+from posor.ros_names import (
+    ENDPOINT_COVARIANCE_TOPIC,
+    ENDPOINT_STATE_TOPIC,
+    ENDPOINT_TOPIC,
+    PREDICTED_TOPIC,
+    RAW_TOPIC,
+    TRANSFORM_TOPIC,
+)
 from posor_bringup.arm_programs import arm_programs
 from posor_estimator.composition_file import load_node_class
 from posor_lab.harness.in_process_nodes import NodeProcess
@@ -31,6 +40,7 @@ from posor_ros.delivery_round import DeliveryRound
 from posor_ros.intra_process import IntraProcessPublisher, IntraProcessSubscription
 from posor_ros.lifecycle_node import PosorNode
 from posor_ros.qos import KEEP_ALL_QOS
+from sensor_msgs.msg import JointState
 
 pytestmark = pytest.mark.usefixtures("ros_domain")
 
@@ -89,12 +99,18 @@ def ticks(arm: ArmFile) -> list[list[Scan]]:
     return [[(joint, scans[tick]) for joint, scans in by_joint.items()] for tick in range(TICKS)]
 
 
-def start_nodes(process: NodeProcess, arm: ArmFile, namespace: str = "") -> dict[str, PosorNode[Any]]:
-    """Start the nodes of an arm, in another namespace if one is given; return them by namespace."""
+def start_nodes(
+    process: NodeProcess, arm: ArmFile, namespace: str = "", of_chain: Mapping[str, object] = MappingProxyType({})
+) -> dict[str, PosorNode[Any]]:
+    """Start the nodes of an arm, in another namespace if one is given; return them by namespace.
+
+    ``of_chain``: further parameters of chain_node.
+    """
     nodes = dict[str, PosorNode[Any]]()
     for program in arm_programs(arm, drivers=False, parameters=HAND_FED):
         own = program.namespace.replace(arm.namespace, namespace or arm.namespace)
-        nodes[own] = process.start(load_node_class(program.executable), own, program.parameters)
+        further = of_chain if program.namespace == arm.namespace else {}
+        nodes[own] = process.start(load_node_class(program.executable), own, {**program.parameters, **further})
     return nodes
 
 
@@ -220,6 +236,32 @@ def test_a_subscription_of_the_process_receives_transforms_that_are_taken(
         IntraProcessSubscription(feeder, JointTransform, topic, KEEP_ALL_QOS, received.append)
         feeder.feed(ticks[5:], together=True)
     assert [data[STAMP] for data in received] == [dict(scans)[joint][STAMP] for scans in ticks[5:]]
+
+
+def test_a_prediction_uses_the_transforms_that_are_taken(
+    arm: ArmFile, ticks: list[list[Scan]], calls: list[str | int]
+) -> None:
+    encoders = f"{arm.namespace}/encoders"
+    with opened_bag(BAG) as reader:
+        readings = [data for _, _, data in read_messages(reader, (encoders,), str(BAG))][:TICKS]
+    parameters = {"encoders.topic": encoders, "encoders.sigma": [1e-5] * len(arm.calibrations)}
+    results = []
+    for together in (False, True):
+        with NodeProcess() as process:
+            start_nodes(process, arm, of_chain=parameters)
+            feeder, predicted = process.start(Feeder), list[bytes]()
+            feeder.open(arm)
+            IntraProcessSubscription(
+                feeder, Odometry, f"{arm.namespace}/{PREDICTED_TOPIC}", KEEP_ALL_QOS, predicted.append
+            )
+            publisher = IntraProcessPublisher(feeder, JointState, encoders, KEEP_ALL_QOS)
+            for scans, reading in zip(ticks, readings, strict=True):
+                feeder.feed([scans], together=together)
+                publisher.publish(reading)
+        results.append(predicted)
+    assert results[0] == results[1]
+    assert len(results[0]) > TICKS // 2
+    assert calls[-TICKS + 1 :] == ["arm"] * (TICKS - 1)
 
 
 @pytest.mark.parametrize(
