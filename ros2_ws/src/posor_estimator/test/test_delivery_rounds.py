@@ -109,7 +109,8 @@ def start_nodes(
     nodes = dict[str, PosorNode[Any]]()
     for program in arm_programs(arm, drivers=False, parameters=HAND_FED):
         own = program.namespace.replace(arm.namespace, namespace or arm.namespace)
-        further = of_chain if program.namespace == arm.namespace else {}
+        # Single scans of a tick may come in any time: a loaded host may be long in opening a stream.
+        further = {"max_wait": 60.0, **of_chain} if program.namespace == arm.namespace else {}
         nodes[own] = process.start(load_node_class(program.executable), own, {**program.parameters, **further})
     return nodes
 
