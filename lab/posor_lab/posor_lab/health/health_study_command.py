@@ -89,8 +89,6 @@ def study(name: str, years: int, *, workers: int = 0) -> list[Outcome]:
     jobs = [(case, LIFE * MONTHS + REFERENCE_TESTS) for case in sound] + [
         (case, TESTS) for case in cases_of(name, SEED)
     ]
-    if workers == 1:
-        return [_run(name, job) for job in enumerate(jobs)]
     return ordered_map(partial(_run, name), list(enumerate(jobs)), workers)
 
 

@@ -11,7 +11,7 @@ from concurrent.futures import ProcessPoolExecutor
 from typing import TYPE_CHECKING, TypeVar
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterable, Sequence
 
 ItemT = TypeVar("ItemT")
 ResultT = TypeVar("ResultT")
@@ -25,9 +25,11 @@ def ordered_map(
 ) -> list[ResultT]:
     """Call a function with each item in several processes; return the results in the order of the items.
 
-    Function, items and results are picklable; ``workers`` of 0: one for each processor. An exception of ``on_result``,
-    called with each result in order, ends the calls.
+    Function, items and results are picklable; ``workers`` of 0: one for each processor, 1: no other process. An
+    exception of ``on_result``, called with each result in order, ends the calls.
     """
+    if workers == 1:
+        return _collect(map(function, items), on_result)
     pool = ProcessPoolExecutor(
         workers or os.cpu_count(),
         # Spawned: a process with ROS has threads, which must not be forked.
@@ -36,11 +38,15 @@ def ordered_map(
         initializer=signal.signal,
         initargs=(signal.SIGINT, signal.SIG_IGN),
     )
-    results = []
     try:
-        for result in pool.map(function, items):
-            results.append(result)
-            on_result(result)
+        return _collect(pool.map(function, items), on_result)
     finally:
         pool.shutdown(cancel_futures=True)
-    return results
+
+
+def _collect(results: Iterable[ResultT], on_result: Callable[[ResultT], None]) -> list[ResultT]:
+    found = []
+    for result in results:
+        found.append(result)
+        on_result(result)
+    return found

@@ -122,6 +122,6 @@ def test_an_interrupt_ends_a_series() -> None:
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        run_campaigns("triad_diodes", range(7, 27), workers=1, on_done=interrupt)
+        run_campaigns("triad_diodes", range(7, 27), workers=2, on_done=interrupt)
     assert calls == [1]
     assert not multiprocessing.active_children()
