@@ -128,10 +128,13 @@ class BeamAccelerometers:
 
     def __init__(self, beams: Sequence[MeasuringBeam], specific_forces: Mapping[str, FloatArray], seed: int) -> None:
         """``specific_forces``: of both gimbals of each beam at the ticks of a cycle, (n, 2, 3) [m/s^2]."""
-        self._seed, self._forces = seed, specific_forces
+        self._forces = specific_forces
         self._entries = {
             beam.name: beam.entry.vibration.accelerometers for beam in beams if beam.entry.vibration is not None
         }
+        names = [name for entry in self._entries.values() for name in entry.names]
+        self._biases = {name: RandomStream(seed, "accelerometer", name).generator().normal(size=3) for name in names}
+        self._noise = {name: RandomStream(seed, "accelerometer noise", name) for name in names}
 
     def readings(self, tick: int) -> dict[str, FloatArray]:
         """Return what each accelerometer reads at a tick, by name, (3,) [m/s^2]: half its variance is noise."""
@@ -139,7 +142,6 @@ class BeamAccelerometers:
         for beam, entry in self._entries.items():
             forces, sigma = self._forces[beam], entry.uncertainty.number / 2.0**0.5
             for i, name in enumerate(entry.names):
-                bias = RandomStream(self._seed, "accelerometer", name).generator().normal(size=3)
-                noise = RandomStream(self._seed, "accelerometer noise", name).generator(tick).normal(size=3)
-                found[name] = -forces[tick % len(forces), i] + sigma * (bias + noise)
+                noise = self._noise[name].generator(tick).normal(size=3)
+                found[name] = -forces[tick % len(forces), i] + sigma * (self._biases[name] + noise)
         return found
