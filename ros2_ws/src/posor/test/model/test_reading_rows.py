@@ -17,7 +17,7 @@ from posor_lab.harness.row_builder import parameter_derivatives, read_row, tange
 
 from .random_rows import random_gap, random_ring_gap, random_spot
 
-CASES = 200
+CASES = 40
 WHOLE_NUMBERS = {RING: (7, 8, 11, 14)}  # the number of harmonics, and each k: not to be differentiated
 
 
