@@ -45,7 +45,7 @@ def filter_positions(
     State: position and velocity, disturbed by an acceleration that is new in each period. A scan reads
     ``position + L u + noise`` with ``L L' = systematic`` and the consider state u, three constants of variance one.
     """
-    H = np.eye(3, 6)
+    H, one = np.eye(3, 6), np.eye(3)
     variances, axes = np.linalg.eigh(systematic)
     roots = axes * np.sqrt(np.maximum(variances, 0.0))[:, None] @ np.swapaxes(axes, 1, 2)
     x = np.concatenate([positions[0], np.zeros(3)])
@@ -54,8 +54,9 @@ def filter_positions(
     found, covariances = [x[:3]], [P[:3, :3]]
     for n in range(1, len(times_s)):
         dt, L = times_s[n] - times_s[n - 1], roots[n]
-        F = np.kron([[1.0, dt], [0.0, 1.0]], np.eye(3))
-        G = np.kron([[0.5 * dt**2], [dt]], np.eye(3))
+        F = np.eye(6)
+        F[:3, 3:] = dt * one
+        G = np.vstack([0.5 * dt**2 * one, dt * one])
         x, P, C = F @ x, F @ P @ F.T + acceleration**2 * G @ G.T, F @ C
         cross = P @ H.T - C @ L.T  # covariance of the error of x with the innovation, negative
         S = H @ cross - L @ C.T @ H.T + systematic[n] + random[n]
