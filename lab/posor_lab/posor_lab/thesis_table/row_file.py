@@ -31,7 +31,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 import yaml
-from posor.calibration.yaml_document import StrictLoader
+from posor.calibration.yaml_document import FastLoader
 from posor.errors import DataFileError, similar_name
 
 from posor_lab.thesis_data import amount
@@ -48,7 +48,7 @@ _NUMBER = re.compile(r"([-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?)(?:/(\d+))?(?: (\
 _PLACEHOLDER = re.compile(r"\{([^{}: ]+)(?: ([^{}:]+))?(?::([^{}]+))?\}")
 
 
-class _TextLoader(StrictLoader):
+class _TextLoader(FastLoader):
     """Reads every scalar as text, so that printed digits stay as they are."""
 
 
