@@ -16,7 +16,7 @@ from posor_lab.vibration.vibrating_arm import DAMPING, write_vibrating_arm
 from posor_lab.vibration.vibration_command import CONTROL_ERROR, draw, failures
 from posor_lab.vibration.vibration_study import DYNAMIC, STATIC, VibrationStudy, sample_vibration
 
-ARMS, SEED, BELOW_HZ, BEYOND_HZ = 2, 1985, 75.0, 120.0
+ARMS, SEED, BELOW_HZ, BEYOND_HZ = 1, 1985, 75.0, 120.0
 
 
 @pytest.fixture(scope="module")
