@@ -118,6 +118,16 @@ def test_files_of_a_folder_share_a_process_but_those_with_ros(tmp_path: Path, mo
     assert (alone.command[-1], alone.low_priority) == (str(files["b"]), False)
 
 
+def test_files_with_ros_share_a_process_of_normal_priority(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("run_tests.ROS_SHARED", (tmp_path / "test_[a-b]*.py",))
+    write_test_files(tmp_path, **dict.fromkeys("abc", "with ros_context([]): pass"), d="")
+    files = [tmp_path / f"test_{name}.py" for name in "abcd"]
+    shared, *alone = make_test_jobs(files)
+    assert [Path(word) for word in shared.command if word.endswith(".py")] == files[:2]
+    assert [Path(job.command[-1]) for job in alone] == files[2:]
+    assert not any(job.low_priority for job in (shared, *alone))
+
+
 def test_what_tests_of_a_shared_process_import_makes_no_ros_context() -> None:
     files = [file for file in find_test_files([]) if shared_process(file) and not uses_ros(file)]
     helpers = [file for folder in {file.parent for file in files} for file in folder.glob("*.py")]

@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Run the linters and the tests in parallel processes, and print one line for each.
 
-A test file that may use ROS has a pytest process of its own, so that no ROS context leaks from one file into another;
-two such processes run at a time. The other files of an entry of SHARED have one process, which saves seconds of imports
-for each file. These and the linters run at low priority in the processor time that the nodes of the other tests leave
+The files of an entry of SHARED have one pytest process, which saves seconds of imports for each file; a test file that
+may use ROS has a process of its own, or one with the others of an entry of ROS_SHARED. Two processes that may use ROS
+run at a time. The others and the linters run at low priority in the processor time that the nodes of these tests leave
 while they wait; a process that has no such job left runs tests that may use ROS, and the reverse. Those of SLOW come
 first, so that none of them is left for the end. The linters need no build and start before it. Every process uses one
 thread of linear algebra, because threads of small matrices wait for each other.
@@ -59,7 +59,10 @@ SHARED = tuple(  # folders, or files of a folder, that share a process, except t
         *(f"tests/test_[{letters}]*.py" for letters in ("a-b", "c", "d-e", "f-o", "p-q", "r", "s-z")),
     )
 )
-
+ROS_SHARED = tuple(  # the same for files that may use ROS: each test shuts its contexts down
+    THIS.root / "ros2_ws/src" / pattern
+    for pattern in ("posor_ros/test", "posor_bringup/test/test_*.py", "posor_drivers/test/sources")
+)
 
 SLOW = (
     "lab/posor_lab/test",
@@ -86,11 +89,11 @@ SLOW = (
     "tests/test_tutorials.py",
     "ros2_ws/src/posor_drivers/test/test_driver_node.py",
     "tests/test_example_plain_controller.py",
-    "ros2_ws/src/posor_ros/test/test_lifecycle_node.py",
+    "ros2_ws/src/posor_ros/test",
     "lab/posor_lab/test/accuracy",
     "ros2_ws/src/posor_estimator/test/test_time_offset_nodes.py",
 )
-"""Files and entries of SHARED that take longest, the longest first."""
+"""Files and entries of SHARED and ROS_SHARED that take longest, the longest first."""
 
 
 @dataclass
@@ -166,8 +169,9 @@ def uses_ros(file: Path) -> bool:
 
 
 def shared_process(file: Path) -> Path | None:
-    """Return the entry of SHARED of a file, or None."""
-    return next((each for each in SHARED if any(path.match(str(each)) for path in (file, *file.parents))), None)
+    """Return the entry of SHARED or ROS_SHARED of a file, or None."""
+    entries = ROS_SHARED if uses_ros(file) else SHARED
+    return next((each for each in entries if any(path.match(str(each)) for path in (file, *file.parents))), None)
 
 
 def make_test_jobs(files: list[Path], marked: str = "not long") -> list[Job]:
@@ -177,9 +181,7 @@ def make_test_jobs(files: list[Path], marked: str = "not long") -> list[Job]:
     """
     groups: dict[Path, list[str]] = {}
     for file in files:
-        shared = shared_process(file)
-        key = file if shared is None or uses_ros(file) else shared
-        groups.setdefault(key, []).append(str(file))
+        groups.setdefault(shared_process(file) or file, []).append(str(file))
     jobs = []
     for key, names in groups.items():
         report = REPORTS / (display_name(key).strip("/").replace("/", ".") + ".xml")
