@@ -7,6 +7,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from contextlib import nullcontext
 from functools import partial
+from itertools import pairwise
 from pathlib import Path
 from threading import Event, Thread
 from types import MappingProxyType
@@ -21,7 +22,9 @@ from posor.bags.block_reader import read_messages
 from posor.chain.arm_file import ArmFile, load_arm_file
 from posor.messages.arm_pass import ArmPass
 from posor.messages.cdr_schema import STAMP
+from posor.messages.joint_transform import stamp_ns_of
 from posor.messages.message_stream import RawScanStream
+from posor.messages.raw_scan import ScanTemplate
 from posor.node_parameters import NodeParameters
 from posor.ros_names import (
     ENDPOINT_COVARIANCE_TOPIC,
@@ -116,13 +119,13 @@ def start_nodes(
 
 
 def feed(arm: ArmFile, rounds: list[list[Scan]], *, together: bool) -> dict[str, list[bytes]]:
-    """Return all results by topic, see ``Feeder.feed``."""
+    """Return all results by topic, see ``Feeder.feed``, and the counts of chain_node."""
     with NodeProcess() as process:
-        start_nodes(process, arm)
+        chain: Any = start_nodes(process, arm)[arm.namespace]
         feeder = process.start(Feeder)
         feeder.open(arm)
         feeder.feed(rounds, together=together)
-        return feeder.received
+        return {**feeder.received, "counts": [repr(chain._counts()).encode()]}
 
 
 def without_a_joint(ticks: list[list[Scan]]) -> list[list[Scan]]:
@@ -143,6 +146,23 @@ def one_joint_ahead(ticks: list[list[Scan]]) -> list[list[Scan]]:
     return [[ticks[0][0]], *([*scans[1:], ahead] for scans, ahead in zip(ticks, following, strict=False))]
 
 
+def one_joint_ahead_later(ticks: list[list[Scan]]) -> list[list[Scan]]:
+    """Leave out a scan of the first joint; its scans are then a tick ahead of the others in each round."""
+    return [*ticks[:5], *([later[0], *scans[1:]] for scans, later in pairwise(ticks[5:]))]
+
+
+def a_scan_that_stays_open(ticks: list[list[Scan]]) -> list[list[Scan]]:
+    """Deliver a scan of the first joint early, that of the second after the next tick, and none of the others."""
+    return [*ticks[:10], ticks[10][:1], ticks[11], ticks[10][1:2], *ticks[12:]]
+
+
+def a_stamp_that_stands(ticks: list[list[Scan]]) -> list[list[Scan]]:
+    """Deliver the last tick again, with other numbers."""
+    number = TICKS + 10**6
+    again = [(joint, ScanTemplate(data).at(stamp_ns_of(data[STAMP]), number)) for joint, data in ticks[-1]]
+    return [*ticks, again]
+
+
 def with_useless_messages(ticks: list[list[Scan]]) -> list[list[Scan]]:
     """Cut a scan, repeat a scan, and begin in the middle, where no stream is open."""
     changed = [list(scans) for scans in ticks[3:]]
@@ -153,7 +173,17 @@ def with_useless_messages(ticks: list[list[Scan]]) -> list[list[Scan]]:
 
 
 @pytest.mark.parametrize(
-    "change", [list, without_a_joint, two_ticks_in_a_round, one_joint_ahead, with_useless_messages]
+    "change",
+    [
+        list,
+        without_a_joint,
+        two_ticks_in_a_round,
+        one_joint_ahead,
+        one_joint_ahead_later,
+        a_scan_that_stays_open,
+        a_stamp_that_stands,
+        with_useless_messages,
+    ],
 )
 def test_scans_of_a_round_give_the_bytes_of_single_scans(arm: ArmFile, ticks: list[list[Scan]], change: Change) -> None:
     rounds = change(ticks)
