@@ -117,7 +117,7 @@ STAGES = {  # method and name of each stage; publishing is one more stage for ea
     "posor.messages.message_stream:RawScanStream.finish": "posor_node: write",
     "posor.messages.arm_pass:ArmPass.run": "posor_node and chain_node: estimate scans and endpoint",
     "posor_estimator.chain_node:ChainNode._take_scans": "chain_node: check the scans",
-    "posor_estimator.chain_node:ChainNode._publish_taken": "chain_node: other",
+    "posor_estimator.chain_node:ChainNode._estimate_taken": "chain_node: other",
     "posor_estimator.chain_node:ChainNode._on_transforms": "chain_node: other, of transforms by themselves",
     "posor.chain.time_synchroniser:TimeSynchroniser.add_together": "chain_node: synchronise",
     "posor.chain.endpoint_estimator:EndpointEstimator.estimate_rows": "chain_node: read the transforms, endpoint",

@@ -65,11 +65,10 @@ from posor_estimator.endpoint_prediction import EndpointPrediction, JointMessage
 from posor_estimator.endpoint_verdict import SOUND, degraded_verdict, unusable_verdict, with_beam_faults
 from posor_estimator.frame_publisher import FramePublisher
 from posor_estimator.identity_check import IdentityCheck
-from posor_estimator.joint_stream import TakenScans
 from posor_estimator.scan_rows import ScanRows
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from posor.chain.endpoint_estimator import EndpointEstimator
     from posor.chain.robot_model import FreeJoint
@@ -79,7 +78,7 @@ if TYPE_CHECKING:
     from posor_ros.diagnostics import Status, Value
     from std_srvs.srv import Trigger
 
-    from posor_estimator.joint_stream import JointStream
+    from posor_estimator.prepared_scan import PreparedScan
 
 
 OK = int(State.OK)
@@ -384,44 +383,52 @@ class ChainNode(PosorNode[ChainParameters]):
             for subscription in self._transforms:
                 subscription.reads_whole = is_due
 
-    def _take_scans(self, streams: Sequence[JointStream]) -> TakenScans | None:
-        """Take the transforms of prepared streams without messages, in the call that estimates scans and endpoint.
+    def _take_scans(self, scans: Sequence[PreparedScan]) -> Callable[[], bool] | None:
+        """Return how to estimate prepared scans and their endpoint in one call, see ``DeliveryGroup.take``.
 
-        None: the messages are needed, because the scans are not one of each joint with an accepted stamp.
+        None: they are not one scan of each joint with one accepted stamp, an older scan is open, accelerometers need
+        the scan, or there is no pass for their transforms.
         """
-        header = streams[0].data[: STAMP.stop]
-        for stream in streams:
-            if stream.data[: STAMP.stop] != header or stream.taker is None or stream.taker.closed:
+        header = scans[0].data[: STAMP.stop]
+        for scan in scans:
+            if scan.data[: STAMP.stop] != header or scan.taker is None or scan.taker.closed:
                 return None
         stamp = header[STAMP]
         stamp_ns = stamp_ns_of(stamp)
         if (
-            len(streams) != len(self._transforms)
+            len(scans) != len(self._transforms)
             or not (self.may_publish and stamp_ns and header.startswith(LITTLE_ENDIAN))
             or self._vibrations.names
-            or not self._synchroniser.is_next(stamp_ns)
+            or not self._synchroniser.is_complete_at_once(stamp_ns)
             or not self._inputs.accepts(stamp_ns)
-            or (found := self._rows.find_pass(streams, self._transforms)) is None
+            or (found := self._rows.find_pass(scans, self._transforms)) is None
         ):
             return None
         if self._temperatures.names:
             self._temperatures.update(stamp_ns)
-        return TakenScans(partial(found.run, stamp_ns), partial(self._publish_taken, found, stamp, stamp_ns))
+        return partial(self._estimate_taken, found, stamp, stamp_ns)
 
-    def _publish_taken(self, arm_pass: ArmPass, stamp: bytes, stamp_ns: int) -> None:
-        """Publish the endpoint of the scans that a pass has estimated."""
-        if self._prediction is not None:
-            for number, message in enumerate(self._rows.messages()):
-                self._prediction.add_transform(number, stamp_ns, message)
-        self._end_scan(stamp, stamp_ns, arm_pass.worst)
-        self._synchroniser.complete(stamp_ns)
+    def _estimate_taken(self, arm_pass: ArmPass, stamp: bytes, stamp_ns: int) -> bool:
+        """Estimate prepared scans and the endpoint, and publish it; return False where the messages are needed.
+
+        Nothing may raise before the scans are estimated.
+        """
+        if (worst := arm_pass.run(stamp_ns)) is None:
+            return False
+        self._synchroniser.close_complete(stamp_ns)
         now_s = time.monotonic()
         for subscription in self._transforms:
             subscription.watch.record(now_s)
+        if self._prediction is not None:
+            for number, message in enumerate(self._rows.messages()):
+                self._prediction.add_transform(number, stamp_ns, message)
+        self._end_scan(stamp, stamp_ns, worst)
+        return True
 
     def _estimate_endpoint(self, stamp: bytes, stamp_ns: int) -> None:
         """Estimate the endpoint of the rows, unless the stamp is refused, and publish it."""
-        worst, refusal = UNUSABLE, "" if self._inputs.accepts(stamp_ns) else self._inputs.refusal(stamp_ns)
+        refusal = "" if self._inputs.accepts(stamp_ns) else self._inputs.refusal(stamp_ns)
+        worst = UNUSABLE
         if not refusal:
             if self._temperatures.names:
                 self._temperatures.update(stamp_ns)

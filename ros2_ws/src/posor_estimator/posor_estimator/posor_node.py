@@ -47,18 +47,16 @@ from posor_estimator.alarm_rate import AlarmRate
 from posor_estimator.encoder_subscription import subscribe_to_encoder
 from posor_estimator.endpoint_verdict import NOT_COUNTED, waits_to_be_counted
 from posor_estimator.fault_release import EncoderReading, FaultRelease, check_plausible
-from posor_estimator.joint_stream import JointStream
+from posor_estimator.prepared_scan import PreparedScan
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
     from posor.calibration.calibration_file import Calibration
     from posor.messages.message_stream import EstimatedScan
-    from posor_ros.delivery_round import Delivery
+    from posor_ros.delivery_round import Delivery, GroupMember
     from posor_ros.diagnostics import StatusText, Value
     from std_srvs.srv import Trigger
-
-    from posor_estimator.joint_stream import TakenScans
 
 
 LOST = int(State.LOST)
@@ -78,8 +76,8 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
 
     _calibration: Calibration
     _posor: Posor
-    _stream: JointStream | None
-    _last_stream: JointStream | None
+    _stream: RawScanStream | None
+    _last_stream: RawScanStream | None
     _recent_scans: deque[bytes]
     _reported: tuple[int, int, bool] | None
     _alarms: AlarmRate
@@ -273,24 +271,22 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
         A chain_node of this process takes the transforms of its joints in that call and publishes its endpoint at once.
         Return what can wait until the endpoint is published: transforms for others, counts, and reports.
         """
-        prepared = []
+        scans = []
         for subscription, data in deliveries:
-            if (stream := subscription.attempt(subscription.node.prepare_scan, data)) is not None:
-                prepared.append((subscription, stream))
-        if _estimate_and_give([stream for _, stream in prepared]):
-            finished = [(*each, None) for each in prepared]
-        else:
-            results = [(each, each[0].attempt(each[0].node.finish_scan, each[1])) for each in prepared]
-            finished = [(*each, transform) for each, transform in results if transform is not None]
+            if (scan := subscription.attempt(subscription.node.prepare_scan, subscription, data)) is not None:
+                scans.append(scan)
+        taken = _estimate(scans)
+        results = [(scan, scan.subscription.attempt(scan.subscription.node.finish_scan, scan, taken)) for scan in scans]
 
         def complete_scans() -> None:
-            for subscription, stream, transform in finished:
-                subscription.attempt(subscription.node.complete_scan, stream, transform)
+            for scan, transform in results:
+                if transform is not None:
+                    scan.subscription.attempt(scan.subscription.node.complete_scan, scan.stream, scan.data, transform)
 
         return complete_scans
 
-    def prepare_scan(self, data: bytes) -> JointStream | None:
-        """Return the stream whose next run estimates a scan; None: the scan is dealt with already."""
+    def prepare_scan(self, subscription: GroupMember, data: bytes) -> PreparedScan | None:
+        """Return a scan for the next run of its stream; None: the scan is dealt with already."""
         if not self.may_publish:
             return None
         inputs, stream = self._inputs, self._stream
@@ -299,18 +295,26 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
         if stream is not None:
             stream.use_effects(used=self._publisher.is_read_whole)
             if not inputs.several and stream.prepare(data, inputs.stamp_limits.now_ns()):
-                stream.taker = self._publisher.taker
-                return stream
+                return PreparedScan(subscription, stream, data, self._publisher.taker)
         self._use_unexpected_scan(data)
         return None
 
-    def finish_scan(self, stream: JointStream) -> bytes | None:
-        """Return the transform of a prepared scan after the run, delivered within this process; None: dealt with."""
-        transform = stream.finish()
-        if transform is None:
-            self._use_unexpected_scan(stream.data)
+    def finish_scan(self, scan: PreparedScan, taken: bool) -> bytes | None:  # noqa: FBT001  see ``attempt``
+        """Return the transform of a prepared scan after the run, delivered within this process.
+
+        ``taken``: chain_node has it already. Empty: nobody else reads it; None: the scan is dealt with already.
+        """
+        transform: bytes | None
+        if taken:
+            scan.stream.keep(scan.data)
+            is_read = self._publisher.is_read_by_others(scan.taker) or self._throttle.has_subscriptions
+            transform = scan.stream.transform() if is_read else b""
         else:
-            self._publisher.deliver(transform)
+            transform = scan.stream.finish(scan.data)
+        if transform is None:
+            self._use_unexpected_scan(scan.data)
+        elif transform:
+            self._publisher.deliver(transform, taken_by=scan.taker if taken else None)
         return transform
 
     def _use_unexpected_scan(self, data: bytes) -> None:
@@ -321,7 +325,7 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
             transform = self._estimate_scan(data)
         if transform and self._stream is not None:
             self._publisher.deliver(transform)
-            self.complete_scan(self._stream, transform)
+            self.complete_scan(self._stream, data, transform)
 
     def _estimate_scan(self, data: bytes) -> bytes | None:
         """Return the transform of a scan, empty for a repeated one; None if there is no stream for it."""
@@ -342,7 +346,7 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
         """Make a stream for a scan of another layout; return the scan in plain CDR, empty if it is invalid."""
         try:
             data = schema_of_class(RawScan).normal(data)
-            stream = JointStream(self._posor, data)
+            stream = RawScanStream(self._posor, data)
         except TopicError as error:
             self._messages_refused += 1
             self._reported = None
@@ -357,41 +361,31 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
             stream.count_from_next()
         return data
 
-    def complete_scan(self, stream: JointStream, transform: bytes | None) -> None:
+    def complete_scan(self, stream: RawScanStream, data: bytes, transform: bytes) -> None:
         """Publish the transform of a scan to other processes, count the scan, and report a change of the status.
 
-        ``transform``: None: it was taken and not delivered. A sound scan is kept for the digital zero.
+        ``transform``: empty: nobody reads it. A sound scan is kept for the digital zero.
         """
-        if transform is None:
-            self._publish_taken(stream)
-        else:
+        if transform:
             self._publisher.publish_over_dds(transform)
         stamp_ns, changed, missing = stream.stamp_change_and_missing()
         if missing:
-            self._inputs.note(*self._order.count_missing(stream.number_of(stream.data), missing))
-        if self._throttle.has_subscriptions and self._throttle.is_due(stamp_ns, changed=bool(changed)):
-            self._throttle.publish(transform or stream.transform())
+            self._inputs.note(*self._order.count_missing(stream.number_of(data), missing))
+        if transform and self._throttle.has_subscriptions and self._throttle.is_due(stamp_ns, changed=bool(changed)):
+            self._throttle.publish(transform)
         if stamp_ns:
             self.timing.record(stamp_ns)
         self._scans += 1
         if changed or self._is_lost or self._reported is None:
             self._update_status(stream)
         if not self._is_lost:
-            self._recent_scans.append(stream.data)
+            self._recent_scans.append(data)
         if self._count_from_next:
             if self._is_lost:
                 self._forget_home()
             self._count_from_next = stream.counts_from_next
 
-    def _publish_taken(self, stream: JointStream) -> None:
-        """Publish a transform that was taken to all others."""
-        stream.keep()
-        if self._publisher.subscription_count > 1:
-            transform = stream.transform()
-            self._publisher.deliver(transform, taken_by=stream.taker)
-            self._publisher.publish_over_dds(transform)
-
-    def _update_status(self, stream: JointStream) -> None:
+    def _update_status(self, stream: RawScanStream) -> None:
         """Handle a scan that is LOST, or whose state, faults or light source differ from those of the scan before.
 
         The digital zero needs consecutive scans of one light source: a LOST scan or another source discards kept scans.
@@ -434,19 +428,31 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
         self._status.update(_status_values(counts, last))
 
 
-def _estimate_and_give(streams: list[JointStream]) -> bool:
-    """Run prepared streams in one compiled call; return whether transforms were taken, see ``DeliveryGroup.take``."""
-    taker = streams[0].taker if streams else None
-    if taker is not None and taker.group is not None and taker.group.take is not None:
-        with taker.group.lock:
-            taken: TakenScans | None = taker.attempt(taker.group.take, streams)
-            if taken is not None:
-                is_taken = taken.run()
-                if is_taken:
-                    taker.attempt(taken.publish)
-                return is_taken
-    RawScanStream.run_prepared(tuple(streams))
-    return False
+def _estimate(scans: list[PreparedScan]) -> bool:
+    """Estimate prepared scans in one compiled call; return whether chain_node has taken the transforms in it.
+
+    If chain_node raises, all of its subscriptions end, and the transforms are sent to all others.
+    """
+    run = None
+    if scans and (taker := scans[0].taker) is not None and taker.group is not None:
+        take, lock = taker.group.take, scans[0].subscription.group.lock
+        if take is not None and taker.group.lock is lock:
+            run = _attempt(scans, take, scans)
+    if run is None:
+        RawScanStream.run_prepared(tuple([scan.stream for scan in scans]))
+        return False
+    return bool(_attempt(scans, run))
+
+
+def _attempt(scans: list[PreparedScan], step: Callable[..., Any], *arguments: Any) -> Any:
+    """Return the result of a step of chain_node; None: it has raised."""
+    try:
+        return step(*arguments)
+    except Exception as error:  # noqa: BLE001  it ends the program, from the main thread
+        for scan in scans:
+            if scan.taker is not None:
+                scan.taker.fail(error)
+        return None
 
 
 def _format_status(state: int, faults: int, excess: str, counts: dict[str, Value], scan: EstimatedScan) -> StatusText:

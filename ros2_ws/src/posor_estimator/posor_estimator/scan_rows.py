@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from posor_ros.intra_process import IntraProcessSubscription
 
     from posor_estimator.endpoint_prediction import JointMessage
-    from posor_estimator.joint_stream import JointStream
+    from posor_estimator.prepared_scan import PreparedScan
 
 
 class ScanRows:
@@ -33,9 +33,10 @@ class ScanRows:
         self._pass_key: tuple[object, ...] = ()
 
     def fill(self, scan: Mapping[str, JointMessage]) -> list[TransformConstants]:
-        """Copy the transforms of a scan; return the constants of all joints if they are others than before.
+        """Copy the transforms of a scan into the rows.
 
-        The estimator then takes their rows, shared terms and causes.
+        Where a format has changed, the estimator takes the rows, shared terms and causes of all joints before. Return
+        the constants of all joints in this case, else an empty list.
         """
         changed: list[TransformConstants] = []
         if not self._rows or any(scan[name][0] is not expected for name, expected, _ in self._rows):
@@ -66,22 +67,23 @@ class ScanRows:
         return [JointStatus(name, *each.read_state(row), code) for (name, each, row), code in joints]
 
     def find_pass(
-        self, streams: Sequence[JointStream], joints: Mapping[IntraProcessSubscription, int]
+        self, scans: Sequence[PreparedScan], joints: Mapping[IntraProcessSubscription, int]
     ) -> ArmPass | None:
-        """Return the pass that fills the rows from a stream of each joint; None: their transforms have other formats.
+        """Return the pass that fills the rows from a scan of each joint; None: the transforms are needed as messages.
 
-        ``joints``: index of the joint of each taker.
+        Their formats are others than those of the rows, they go to other subscriptions, or kernels run in Python.
+        ``joints``: index of the joint of each subscription.
         """
-        key = self._estimator.rows_kernel, *streams
+        key = self._estimator.rows_kernel, *[scan.stream for scan in scans], *[scan.taker for scan in scans]
         if key != self._pass_key:
-            self._pass, self._pass_key = self._make_pass(streams, joints), key
+            self._pass, self._pass_key = self._make_pass(scans, joints), key
         return self._pass
 
     def _make_pass(
-        self, streams: Sequence[JointStream], joints: Mapping[IntraProcessSubscription, int]
+        self, scans: Sequence[PreparedScan], joints: Mapping[IntraProcessSubscription, int]
     ) -> ArmPass | None:
-        by_joint = {joints[each.taker]: each for each in streams if each.taker is not None and each.taker in joints}
-        is_whole = len(by_joint) == len(self._rows) and ArmPass.is_possible(by_joint)
-        if not is_whole or not all(self._rows[j][1].matches(each.transform()) for j, each in by_joint.items()):
+        streams = {joints[each.taker]: each.stream for each in scans if each.taker is not None and each.taker in joints}
+        if len(streams) < len(self._rows) or not self._rows:
             return None
-        return ArmPass(by_joint, self._estimator)
+        matches = all(self._rows[j][1].matches(stream.transform()) for j, stream in streams.items())
+        return ArmPass.of(streams, self._estimator) if matches else None

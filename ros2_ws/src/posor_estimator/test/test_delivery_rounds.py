@@ -7,7 +7,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from contextlib import nullcontext
 from functools import partial
-from itertools import pairwise
+from itertools import pairwise, product
 from pathlib import Path
 from threading import Event, Thread
 from types import MappingProxyType
@@ -37,7 +37,7 @@ from posor.ros_names import (
 from posor_bringup.arm_programs import arm_programs
 from posor_estimator.composition_file import load_node_class
 from posor_lab.harness.in_process_nodes import NodeProcess
-from posor_lab.harness.program import HAND_FED
+from posor_lab.harness.program import HAND_FED, wait_until
 from posor_msgs.msg import EndpointState, JointTransform, RawScan
 from posor_ros.delivery_round import DeliveryRound
 from posor_ros.intra_process import IntraProcessPublisher, IntraProcessSubscription
@@ -201,7 +201,7 @@ def calls(monkeypatch: pytest.MonkeyPatch) -> list[str | int]:
         found.append(len(streams))
         run(streams)
 
-    def noted_run_of_arm(arm_pass: ArmPass, stamp_ns: int) -> bool:
+    def noted_run_of_arm(arm_pass: ArmPass, stamp_ns: int) -> int | None:
         found.append("arm")
         return run_arm(arm_pass, stamp_ns)
 
@@ -253,20 +253,63 @@ def test_a_new_calibration_and_a_lost_scan_give_the_bytes_of_single_scans(
     assert calls == [0, *["arm"] * 9, of_new_stream, *["arm"] * (len(ticks) - 11)]
 
 
-def test_a_subscription_of_the_process_receives_transforms_that_are_taken(
-    arm: ArmFile, ticks: list[list[Scan]], calls: list[str | int]
+@pytest.mark.parametrize("over_dds", [False, True])
+def test_a_later_reader_receives_transforms_that_are_taken(
+    arm: ArmFile, ticks: list[list[Scan]], calls: list[str | int], monkeypatch: pytest.MonkeyPatch, *, over_dds: bool
 ) -> None:
-    joint, received = list(arm.calibrations)[2], list[bytes]()
-    topic = f"{arm.namespace}/{joint}/{TRANSFORM_TOPIC}"
-    with NodeProcess() as process:
-        start_nodes(process, arm)
-        feeder = process.start(Feeder)
+    joint, received, published = list(arm.calibrations)[2], list[bytes](), list[type]()
+    publish = IntraProcessPublisher.publish_over_dds
+
+    def noted_publish(publisher: IntraProcessPublisher, data: bytes) -> bool:
+        published.append(publisher.message_type)
+        return publish(publisher, data)
+
+    with NodeProcess() as process, NodeProcess() as other:
+        nodes = start_nodes(process, arm)
+        feeder, reader = process.start(Feeder), (other if over_dds else process).start(Feeder)
         feeder.raw = {name: feeder.publisher(f"{arm.namespace}/{name}/{RAW_TOPIC}") for name in arm.calibrations}
-        feeder.feed(ticks[:5], together=True)  # nobody else reads transforms
-        assert calls == [0, *["arm"] * 4]
-        IntraProcessSubscription(feeder, JointTransform, topic, KEEP_ALL_QOS, received.append)
-        feeder.feed(ticks[5:], together=True)
+        publishers = [nodes[f"{arm.namespace}/{name}"]._publisher for name in arm.calibrations]  # type: ignore[attr-defined]
+        feeder.feed(ticks[:1], together=True)
+        wait_until(
+            lambda: all(each.subscription_count == 1 for each in publishers),
+            "no reader but the chain",
+            process.spin_once,
+        )
+        monkeypatch.setattr(IntraProcessPublisher, "publish_over_dds", noted_publish)
+        feeder.feed(ticks[1:5], together=True)
+        assert JointTransform not in published  # nobody reads them as messages
+        topic = publishers[2].topic_name
+        subscription = IntraProcessSubscription(reader, JointTransform, topic, KEEP_ALL_QOS, received.append)
+        wait_until(lambda: publishers[2].subscription_count == 2, "a match", other.spin_once)
+        wait_until(lambda: subscription.publishers == 1, "its match", subscription.find_publishers)
+        for number, scans in enumerate(ticks[5:], start=1):
+            feeder.feed([scans], together=True)
+            wait_until(lambda count=number: len(received) == count, "a transform", other.spin_once)  # type: ignore[misc]
     assert [data[STAMP] for data in received] == [dict(scans)[joint][STAMP] for scans in ticks[5:]]
+    assert calls == [0, *["arm"] * (len(ticks) - 1)]
+
+
+@pytest.mark.parametrize("in_round", [False, True])
+def test_scans_that_a_pose_causes_give_the_same_bytes(arm: ArmFile, ticks: list[list[Scan]], *, in_round: bool) -> None:
+    """As of a simulated controller in this process: the next scans are published while the pose is."""
+    expected, following = feed(arm, ticks, together=True), iter(ticks)
+    with NodeProcess() as process:
+        chain: Any = start_nodes(process, arm)[arm.namespace]
+        feeder = process.start(Feeder)
+        feeder.open(arm)
+
+        def publish_next(_pose: bytes) -> None:
+            for joint, data in next(following, ()):
+                feeder.raw[joint].publish(data)
+
+        begin = [next(following) for _ in range(10)]
+        feeder.feed(begin[:-1], together=True)
+        topic = f"{arm.namespace}/{ENDPOINT_TOPIC}"
+        IntraProcessSubscription(feeder, PoseStamped, topic, KEEP_ALL_QOS, publish_next)
+        feeder.feed(begin[-1:], together=in_round)
+        found = {**feeder.received, "counts": [repr(chain._counts()).encode()]}
+    assert next(following, None) is None
+    assert found == expected
 
 
 def test_a_prediction_uses_the_transforms_that_are_taken(
@@ -296,14 +339,13 @@ def test_a_prediction_uses_the_transforms_that_are_taken(
 
 
 @pytest.mark.parametrize(
-    ("step", "taken"),
-    [("prepare_scan", True), ("complete_scan", True), ("prepare_scan", False), ("finish_scan", False)],
+    ("step", "taken"), [*product(["prepare_scan", "finish_scan"], [False, True]), ("complete_scan", True)]
 )
 def test_a_failure_ends_the_node_that_fails_and_the_other_joints_continue(
     arm: ArmFile, ticks: list[list[Scan]], monkeypatch: pytest.MonkeyPatch, step: str, *, taken: bool
 ) -> None:
     if not taken:
-        monkeypatch.setattr(ArmPass, "is_possible", lambda _: False)
+        monkeypatch.setattr(ArmPass, "of", lambda *_: None)
     with NodeProcess() as process:
         nodes = start_nodes(process, arm)
         feeder = process.start(Feeder)
@@ -316,23 +358,40 @@ def test_a_failure_ends_the_node_that_fails_and_the_other_joints_continue(
         with pytest.raises(ValueError, match="of one joint"):
             broken.raise_failure()
         counts = [len(feeder.received[f"{arm.namespace}/{joint}/{TRANSFORM_TOPIC}"]) for joint in arm.calibrations]
-        assert sorted(counts) == [5, *[10] * (len(counts) - 1)]
+        assert sorted(counts) == [5 + (step == "complete_scan"), *[10] * (len(counts) - 1)]
 
 
-def test_a_failure_of_the_chain_leaves_the_joints_alone(
-    arm: ArmFile, ticks: list[list[Scan]], monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("step", ["_take_scans", "run", "_publish_pose"])
+def test_a_failure_of_the_chain_ends_it_and_leaves_the_joints_alone(
+    arm: ArmFile, ticks: list[list[Scan]], monkeypatch: pytest.MonkeyPatch, step: str
 ) -> None:
+    run, failure = ArmPass.run, ValueError("of the chain")
+
+    def run_and_fail(arm_pass: ArmPass, stamp_ns: int) -> None:
+        run(arm_pass, stamp_ns)
+        raise failure
+
     with NodeProcess() as process:
         nodes = start_nodes(process, arm)
-        feeder = process.start(Feeder)
+        feeder, states = process.start(Feeder), list[bytes]()
         feeder.open(arm)
+        topic = f"{arm.namespace}/{ENDPOINT_STATE_TOPIC}"
+        IntraProcessSubscription(feeder, EndpointState, topic, KEEP_ALL_QOS, states.append)
         feeder.feed(ticks[:5], together=True)
-        chain = nodes[arm.namespace]
-        monkeypatch.setattr(chain, "_publish_pose", Mock(side_effect=ValueError("of the chain")))
+        before, chain = len(states), nodes[arm.namespace]
+        if step == "run":
+            monkeypatch.setattr(ArmPass, "run", run_and_fail)
+        elif step == "_take_scans":
+            for subscription in chain._transforms:  # type: ignore[attr-defined]
+                monkeypatch.setattr(subscription, "group", subscription.group._replace(take=Mock(side_effect=failure)))
+        else:
+            monkeypatch.setattr(chain, step, Mock(side_effect=failure))
         feeder.feed(ticks[5:10], together=True)
         assert [node for node in nodes.values() if node.exit_requested] == [chain]
-        topics = [f"{arm.namespace}/{joint}/{TRANSFORM_TOPIC}" for joint in arm.calibrations]
-        assert {len(feeder.received[topic]) for topic in topics} == {10}
+        assert len(states) == before
+        for joint in arm.calibrations:
+            received = feeder.received[f"{arm.namespace}/{joint}/{TRANSFORM_TOPIC}"]
+            assert [data[STAMP] for data in received] == [dict(scans)[joint][STAMP] for scans in ticks[:10]]
 
 
 def test_an_arm_whose_subscriber_blocks_does_not_stop_another_arm(

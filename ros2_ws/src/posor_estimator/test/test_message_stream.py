@@ -100,7 +100,7 @@ def estimate_expected(stream: RawScanStream, data: bytes, now_ns: int) -> bytes 
     """Return the transform of a scan; None where it is not the expected one."""
     assert stream.prepare(data, now_ns)
     stream.run_prepared((stream,))
-    return stream.finish()
+    return stream.finish(data)
 
 
 def test_only_a_newer_scan_of_an_accepted_age_is_expected() -> None:
@@ -454,7 +454,7 @@ def test_only_a_group_of_scans_has_a_call_of_its_own(monkeypatch: pytest.MonkeyP
         for stream in group:
             assert stream.prepare(data, message_stream.RECORDED, only_expected=False)
         RawScanStream.run_prepared(group)
-        assert all(len(stream.finish() or b"") == len(expected or b"") for stream in group)
+        assert all(len(stream.finish(data) or b"") == len(expected or b"") for stream in group)
     assert groups == [2]
 
 

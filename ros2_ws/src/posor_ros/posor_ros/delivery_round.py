@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Delivery rounds: what groups of subscriptions are sent in a tick they receive at its end, in one call.
 
-So the scans of all joints of an arm are handled together. Outside of a round, and over DDS, a group receives each
-message by itself, by the same code.
+So the scans of all joints of an arm are handled together. A message outside of a round, as over DDS, has a round of its
+own: a group receives it by itself, by the same code.
 """
 
 from __future__ import annotations
@@ -46,78 +46,88 @@ class DeliveryGroup(NamedTuple):
     lock: RLock
     """Held while it receives, see ``IntraProcessManager.delivery_lock``."""
     take: Callable[..., Any] | None = None
-    """Takes from the nodes that publish, in their own call, what would be in the messages. Those are not delivered."""
+    """Called in a round by nodes of the same lock that would publish to the group, with what they have in memory.
+
+    Returns a function that does their work and its own, and returns whether it has; None: the group needs messages."""
 
 
 class _Held(local):
-    """Messages that are held until the end of this thread's round, in order; None: there is no round."""
+    """Messages that are held until the end of this thread's round; None: there is no round.
 
-    messages: dict[GroupMember, bytes] | None = None
+    They are in parts, each with at most one message of each subscription, in order.
+    """
+
+    parts: list[dict[GroupMember, bytes]] | None = None
 
 
 _held = _Held()
 
 
 class DeliveryRound:
-    """A ``with`` block of one thread; messages for groups are held until its end.
+    """A ``with`` block of one thread; messages for groups are held until its end. A block inside another does nothing.
 
-    A second message for a subscription ends the first part of the round. What a group publishes while it receives is
-    delivered before the next group receives.
+    What a group publishes while it receives is delivered before the next group receives.
     """
 
     def __enter__(self) -> None:
-        _held.messages = {}
+        self._is_inner = _held.parts is not None
+        if not self._is_inner:
+            _held.parts = []
 
     def __exit__(self, *_: object) -> None:
-        try:
-            _deliver_held_messages()
-        finally:
-            _held.messages = None
+        if not self._is_inner:
+            try:
+                _deliver_held_messages()
+            finally:
+                _held.parts = None
 
 
-def hold(subscription: GroupMember, data: bytes) -> bool:
-    """Hold a message for a subscription of a group; return False outside of a round, where it is to be received."""
-    held = _held.messages
-    if held is None:
-        return False
-    if subscription in held:
-        _deliver_held_messages()
-        held = _held.messages = {}
-    held[subscription] = data
-    return True
+def receive_in_round(subscription: GroupMember, data: bytes) -> None:
+    """Hold a message for a subscription of a group until the end of this thread's round, or of one of its own.
+
+    So what other nodes publish because of the message waits until the group has received it.
+    """
+    parts = _held.parts
+    if parts is None:
+        with DeliveryRound():
+            receive_in_round(subscription, data)
+        return
+    if not parts or subscription in parts[-1]:
+        parts.append({})
+    parts[-1][subscription] = data
 
 
 def _deliver_held_messages() -> None:
-    """Deliver all messages that this thread holds, group by group."""
-    groups: dict[DeliveryGroup, list[Delivery]] = {}
-    now_s = time.monotonic()
-    for delivery in (_held.messages or {}).items():
-        subscription = delivery[0]
-        if subscription.group is not None and not subscription.closed:
-            subscription.watch.record(now_s)
-            groups.setdefault(subscription.group, []).append(delivery)
-    for group, deliveries in groups.items():
-        _held.messages = {}
-        _deliver(group, deliveries)
-    _held.messages = {}
+    """Deliver all messages that this thread holds, part by part and group by group."""
+    parts, _held.parts = _held.parts or [], []
+    for part in parts:
+        groups: dict[DeliveryGroup, list[Delivery]] = {}
+        now_s = time.monotonic()
+        for delivery in part.items():
+            subscription = delivery[0]
+            if subscription.group is not None and not subscription.closed:
+                subscription.watch.record(now_s)
+                groups.setdefault(subscription.group, []).append(delivery)
+        for group, deliveries in groups.items():
+            _deliver(group, deliveries)
 
 
 def _deliver(group: DeliveryGroup, deliveries: list[Delivery]) -> None:
     """Have a group receive; an error ends the program, from the main thread."""
     try:
-        receive_together(group, deliveries)
+        _receive_together(group, deliveries)
     except Exception as error:  # noqa: BLE001  all nodes of the group report it
         for subscription, _ in deliveries:
             subscription.fail(error)
 
 
-def receive_together(group: DeliveryGroup, deliveries: list[Delivery]) -> None:
+def _receive_together(group: DeliveryGroup, deliveries: list[Delivery]) -> None:
     """Have a group receive, then whoever receives what it publishes."""
     with group.lock:
         afterwards = group.receive(deliveries)
-        if _held.messages:
+        if _held.parts:
             _deliver_held_messages()
         if afterwards is not None:
             afterwards()
-            if _held.messages:
+            if _held.parts:
                 _deliver_held_messages()

@@ -3,7 +3,8 @@
 """Serialised topics: intra-process delivery between nodes of one process, DDS to other processes.
 
 Where both ends of a topic live in one rclpy context, `IntraProcessPublisher.publish` passes the published bytes to the
-callback of each `IntraProcessSubscription`, in the publisher's thread, and these subscriptions do not use DDS. A DDS
+callback of each `IntraProcessSubscription`, in the publisher's thread, and these subscriptions do not use DDS. A group
+may take the data without messages, see `DeliveryGroup.take`; other subscriptions receive them afterwards. A DDS
 subscription is created as soon as the context has no publisher of the topic left. A node receives the same bytes either
 way. Messages are handed to DDS only where a DDS subscription has matched.
 
@@ -30,7 +31,7 @@ from rclpy.duration import Duration
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.qos import HistoryPolicy
 
-from posor_ros.delivery_round import DeliveryGroup, hold, receive_together
+from posor_ros.delivery_round import DeliveryGroup, receive_in_round
 from posor_ros.input_watch import InputWatch
 
 if TYPE_CHECKING:
@@ -113,6 +114,10 @@ class IntraProcessPublisher:
     def taker(self) -> IntraProcessSubscription | None:
         """The first subscription of this process whose group can take what is published, see ``DeliveryGroup``."""
         return self._taker
+
+    def is_read_by_others(self, taker: IntraProcessSubscription | None) -> bool:
+        """Return whether there is any subscription but one of this process."""
+        return self._subscriptions != (taker,) or bool(self._handle.get_subscription_count())
 
     def note_readers(self) -> None:
         """Note which subscriptions of this process read all parts of a message, and the taker."""
@@ -249,7 +254,7 @@ class IntraProcessSubscription:
         self.on_publishers: Callable[[], None] = lambda: None
         self._topic = topic
         self._qos = qos
-        self._callback = self._receive_alone if isinstance(receiver, DeliveryGroup) else receiver
+        self._callback: Any = receiver  # not called of a group
         self._dds_subscription: Any = None
         self._handle: Any = None
         self._local = 0
@@ -290,15 +295,11 @@ class IntraProcessSubscription:
         """Handle a message of a publisher of this process."""
         if self.closed:
             return
-        if self.group is not None and hold(self, data):
+        if self.group is not None:
+            receive_in_round(self, data)
             return
         self.watch.record(time.monotonic())
         self.attempt(self._callback, data)
-
-    def _receive_alone(self, data: bytes) -> None:
-        """Have the group receive a message outside of a round."""
-        if self.group is not None:
-            receive_together(self.group, [(self, data)])
 
     def attempt(self, step: Callable[..., Any], *arguments: Any) -> Any:
         """Return the result of a step of the node; None: it has raised, see ``fail``."""
@@ -334,6 +335,9 @@ class IntraProcessSubscription:
     def _on_message(self, data: bytes) -> None:
         if self._handle is not None:
             self._count_matched()
+            if self.group is not None:
+                receive_in_round(self, data)
+                return
             self.watch.record(time.monotonic())
             self._callback(data)
 

@@ -164,7 +164,7 @@ class JointRows(NamedTuple):
     numbers: FloatArray  # the rows as 8-byte floats, (j, w)
     octets: ByteArray  # the same memory as bytes, (j, 8 w)
     singles: NDArray[np.float32]  # the same memory as floats of 4 bytes, (j, 2 w)
-    missing: IntArray  # number of rows that do not hold the present scan, (1,)
+    missing: IntArray  # rows that ``copy_transform`` did not write, (1,); the estimate of the endpoint resets it
 
     @classmethod
     def allocate(cls, layouts: Sequence[JointRowLayout]) -> JointRows:

@@ -121,15 +121,15 @@ class TimeSynchroniser(Generic[Item]):
 
     def add_together(self, stamp: int, items: dict[str, Item], arrived: float) -> dict[str, Item] | None:
         """Add items of one stamp, as one ``add`` after the other would; return the complete scan or None."""
-        if len(items) == len(self._members) and self.is_next(stamp):
-            self.complete(stamp)
+        if len(items) == len(self._members) and self.is_complete_at_once(stamp):
+            self.close_complete(stamp)
             return items
         scan = None
         for member, item in items.items():
             scan = self.add(member, stamp, item, arrived) or scan
         return scan
 
-    def is_next(self, stamp: int) -> bool:
+    def is_complete_at_once(self, stamp: int) -> bool:
         """Return whether items of all members with this stamp would make a scan and close no other."""
         epoch = self._epoch
         if self._open or (epoch, stamp) <= self._closed:
@@ -139,8 +139,8 @@ class TimeSynchroniser(Generic[Item]):
                 return False
         return True
 
-    def complete(self, stamp: int) -> None:
-        """Take items of all members for the stamp of ``is_next``."""
+    def close_complete(self, stamp: int) -> None:
+        """Close the scan of ``is_complete_at_once``, of which all members have sent their items."""
         for own in self._members.values():
             own.previous, own.latest = own.latest, stamp
         self._closed = self._epoch, stamp

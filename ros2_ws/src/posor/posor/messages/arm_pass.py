@@ -3,54 +3,51 @@
 """The tick of an arm in one compiled call: the raw scans of all joints in, the endpoint out, without messages between.
 
 The transforms go from the streams to the rows of the endpoint estimator as bytes. Where a scan needs more than the
-kernels do, such as a start or another layout, the endpoint is not estimated: it then takes the transforms as messages.
+kernels do, such as a start or another layout, the endpoint is not estimated; the transforms are then sent as messages.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Self
 
 from posor.chain.forward_kinematics import HISTORY_FULL, ROWS_MISSING
 from posor.numerics.compiled import run_in_turn
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
     from posor.chain.endpoint_estimator import EndpointEstimator
     from posor.messages.message_stream import RawScanStream
+    from posor.numerics.kernel_library import BoundKernel
 
 
 class ArmPass:
-    """Estimates prepared scans of all joints, then the endpoint.
+    """Estimates prepared scans of all joints, then the endpoint."""
 
-    Attributes:
-        rows_kernel: That of the estimator for which the pass was made.
-        worst: Result of ``EndpointEstimator.estimate_rows`` in the last run that has estimated the endpoint.
+    def __init__(self, estimator: EndpointEstimator, kernels: Sequence[BoundKernel]) -> None:
+        """Take all kernels in their order; the last is ``rows_kernel`` of the estimator."""
+        self._estimator, self._rows_kernel = estimator, kernels[-1]
+        self._run = run_in_turn(kernels)
 
-    """
+    @classmethod
+    def of(cls, streams: Mapping[int, RawScanStream], estimator: EndpointEstimator) -> Self | None:
+        """Return the pass of streams, by the index of their joint; None: some kernel runs in Python.
 
-    def __init__(self, streams: Mapping[int, RawScanStream], estimator: EndpointEstimator) -> None:
-        """Connect the streams, by the index of their joint, to an estimator.
-
-        The streams run in the order of the mapping. Transforms must have the layouts of the estimator's rows.
+        The transforms must have the layouts of the estimator's rows.
         """
-        self._estimator, self.rows_kernel, self.worst = estimator, estimator.rows_kernel, 0
-        copies = [stream.copies_to(estimator.joint_rows, j) for j, stream in streams.items()]
-        self._run = run_in_turn([*(stream.kernel for stream in streams.values()), *copies, self.rows_kernel])
+        copies = [stream.copy_kernel(estimator.joint_rows, j) for j, stream in streams.items()]
+        kernels = [*(stream.kernel for stream in streams.values()), *copies, estimator.rows_kernel]
+        return cls(estimator, kernels) if all(kernel.call for kernel in kernels) else None
 
-    @staticmethod
-    def is_possible(streams: Mapping[int, RawScanStream]) -> bool:
-        """Return whether streams can run in one compiled call; kernels that run in Python cannot."""
-        return all(stream.kernel.call for stream in streams.values())
+    def run(self, stamp_ns: int) -> int | None:
+        """Estimate the scans of ``RawScanStream.prepare``, and the endpoint at their stamp.
 
-    def run(self, stamp_ns: int) -> bool:
-        """Estimate the scans of ``RawScanStream.prepare``, and the endpoint at their stamp; return whether it is done.
-
-        If not, ``finish`` of each stream does what is left.
+        Return the result of ``EndpointEstimator.estimate_rows``; None: there is none, because a scan was not estimated
+        in the call. ``finish`` of each stream then does what is left.
         """
-        self.rows_kernel.put((stamp_ns,))
+        self._rows_kernel.put((stamp_ns,))
         self._run()
-        self.worst = int(self.rows_kernel.results())
-        if self.worst == HISTORY_FULL:
-            self.worst = self._estimator.estimate_rows(stamp_ns)
-        return self.worst != ROWS_MISSING
+        worst = int(self._rows_kernel.results())
+        if worst == HISTORY_FULL:
+            worst = self._estimator.estimate_rows(stamp_ns)
+        return None if worst == ROWS_MISSING else worst

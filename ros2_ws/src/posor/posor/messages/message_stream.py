@@ -207,13 +207,12 @@ def estimate_messages(
     """
     workspace, status = model.workspace[0], stream.status[0]
     for n in range(begin, end):
-        left = begin_message(model, stream, n, now_ns, only_expected)
-        if left == USABLE:
+        begun = begin_message(model, stream, n, now_ns, only_expected)
+        left = DONE if begun == UNUSABLE else begun
+        if begun == USABLE:
             left = estimate_scan(model, workspace.scan, workspace.estimate)
             if left == DONE and workspace.estimate.state != LOST:
                 status.count_from_next = 0
-        elif left == UNUSABLE:
-            left = DONE
         status.left = left
         if left != DONE:
             return n, left
@@ -223,7 +222,7 @@ def estimate_messages(
 
 @in_place
 def copy_transform(stream: MessageStream, rows: JointRows, j: int) -> None:
-    """Copy the first transform of a stream into row j of the joints of an arm; if it is not done, j is missing."""
+    """Copy the first transform of a stream into row j of an arm; count the row as missing if the kernel left it."""
     if stream.status[0].left != DONE:
         rows.missing[0] += 1
         return
@@ -301,7 +300,6 @@ class RawScanStream:
         status: Status of the stream, shape (1,), dtype ``message_stream.STATUS``.
         kernel: Estimates the scan of ``prepare``.
         transform: Returns the transform of the last estimated scan.
-        data: The scan of ``prepare``.
 
     """
 
@@ -323,7 +321,7 @@ class RawScanStream:
         self._frame_bytes = example[STAMP.stop : STAMP.stop + 5 + len(self.frame.encode())]
         self._raw = row[0, LEAD : LEAD + raw.size].data
         self.transform = out[0, LEAD : LEAD + transform.size].data.tobytes
-        self.data = self._last = self._last_but_one = example
+        self._last = self._last_but_one = example
         _run_of.cache_clear()  # the calls keep the stream that this one may replace, megabytes with its model
 
     def identity(self, data: bytes) -> tuple[int, int] | None:
@@ -366,7 +364,7 @@ class RawScanStream:
         if not self.prepare(data, now_ns, only_expected=False):
             return None
         self.kernel.run()
-        return self.finish()
+        return self.finish(data)
 
     def prepare(self, data: bytes, now_ns: int, *, only_expected: bool = True) -> bool:
         """Have the next run estimate a raw scan, see ``estimate_message``; return False where it is too short.
@@ -376,7 +374,7 @@ class RawScanStream:
         """
         if len(data) < self._size:
             return False
-        self._refusal, self.data = "", data
+        self._refusal = ""
         self._raw[:] = data if len(data) == self._size else data[: self._size]
         self._put((0, 1, now_ns, only_expected))
         return True
@@ -389,20 +387,26 @@ class RawScanStream:
         else:
             _run_of(streams)()
 
-    def finish(self) -> bytes | None:
+    def finish(self, data: bytes) -> bytes | None:
         """Return the transform of the raw scan of ``prepare`` after the run, as ``estimate_message`` does."""
         done, left = self.kernel.results()
         if not done and not self._estimator.finish_row(0, left):
             return None
-        self.keep()
+        self.keep(data)
         return self.transform()
 
-    def keep(self) -> None:
+    def keep(self, data: bytes) -> None:
         """Take the raw scan of ``prepare`` as the last scan, after a run that has estimated it."""
-        self._last_but_one, self._last = self._last, self.data
+        self._last_but_one, self._last = self._last, data
 
-    def copies_to(self, rows: JointRows, j: int) -> BoundKernel:
-        """Return the kernel that copies the transform of the last run to row j of an arm, see ``copy_transform``."""
+    def copy_kernel(self, rows: JointRows, j: int) -> BoundKernel:
+        """Return the kernel that copies the transform of the last run to row j of an arm, see ``copy_transform``.
+
+        Raises ValueError: the row is too short.
+        """
+        if self._messages.transforms.floats.shape[1] > rows.numbers.shape[1]:
+            message = f"rows of {rows.octets.shape[1]} bytes, transforms of {self._messages.transforms.octets.shape[1]}"
+            raise ValueError(message)
         kernel = bind_in_parts(copy_transform, (self._messages, rows))
         kernel.put((j,))
         return kernel
