@@ -9,7 +9,7 @@ from contextlib import nullcontext
 from functools import partial
 from itertools import pairwise, product
 from pathlib import Path
-from threading import Event, Thread
+from threading import Event, RLock, Thread
 from types import MappingProxyType
 from typing import Any
 from unittest.mock import Mock
@@ -389,9 +389,25 @@ def test_a_failure_of_the_chain_ends_it_and_leaves_the_joints_alone(
         feeder.feed(ticks[5:10], together=True)
         assert [node for node in nodes.values() if node.exit_requested] == [chain]
         assert len(states) == before
+        assert all(subscription.closed for subscription in chain._transforms)  # type: ignore[attr-defined]
         for joint in arm.calibrations:
             received = feeder.received[f"{arm.namespace}/{joint}/{TRANSFORM_TOPIC}"]
             assert [data[STAMP] for data in received] == [dict(scans)[joint][STAMP] for scans in ticks[:10]]
+
+
+def test_a_chain_with_another_lock_receives_messages(
+    arm: ArmFile, ticks: list[list[Scan]], calls: list[str | int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As where its topics are remapped to those of another namespace."""
+    with NodeProcess() as process:
+        chain: Any = start_nodes(process, arm)[arm.namespace]
+        feeder, lock = process.start(Feeder), RLock()
+        feeder.open(arm)
+        for subscription in chain._transforms:
+            monkeypatch.setattr(subscription, "group", subscription.group._replace(lock=lock))
+        feeder.feed(ticks, together=True)
+        assert len(feeder.received[f"{arm.namespace}/{ENDPOINT_TOPIC}"]) > len(ticks) // 2
+    assert calls == [0, *[len(arm.calibrations)] * (len(ticks) - 1)]
 
 
 def test_an_arm_whose_subscriber_blocks_does_not_stop_another_arm(
