@@ -90,8 +90,11 @@ def test_the_endpoint_is_predicted_carried_through_a_gap_and_not_beyond() -> Non
         encoders.publish(reading(8, float("nan")))
         graph.wait_for_status("/chain_node: prediction", "/drive: the position of joint1 is not a number")
         other = graph.publisher(JointState, "drive")  # whose clock is late
-        other.publish(reading(6, 0.02))
-        graph.wait_until(lambda: any(s.reason.endswith("; 2 publishers on /drive") for s in states), "both publishers")
+        graph.wait_until(  # the node may receive a reading before it knows of the second publisher
+            lambda: any(s.reason.endswith("; 2 publishers on /drive") for s in states),
+            "both publishers",
+            lambda: other.publish(reading(6, 0.02)),
+        )
         encoders.publish(reading(8, 0.0, "elbow"))
         graph.wait_for_status("/chain_node: prediction", "/drive: names other, elbow; expected joint1")
         assert node.end() == 0
