@@ -415,14 +415,14 @@ class ChainNode(PosorNode[ChainParameters]):
         """
         if (worst := arm_pass.run(stamp_ns)) is None:
             return False
-        self._synchroniser.close_complete(stamp_ns)
-        now_s = time.monotonic()
-        for subscription in self._transforms:
-            subscription.watch.record(now_s)
         if self._prediction is not None:
             for number, message in enumerate(self._rows.messages()):
                 self._prediction.add_transform(number, stamp_ns, message)
         self._end_scan(stamp, stamp_ns, worst)
+        self._synchroniser.close_complete(stamp_ns)
+        now_s = time.monotonic()
+        for subscription in self._transforms:
+            subscription.watch.record(now_s)
         return True
 
     def _estimate_endpoint(self, stamp: bytes, stamp_ns: int) -> None:
