@@ -105,6 +105,7 @@ class Plan:
 
     def advance(self, seconds: float, *, slowing_s: float = 0.0) -> None:
         """Go on; ``slowing_s``: time in which the robot slows down from full speed, 0: it does not."""
+        seconds = min(seconds, self.speed * slowing_s) if slowing_s else seconds  # then it stands
         slower = max(0.0, self.speed - seconds / slowing_s) if slowing_s else self.speed
         self._elapsed_s = min(self._elapsed_s + 0.5 * (self.speed + slower) * seconds, self._duration_s)
         self.speed = slower
