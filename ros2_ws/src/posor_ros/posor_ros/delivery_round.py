@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Delivery rounds: what groups of subscriptions are sent in a tick they receive at its end, in one call.
 
-So the scans of all joints of an arm are handled together. A message outside of a round, as over DDS, has a round of its
-own: a group receives it by itself, by the same code.
+So the scans of all joints of an arm are handled together. What arrives over DDS has a round for the messages of a tick,
+see ``arrival_collector``; any other message outside of a round has a round of its own, by the same code.
 """
 
 from __future__ import annotations

@@ -11,7 +11,7 @@ way. Messages are handed to DDS only where a DDS subscription has matched.
 Intra-process delivery loses and reorders nothing, whatever the quality of service; ``publish`` returns when the
 callbacks are done. Publishers in other processes are ignored while this process publishes the same topic.
 
-Subscriptions of a group receive the messages of a tick together, see ``delivery_round``.
+Subscriptions of a group receive the messages of a tick together, see ``delivery_round`` and ``arrival_collector``.
 
 Both ends are destroyed with the cleanup of their node, unless they were destroyed before. If a callback raises, its
 node requests the end of the program with that exception and receives nothing more; the publisher and other nodes
@@ -31,6 +31,7 @@ from rclpy.duration import Duration
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.qos import HistoryPolicy
 
+from posor_ros.arrival_collector import ArrivalCollector
 from posor_ros.delivery_round import DeliveryGroup, receive_in_round
 from posor_ros.input_watch import InputWatch
 
@@ -219,6 +220,7 @@ class IntraProcessSubscription:
     Attributes:
         node: Its node.
         group: With whom it receives in a round; None: by itself, at once.
+        collector: What collects the messages of its group over DDS.
         closed: Whether it receives nothing more.
         topic_name: Full name of the topic.
         watch: Arrivals of messages.
@@ -260,6 +262,10 @@ class IntraProcessSubscription:
         self._local = 0
         node.qos_overrides.options("subscription", self.topic_name)
         self._manager = IntraProcessManager.of(node.context)
+        self.collector = None if self.group is None else self._manager.collector(self.group)
+        if self.collector is not None:
+            node.add_input_check(self.collector.check)
+            node.add_cleanup(node.remove_input_check, self.collector.check)
         self._manager.check_type(self)
         self._manager.add(self)
         node.add_cleanup(self.destroy)
@@ -327,7 +333,11 @@ class IntraProcessSubscription:
             )
             self._handle = self._dds_subscription.handle
             self._handle.__enter__()  # once, as for publishers
+            if self.collector is not None:
+                self.collector.members.add(self)
         elif not needed and self._handle is not None:
+            if self.collector is not None:
+                self.collector.members.discard(self)
             self._handle.__exit__(None, None, None)
             self._handle = None
             self.node.destroy_subscription(self._dds_subscription)
@@ -335,8 +345,8 @@ class IntraProcessSubscription:
     def _on_message(self, data: bytes) -> None:
         if self._handle is not None:
             self._count_matched()
-            if self.group is not None:
-                receive_in_round(self, data)
+            if self.collector is not None:
+                self.collector.add(self, data)
                 return
             self.watch.record(time.monotonic())
             self._callback(data)
@@ -372,6 +382,12 @@ class IntraProcessManager:
         blocks a lossless publisher of one arm does not stop another arm.
         """
         return self._delivery_locks.setdefault(arm.rstrip("/"), RLock())
+
+    def collector(self, group: DeliveryGroup) -> ArrivalCollector:
+        """Return what collects the messages of a group over DDS, also those of its other subscriptions."""
+        ends = (end for ends in self._ends.values() for end in ends if isinstance(end, IntraProcessSubscription))
+        found = (end.collector for end in ends if end.group == group and end.collector is not None)
+        return next(found, None) or ArrivalCollector()
 
     def check_type(self, end: IntraProcessPublisher | IntraProcessSubscription) -> None:
         """Compare the message type of a new publisher or subscription with that of its topic.

@@ -223,6 +223,10 @@ class PosorNode(LifecycleNode, Generic[ParametersT]):
         """Have the executor's thread call a short function every ``INPUT_CHECK_S``; it must not call into ROS."""
         self._input_checks.append(check)
 
+    def remove_input_check(self, check: Callable[[], None]) -> None:
+        """Undo ``add_input_check``."""
+        self._input_checks.remove(check)
+
     def add_graph_check(self, check: Callable[[], None]) -> None:
         """Have the executor's thread call a function before every ``GRAPH_CHECK_EVERY``th check of the inputs."""
         self._graph_checks.append(check)
