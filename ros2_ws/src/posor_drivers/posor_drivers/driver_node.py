@@ -99,7 +99,7 @@ class DriverNode(PosorNode[DriverParameters]):
         self._classes = {topic.name: message_class(topic.type_name) for topic in topics}
         self._topic_publishers = {topic.name: self._new_publisher(topic.name) for topic in topics}
         if isinstance(self._source, RecordedSource):
-            self._source.stopping = self._is_stopping
+            self._source.stopping = self.is_stopping
         if isinstance(self._source, LiveSource):
             self._pace = self._pace or self.diagnostics.add_status("pace")
             self._pace.report(Level.OK, "in time")
@@ -112,7 +112,7 @@ class DriverNode(PosorNode[DriverParameters]):
 
     def _new_publisher(self, topic: str) -> IntraProcessPublisher:
         qos = result_qos(self.parameters) if topic == RAW_TOPIC else RELIABLE_QOS
-        return IntraProcessPublisher(self, self._classes[topic], topic, qos, cancelled=self._is_stopping)
+        return IntraProcessPublisher(self, self._classes[topic], topic, qos)
 
     def activate(self) -> None:
         """Start the replay, or the run of a live source."""
@@ -174,8 +174,9 @@ class DriverNode(PosorNode[DriverParameters]):
                 self.timing.record(publication.time_ns)
                 self._watch.record(time.monotonic())
 
-    def _is_stopping(self) -> bool:
-        return self._run is not None and self._run.stopping
+    def is_stopping(self) -> bool:
+        """Return whether the node or its run is about to stop."""
+        return super().is_stopping() or (self._run is not None and self._run.stopping)
 
     def _on_run_state(self, state: RunState, error: Exception | None) -> None:
         """Report the state of the run, and end the program with it; not called in the executor's thread."""
@@ -204,8 +205,8 @@ class DriverNode(PosorNode[DriverParameters]):
         """Wait until every reliable subscription has all messages."""
         deadline = time.monotonic() + DELIVERY_TIMEOUT_S
         for publisher in self._topic_publishers.values():
-            received = publisher.wait_for_all_acked(deadline - time.monotonic(), self._is_stopping)
-            if not received and not self._is_stopping():
+            received = publisher.wait_for_all_acked(deadline - time.monotonic(), self.is_stopping)
+            if not received and not self.is_stopping():
                 self.get_logger().warning(f"not all messages of {publisher.topic_name} were received")
 
     def _refresh_diagnostics(self) -> None:

@@ -5,8 +5,10 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable, Iterator
 from functools import reduce
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +25,8 @@ from posor_lab.harness.in_process_nodes import run_refused_node
 from posor_lab.harness.program import HAND_FED, Program, installed
 from posor_lab.thesis_data import read_table
 from posor_msgs.msg import JointTransform, RawScan
+from posor_ros.intra_process import PUBLISH_TIMEOUT_S
+from posor_ros.qos import KEEP_ALL_QOS
 from posor_ros.ros_arguments import ros_arguments
 
 pytestmark = pytest.mark.usefixtures("ros_domain")
@@ -241,3 +245,22 @@ def test_a_contradicting_reading_is_lost_by_its_chi_square(rig: NodeRig, sound: 
     assert math.isnan(transform.pose.position.x)
     status = graph.wait_for_status("/posor_node: estimate", "lost: RESIDUAL")
     assert "contradict one another" in values_of(status)["reason"]
+
+
+def test_a_signal_ends_a_lossless_node_although_a_subscription_takes_nothing(sound: Callable[[int], Any]) -> None:
+    with posor_node(calibration=str(CALIBRATION), session="ymo", **LOSSLESS) as node, Graph() as graph:
+        graph.watch_diagnostics()
+        raw = graph.publisher(RawScan, "raw", KEEP_ALL_QOS)
+        graph.node.create_subscription(JointTransform, "transform", print, KEEP_ALL_QOS)
+        wait_for_value(graph, "/posor_node: listeners", "transform", "1")
+
+        def publish_until_blocked() -> None:
+            for number in count(1):
+                raw.publish(sound(number))
+
+        with pytest.raises(RuntimeError):  # the node takes no scan, because it cannot publish
+            publish_until_blocked()
+        begin_s = time.monotonic()
+        assert node.end() == 0
+        assert time.monotonic() - begin_s < 0.5 * PUBLISH_TIMEOUT_S
+        assert any("not all messages of /transform were received" in line for line in node.stderr)

@@ -64,19 +64,17 @@ class IntraProcessPublisher:
         qos: QoSProfile,
         *,
         count_listeners: bool = False,
-        cancelled: Callable[[], bool] = lambda: False,
     ) -> None:
         """Create the publisher of a topic, whose name is relative to the node's namespace.
 
         With ``count_listeners`` the node's diagnostics count the subscriptions, see `PosorNode.report_listeners`.
-        ``cancelled`` is polled while a subscription blocks ``publish``; true gives the message up. Raises TopicError:
-        this process uses the topic with another type.
+        Raises TopicError: this process uses the topic with another type.
         """
         self.topic_name: str = node.resolve_topic_name(topic)
         self.message_type = message_type
         self._node = node
         self._topic = topic
-        self._cancelled = cancelled
+        self._gave_up = False
         self._dds_subscriptions = 0
         self._subscriptions: tuple[IntraProcessSubscription, ...] = ()
         self._is_read_whole_here = False
@@ -149,9 +147,11 @@ class IntraProcessPublisher:
         return self._node.may_publish and (not self._handle.get_subscription_count() or self._hand_to_dds(data))
 
     def _hand_to_dds(self, data: bytes) -> bool:
-        """Publish over DDS; retry while the full history of a keep-all publisher blocks."""
+        """Publish over DDS; retry while the full history of a keep-all publisher blocks, until the node is to stop."""
+        if self._gave_up and self._node.is_stopping():  # each attempt takes 0.1 s
+            return False
         blocked_since = None
-        while blocked_since is None or not self._cancelled():
+        while blocked_since is None or (self._node.may_publish and not self._node.is_stopping()):
             try:
                 self._handle.publish_raw(data)
             except RuntimeError:
@@ -164,10 +164,9 @@ class IntraProcessPublisher:
                         where=f"topic {self.topic_name}",
                         expected="one that keeps up, or the parameter 'lossless' false",
                     ) from None
-                if not self._node.may_publish:
-                    return False
             else:
                 return True
+        self._gave_up = True
         return False
 
     def wait_for_all_acked(self, timeout_s: float, cancelled: Callable[[], bool] = lambda: False) -> bool:
@@ -193,7 +192,7 @@ class IntraProcessPublisher:
         self._is_open = False
         self._manager.remove(self)
         self.connect(())
-        if self._keeps_all and not self.wait_for_all_acked(DESTROY_TIMEOUT_S):
+        if self._gave_up or (self._keeps_all and not self.wait_for_all_acked(DESTROY_TIMEOUT_S)):
             self._node.get_logger().warning(f"not all messages of {self.topic_name} were received")
         self._handle_in_use.close()
         self._node.destroy_publisher(self._publisher)

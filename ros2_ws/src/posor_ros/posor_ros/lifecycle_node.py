@@ -69,6 +69,7 @@ class PosorNode(LifecycleNode, Generic[ParametersT]):
         qos_overrides: The user's changes of the quality of service of single topics.
         may_publish: Whether the node is active or being activated; publishers are silent otherwise.
         check_timer: Calls ``run_checks`` every ``INPUT_CHECK_S``; see there.
+        stop_requested: Returns whether a signal has asked the program to end.
 
     """
 
@@ -88,6 +89,7 @@ class PosorNode(LifecycleNode, Generic[ParametersT]):
             reason = " ".join(str(error).split(", at ")[0].split())
             raise ParameterError(reason, where=f"node {self.NAME}") from None
         self.exit_requested = self.may_publish = self._is_configured = False
+        self.stop_requested: Callable[[], bool] = lambda: False
         self._failure: Exception | None = None
         self._refusal: Exception | None = None
         self._starting = False
@@ -259,6 +261,10 @@ class PosorNode(LifecycleNode, Generic[ParametersT]):
         self._listener_counts[topic] = count
         counts = ", ".join(f"{topic} {count}" for topic, count in self._listener_counts.items())
         self._listeners_status.report(Level.OK, f"subscriptions: {counts}", self._listener_counts)
+
+    def is_stopping(self) -> bool:
+        """Return whether the node is about to stop, so that it must not wait for others any longer."""
+        return self.stop_requested()
 
     def request_exit(self, failure: Exception | None = None) -> None:
         """Request the end of the program, from any thread; ``raise_failure`` raises the first ``failure``."""

@@ -187,6 +187,7 @@ class NodeGroup:
             for node, location in self._locations.items():
                 if stop():
                     return
+                node.stop_requested = stop
                 with _name_node_in_errors(node, location, several=several):
                     node.start()
                 node.check_timer.cancel()
