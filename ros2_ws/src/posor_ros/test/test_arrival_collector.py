@@ -32,8 +32,9 @@ class Member:
     """A subscription of a group."""
 
     def __init__(self, number: int, group: DeliveryGroup) -> None:
-        self.number, self.group = number, group
-        self.closed, self.watch, self.node, self.topic_name = False, InputWatch(""), None, f"joint_{number}"
+        self.node: Any = number
+        self.group: DeliveryGroup | None = group
+        self.closed, self.watch, self.topic_name = False, InputWatch(""), f"joint_{number}"
 
     def attempt(self, step: Callable[..., Any], *arguments: Any) -> Any:
         return step(*arguments)
@@ -54,7 +55,7 @@ class Arrivals:
         self.collector.members.update(self.members)
 
     def receive(self, deliveries: list[Delivery]) -> None:
-        self.rounds.append([(member.topic_name[-1], data[4]) for member, data in deliveries])  # type: ignore[misc]
+        self.rounds.append([(member.node, data[4]) for member, data in deliveries])
 
     def tick(self, tick: int, joints: Any = range(JOINTS), *, between_s: float = QUICK_S) -> list[list[int]]:
         """Have messages with the stamp of a tick arrive; return the joints of each delivery."""
@@ -67,7 +68,7 @@ class Arrivals:
 
     def joints(self) -> list[list[int]]:
         """Return the joints of each delivery since the beginning of the last tick."""
-        return [[int(joint) for joint, _ in each] for each in self.rounds]
+        return [[joint for joint, _ in each] for each in self.rounds]
 
 
 @pytest.fixture
@@ -135,7 +136,7 @@ def test_joints_with_other_stamps_do_not_wait(arrivals: Arrivals) -> None:
 def test_after_a_lost_message_ticks_are_collected_by_their_stamps_again(arrivals: Arrivals) -> None:
     arrivals.tick(50, [1, 2])
     assert arrivals.tick(51) == [[1, 2], [0, 1, 2]]
-    assert arrivals.rounds[-1] == [(str(joint), 51) for joint in range(JOINTS)]
+    assert arrivals.rounds[-1] == [(joint, 51) for joint in range(JOINTS)]
 
 
 def test_a_repeated_message_is_delivered_too(arrivals: Arrivals) -> None:
