@@ -9,6 +9,7 @@ to a second posor_node with the stated largest error of their stamps.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -169,14 +170,17 @@ def test_without_an_encoder_the_error_stays_within_the_level_of_the_stated_limit
         return len(judged()) > 2 * RATE * CYCLE_S
 
     rig.graph.wait_until(has_two_cycles, "two cycles of states")
-    errors, levels = [], []
-    for state in judged():
+    states, errors, levels = judged(), [], []
+    for state in states:
         found, true = pose_from_message(state.pose), rig.truth[stamp_ns(state)]
         turned = pin.log3(found.rotation @ true.rotation.T)
         errors.append(np.abs([*(found.translation - true.translation), *turned]))
         levels.append(np.array(state.protection_level))
     assert (np.array(errors) <= np.array(levels)).all()
-    worst = np.argmax(np.array(errors)[:, 5])
+    stamps = [stamp_ns(state) for state in rig.states]
+    # after lost scans, as on a busy host, the joint may have another rate, and the level is wider
+    steady = {later for earlier, later in pairwise(stamps) if later - earlier < 1.5 * NS / RATE}
+    worst = np.argmax(np.array(errors)[:, 5] * [stamp_ns(state) in steady for state in states])
     assert errors[worst][5] > 0.4 * LATE_S  # 0.4 rad/s
     widest = 1.2 * LIMIT_S * (0.5 + 0.5 * ACCELERATION * (LIMIT_S + 1.0 / RATE))
     assert levels[worst][5] < widest
