@@ -3,8 +3,9 @@
 """Collects the messages of a tick that a group of subscriptions receives over DDS one by one.
 
 A group takes less time for all scans of a tick together than for each by itself. So messages wait until each
-subscription has one of the same stamp, or one of the next tick or a check of the inputs comes. They only wait while
-most of the last ticks ended within ``MAX_TICK_S``, so that a joint that is gone or late does not delay the others.
+subscription has one of the same stamp. The wait also ends with a message of the next tick, and with a check of the
+inputs. Messages only wait while nearly all of the last ticks ended within ``MAX_TICK_S``: a joint that is late or gone
+delays the others by no more than this, but for a few ticks.
 """
 
 from __future__ import annotations
@@ -22,8 +23,8 @@ if TYPE_CHECKING:
 
     from posor_ros.delivery_round import GroupMember
 
-MAX_TICK_S = 1e-3  # from the first message of a short tick to its last one or the first one of the next tick
-JUDGED_TICKS, SHORT_TICKS = 20, 18  # of so many last ticks, so many must have been short
+MAX_TICK_S = 1e-3  # least length of a long tick: from its first message to its last, or to the next tick
+JUDGED_TICKS, MIN_SHORT_TICKS = 20, 18  # of so many last ticks, so many must have been short
 
 
 class ArrivalCollector:
@@ -47,33 +48,39 @@ class ArrivalCollector:
 
     def add(self, subscription: GroupMember, data: bytes) -> None:
         """Deliver a message that has arrived, at once or with the rest of its tick."""
-        stamp, now_s = data[STAMP], self._clock()
+        stamp = data[STAMP]
         if self._arrived and (stamp != self._stamp or subscription in self._arrived):
-            self._end_tick(now_s)
+            self._end_tick()
         if not self._arrived:
-            self._stamp, self._begin_s = stamp, now_s
+            self._stamp, self._begin_s = stamp, self._clock()
         self._arrived.add(subscription)
         self._waiting[subscription] = data
         if self.members <= self._arrived:
-            self._end_tick(now_s)
+            self._end_tick()
         elif not self._waits:
             self._deliver()
 
+    def remove(self, subscription: GroupMember) -> None:
+        """Expect nothing more of a subscription, and drop its message that waits: it has another publisher, or none."""
+        self.members.discard(subscription)
+        self._waiting.pop(subscription, None)
+
     def check(self) -> None:
         """Deliver what waits for a message that does not come."""
-        now_s = self._clock()
-        if self._waiting and now_s - self._begin_s > MAX_TICK_S:
-            self._end_tick(now_s)
+        if self._waiting and self._clock() - self._begin_s > MAX_TICK_S:
+            self._end_tick()
 
-    def _end_tick(self, now_s: float) -> None:
+    def _end_tick(self) -> None:
         self._arrived.clear()
-        self._ticks.append(now_s - self._begin_s < MAX_TICK_S)
-        self._waits = sum(self._ticks) >= SHORT_TICKS
+        self._ticks.append(self._clock() - self._begin_s < MAX_TICK_S)
+        self._waits = sum(self._ticks) >= MIN_SHORT_TICKS
         self._deliver()
 
     def _deliver(self) -> None:
-        """Deliver what waits, in one round."""
+        """Deliver what waits, in one round. The time that this takes is no part of the tick's length."""
         waiting, self._waiting = self._waiting, {}
+        begin_s = self._clock()
         with DeliveryRound():
             for subscription, data in waiting.items():
                 receive_in_round(subscription, data)
+        self._begin_s += self._clock() - begin_s

@@ -192,7 +192,8 @@ class IntraProcessPublisher:
         self._is_open = False
         self._manager.remove(self)
         self.connect(())
-        if self._gave_up or (self._keeps_all and not self.wait_for_all_acked(DESTROY_TIMEOUT_S)):
+        received = not self._keeps_all or self.wait_for_all_acked(DESTROY_TIMEOUT_S)
+        if self._gave_up or not received:
             self._node.get_logger().warning(f"not all messages of {self.topic_name} were received")
         self._handle_in_use.close()
         self._node.destroy_publisher(self._publisher)
@@ -336,7 +337,7 @@ class IntraProcessSubscription:
                 self.collector.members.add(self)
         elif not needed and self._handle is not None:
             if self.collector is not None:
-                self.collector.members.discard(self)
+                self.collector.remove(self)
             self._handle.__exit__(None, None, None)
             self._handle = None
             self.node.destroy_subscription(self._dds_subscription)

@@ -9,6 +9,7 @@ import signal
 import sys
 from collections import deque
 from contextlib import ExitStack, closing, contextmanager
+from time import monotonic
 from typing import TYPE_CHECKING, Any, Self
 
 import rclpy
@@ -18,7 +19,6 @@ from posor.node_parameters import RealtimeParameters
 from posor.reporting.program_errors import reports_errors
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.signals import SignalHandlerOptions
-from rclpy.task import Future
 from rclpy.utilities import remove_ros_args, try_shutdown
 
 from posor_ros.idle_scheduler import run_when_idle
@@ -193,12 +193,14 @@ class NodeGroup:
                 node.check_timer.cancel()
             prepare_heap()
             manager.report_ready()
+            next_check_s = 0.0
             unchecked: deque[PosorNode[Any]] = deque()
             while self._locations and not stop():
-                unchecked = unchecked or deque(self._locations)
-                # A spin of several events: to begin one for each event would cost more than to receive a message.
-                executor.spin_until_future_complete(Future(), INPUT_CHECK_S / len(self._locations))
-                run_when_idle(unchecked.popleft().run_checks)  # one at a time: messages do not wait for all nodes
+                executor.spin_once(timeout_sec=0.0 if unchecked else INPUT_CHECK_S)
+                if not unchecked and (now_s := monotonic()) >= next_check_s:
+                    next_check_s, unchecked = now_s + INPUT_CHECK_S, deque(self._locations)
+                if unchecked:  # one at a time: messages do not wait for the checks of all nodes
+                    run_when_idle(unchecked.popleft().run_checks)
                 manager.report_alive()
                 for node in [node for node in self._locations if node.exit_requested]:
                     leave_executor(node)

@@ -1,6 +1,6 @@
 # Copyright 2026 POSOR maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""What a group receives over DDS: together where ticks come complete, and never later than the next tick."""
+"""What a group receives over DDS: together where ticks come complete, and not later than the next tick or check."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class Arrivals:
     """Messages that arrive for three joints at stated times; ``rounds`` are the joints and ticks of each delivery."""
 
     def __init__(self) -> None:
-        self.now_s = 100.0
+        self.now_s, self.takes_s = 100.0, 0.0  # ``takes_s``: time of a delivery
         self.rounds: list[list[tuple[int, int]]] = []
         group = DeliveryGroup(self.receive, RLock())
         self.members = [Member(number, group) for number in range(JOINTS)]
@@ -55,6 +55,7 @@ class Arrivals:
         self.collector.members.update(self.members)
 
     def receive(self, deliveries: list[Delivery]) -> None:
+        self.now_s += self.takes_s
         self.rounds.append([(member.node, data[4]) for member, data in deliveries])
 
     def tick(self, tick: int, joints: Any = range(JOINTS), *, between_s: float = QUICK_S) -> list[list[int]]:
@@ -113,6 +114,22 @@ def test_messages_wait_for_a_tick_with_a_gap_where_the_next_one_follows_at_once(
         arrivals.now_s -= PERIOD_S - QUICK_S
         arrivals.tick(tick, [0, 2])
     assert arrivals.tick(80) == [[0, 2], [0, 1, 2]]
+
+
+def test_messages_wait_again_though_deliveries_one_by_one_take_longer_than_a_short_tick(arrivals: Arrivals) -> None:
+    for tick in range(JUDGED_TICKS):
+        arrivals.tick(tick, [0, 2])
+    arrivals.takes_s = SLOW_S
+    for tick in range(50, 50 + JUDGED_TICKS):
+        arrivals.tick(tick)
+    assert arrivals.tick(80) == [[0, 1, 2]]
+
+
+def test_a_message_that_waits_for_a_subscription_that_leaves_dds_is_dropped(arrivals: Arrivals) -> None:
+    """Its topic has a publisher in this process now, see ``IntraProcessSubscription``."""
+    arrivals.tick(50, [0, 1])
+    arrivals.collector.remove(arrivals.members[1])
+    assert arrivals.tick(51, [0, 2]) == [[0], [0, 2]]
 
 
 def test_nothing_waits_for_a_joint_that_is_always_late(arrivals: Arrivals) -> None:
