@@ -77,7 +77,7 @@ def test_ambient_light_is_removed_from_the_first_dark_scan_on_and_in_a_replay(ar
         truths = graph.collect(PoseStamped, "/six_axis/truth/elbow")
         wait_for_transform_listeners(graph, 2)
         with program("posor_drivers", "driver_node", wait_for_subscribers=3, **simulated):
-            graph.wait_until(lambda: len(found) > 4 * RATE, "four seconds of transforms")
+            graph.wait_until(lambda: len(found) > 6 * RATE, "six seconds of transforms")
         assert record.end(signal.SIGINT) == 0
     dark = {scan.scan for scan in scans if is_dark(scan)}
     light = {scan.scan for scan in scans} - dark  # the last transforms may come before their scans
@@ -86,7 +86,7 @@ def test_ambient_light_is_removed_from_the_first_dark_scan_on_and_in_a_replay(ar
     assert found[0].faults == AMBIENT
     # a busy host may take no scan until long after the last pose, and the dark scan that is due then has none
     later = [each for before, each in pairwise(found) if each.scan in dark and each.scan == before.scan + 1]
-    assert len(later) >= 2
+    assert len(later) >= 3
     assert {each.state for each in later} == {JointTransform.STATE_DEGRADED}
     assert all(each.faults & AMBIENT for each in later)
     lit = [each for each in found if each.scan in light]
