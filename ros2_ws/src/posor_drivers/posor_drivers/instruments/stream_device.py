@@ -48,6 +48,8 @@ TEXT = "text"
 _CODE = re.compile(r"(\d*)([A-Za-z?])")
 LONGEST_LINE = 65_536  # bytes
 MAX_DATAGRAM = 65_536
+RECEIVE_BUFFER = 1 << 22
+"""Bytes for datagrams that wait while the reader does not run; the system gives at most ``net.core.rmem_max``."""
 
 
 def _not_zero(scale: float) -> float:
@@ -205,6 +207,7 @@ class StreamDevice(Device[StreamSettings]):
 
     def _open_port(self) -> socket.socket:
         port = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        port.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER)
         try:
             port.bind((self.settings.host, self.settings.port))
         except OSError as error:

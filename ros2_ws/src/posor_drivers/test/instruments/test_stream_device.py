@@ -196,9 +196,7 @@ DISORDER = {  # frames that are sent before the late one; what is counted
 @pytest.mark.parametrize("name", DISORDER)
 def test_datagrams_out_of_order_interrupt_nothing(name: str, first: int) -> None:
     hold, counted = DISORDER[name]
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
+    port = free_udp_port()
     device = StreamDevice("box", settings(port, transport="udp"))
     with StreamServer(slow_sine, udp_port=port) as server, running(device) as reader:
         server.first = first
@@ -217,11 +215,29 @@ def test_datagrams_out_of_order_interrupt_nothing(name: str, first: int) -> None
     assert {key: state.values[key] - before[key] for key in keys} == dict.fromkeys(keys, 0) | counted
 
 
+def free_udp_port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+        free.bind(("127.0.0.1", 0))
+        port: int = free.getsockname()[1]
+    return port
+
+
+def test_datagrams_wait_while_the_reader_does_not_run() -> None:
+    port, count = free_udp_port(), 500
+    device = StreamDevice("box", settings(port, transport="udp"))
+    device.connect(1.0)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+        for counter in range(count):
+            sender.sendto(struct.pack(f"{LEAD}2d", 0xAA55, counter, 1.0, 2.0), ("127.0.0.1", port))
+    frames = device.read(1.0)
+    device.close()
+    assert frames is not None
+    assert frames.counters.tolist() == list(range(count))
+
+
 @pytest.mark.parametrize(("order", "code", "last"), [("<", "H", 65535), (">", "I", (1 << 32) - 1), ("<", "h", 32767)])
 def test_counter_beside_repeated_codes_goes_on_where_it_wraps(order: str, code: str, last: int) -> None:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
-        sender.bind(("127.0.0.1", 0))
-        port = sender.getsockname()[1]
+    port = free_udp_port()
     form, fields = f"{order}H {code} x 2d", ["magic", "counter", "gap1", "gap2"]
     device = StreamDevice("box", settings(port, transport="udp", format=form, fields=fields))
     device.connect(1.0)
