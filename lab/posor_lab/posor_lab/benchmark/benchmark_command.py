@@ -78,6 +78,7 @@ def plan_of(options: Namespace) -> BenchmarkPlan:
         layout=options.layout,
         seconds=options.seconds,
         rounds=1 if quick else 6,
+        page_rounds=1 if quick else 12,
         point_s=min(options.seconds, 2.0 if quick else 5.0),
         offline_s=20 if quick else SECONDS,
         growth_joints=(1, 2) if quick else (1, 2, 4, 8, 16),

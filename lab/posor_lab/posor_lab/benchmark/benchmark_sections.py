@@ -25,7 +25,7 @@ from posor_lab.benchmark.graph_load import KINDS, LAYOUTS, PROFILE, SPIN_US, Gra
 from posor_lab.benchmark.growth_lines import OVERLOADED, fit_line, select_series
 from posor_lab.benchmark.offline_benchmark import offline_figures
 from posor_lab.benchmark.tick_cost import tick_cost
-from posor_lab.benchmark.tick_statistics import NothingReceivedError, run_figures
+from posor_lab.benchmark.tick_statistics import NothingReceivedError, paired_p99_ratio, run_figures
 from posor_lab.harness.message_conversion import scan_from_message
 
 if TYPE_CHECKING:
@@ -97,6 +97,7 @@ class BenchmarkPlan:
     layout: Layout  # layout of the main graph
     seconds: float  # measured time of the main graph, and of the pass-through graph
     rounds: int  # number of parts of this time; the two graphs alternate, so that changes of the host affect both
+    page_rounds: int  # number of times that the graph is measured with and without the live page
     point_s: float  # measured time of all other graphs
     offline_s: int  # length of the bag for offline processing
     growth_joints: Sequence[int]  # numbers of joints, at ``growth_rate`` [Hz]
@@ -248,11 +249,12 @@ class BenchmarkSections:
         """Measure the main graph without the live page, with the page at rest, and with the page shown, in turn."""
         plan = self._plan
         runs: dict[PageUse, list[MeasuredRun]] = {"absent": [], "at rest": [], "shown": []}
-        for _ in range(plan.rounds):
+        for _ in range(plan.page_rounds):
             for use, of_use in runs.items():
                 load = GraphLoad(self._arms[plan.joints], "graph", plan.layout, plan.rate, page=use)
                 of_use.append(self._measure_variant(f"live page {use}", load))
-        return {"page": {use: run_figures(of_use) for use, of_use in runs.items()}}
+        ratios = {use: paired_p99_ratio(of_use, runs["absent"]) for use, of_use in runs.items()}
+        return {"page": {use: {**run_figures(of_use), "p99_ratio": ratios[use]} for use, of_use in runs.items()}}
 
     def growth(self) -> dict[str, Any]:
         """Measure the processor time by joints and by rate."""

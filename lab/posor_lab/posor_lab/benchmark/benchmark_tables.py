@@ -160,10 +160,16 @@ def _page_table(runs: Mapping[str, Mapping[str, Any]]) -> FigureTable:
     for text, run in ((text, runs[use]) for use, text in TEXTS["page"].items()):
         view = run["processes"].get(VIEW)
         used = ("", "") if view is None else (f"{100.0 * view['cpu_cores']:.1f}", f"{view['memory_mb']:.0f}")
-        published = _format_figure(run["published_p99_us"])
-        rows.append((text, *_format_percentiles(run), published, _format_lost(run), *used))
-    header = ("", *PERCENTILES.values(), "p99 published, us", "lost", "view, % of a core", "view, MB")
+        to_without = "" if view is None else _format_ratio(run["p99_ratio"])
+        rows.append((text, *_format_percentiles(run), to_without, _format_lost(run), *used))
+    header = ("", *PERCENTILES.values(), "p99 to that without", "lost", "view, % of a core", "view, MB")
     return FigureTable("The main graph beside the live page", header, rows)
+
+
+def _format_ratio(ratio: Mapping[str, float | None]) -> str:
+    """Return a median of pairs with its 95 % interval, if it has one."""
+    interval = "" if ratio["low"] is None else f" ({ratio['low']:.2f} to {ratio['high']:.2f})"
+    return f"{ratio['median']:.2f}{interval}"
 
 
 def _profile_table(profile: Mapping[str, Any]) -> FigureTable:

@@ -15,6 +15,7 @@ from posor.errors import PosorError
 from posor.numerics.compiled import MODE
 from posor.numerics.stamps import first_tick_after, tick_stamp_ns
 from rclpy.utilities import get_rmw_implementation_identifier
+from scipy.stats import quantile_test
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -146,3 +147,16 @@ def run_figures(runs: Sequence[MeasuredRun]) -> dict[str, Any]:
         **{name: sum(process[name] for process in processes.values()) for name in USAGE},
         "processes": processes,
     }
+
+
+def paired_p99_ratio(runs: Sequence[MeasuredRun], others: Sequence[MeasuredRun]) -> dict[str, float | None]:
+    """Return the ratio of the p99 latencies of runs to those of others, each measured next to the other.
+
+    Of the pairs: the ``median``, and its 95 % interval from ``low`` to ``high``, which supposes nothing of the
+    distribution; None: fewer than six pairs have no interval.
+    """
+    p99 = [[np.percentile(run.latencies_ns, 99.0) for run in each] for each in (runs, others)]
+    ratios = np.divide(*p99)
+    interval = quantile_test(ratios, p=0.5).confidence_interval(0.95)
+    low, high = (float(end) if np.isfinite(end) else None for end in interval)
+    return {"median": float(np.median(ratios)), "low": low, "high": high}

@@ -55,7 +55,7 @@ class Program:
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
-            env={**os.environ, "PYTHONUNBUFFERED": "1", **(environment or {})},
+            env={**os.environ, "PYTHONUNBUFFERED": "1", "PYTHONFAULTHANDLER": "1", **(environment or {})},
         )
         self._readers = [
             Thread(target=self._read, args=(stream, name), daemon=True)
@@ -130,6 +130,8 @@ class Program:
         code = self.process.wait(TIMEOUT_S)
         for reader in self._readers:
             reader.join(TIMEOUT_S)
+        if code == -signal.SIGSEGV:  # with the stacks of its threads
+            print("\n".join(self.stderr))
         return code
 
     def end(self, number: signal.Signals = signal.SIGINT) -> int:

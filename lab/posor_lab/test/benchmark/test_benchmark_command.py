@@ -110,6 +110,8 @@ def check_page(runs: dict[str, Any]) -> None:
     assert ["view" in run["processes"] for run in runs.values()] == [False, True, True]
     at_rest, shown = (runs[use]["processes"]["view"]["cpu_cores"] for use in ("at rest", "shown"))
     assert 0 < at_rest < shown
+    for run in runs.values():
+        assert run["p99_ratio"] == {"median": run["p99_us"] / runs["absent"]["p99_us"], "low": None, "high": None}
 
 
 def check_rest(results: dict[str, Any]) -> None:

@@ -69,9 +69,15 @@ def test_the_graph_is_compared_with_itself_beside_the_live_page() -> None:
     runs = {use: {**GRAPH, "expected": 60_000, "processes": {"nodes": {}}} for use in TEXTS["page"]}
     for use, cores in (("at rest", 0.03), ("shown", 0.25)):
         runs[use]["processes"] = {"nodes": {}, "view": {"cpu_cores": cores, "memory_mb": 220.0}}
-    runs["shown"]["p99_us"] = 160.0
+    ratios = {"absent": (1.0, 1.0, 1.0), "at rest": (1.02, None, None), "shown": (1.07, 0.98, 1.2)}
+    for use, ratio in ratios.items():
+        runs[use]["p99_ratio"] = dict(zip(("median", "low", "high"), ratio, strict=True))
     tables = result_tables({"page": runs})
-    assert [row[-2:] for row in tables["page"].rows] == [("", ""), ("3.0", "220"), ("25.0", "220")]
+    assert [(row[5], *row[-2:]) for row in tables["page"].rows] == [
+        ("", "", ""),
+        ("1.02", "3.0", "220"),
+        ("1.07 (0.98 to 1.20)", "25.0", "220"),
+    ]
     assert [row[2:] for row in tables["aims"].rows] == [("1.07", "yes"), ("0.25", "no"), ("0.03", "yes")]
 
 

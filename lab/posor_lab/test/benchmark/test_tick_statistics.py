@@ -13,6 +13,7 @@ from posor_lab.benchmark.tick_statistics import (
     NothingReceivedError,
     TickWindow,
     evaluate_window,
+    paired_p99_ratio,
     run_figures,
 )
 
@@ -66,6 +67,19 @@ def test_runs_are_combined() -> None:
     figures = run_figures([evaluate(received(TICKS)), evaluate(slow)])
     assert [figures[key] for key in ("p99_us", "p50_us", "expected", "cpu_cores")] == [1150.0, 650.0, 2000, 0.5]
     assert figures["processes"] == {"all": {"cpu_cores": 0.5, "memory_mb": 100.0}}
+
+
+def test_runs_are_compared_in_pairs() -> None:
+    def run(latency_ns: int) -> MeasuredRun:
+        rows = received(TICKS)
+        rows[-20:, 2] += latency_ns
+        return evaluate(rows)
+
+    slow = [150_000, 15_000, 30_000, 45_000, 60_000, 1_350_000]
+    others = [run(0) for _ in slow]
+    ratio = paired_p99_ratio([run(latency_ns) for latency_ns in slow], others)
+    assert ratio == pytest.approx({"median": 1.35, "low": 1.1, "high": 10.0})
+    assert paired_p99_ratio(others[:5], others[:5]) == {"median": 1.0, "low": None, "high": None}
 
 
 def test_impossible_poses_are_refused() -> None:
