@@ -252,7 +252,7 @@ class ChainNode(PosorNode[ChainParameters]):
             return
         self._state_published = True
         changed = verdict != self._published_verdict
-        is_due = self._throttle.has_subscriptions and self._throttle.is_due(stamp_ns, changed=changed)
+        is_due = self._throttle.is_due(stamp_ns, changed=changed)
         self._published_verdict = verdict
         if is_due or self._endpoint_state.has_subscriptions:
             if verdict.has_pose:
@@ -261,7 +261,7 @@ class ChainNode(PosorNode[ChainParameters]):
             message = self._state_writer.write(stamp, age_s, verdict)
             self._endpoint_state.publish(message)
             if is_due:
-                self._throttle.publish(message)
+                self._throttle.publish_due(stamp_ns, message)
 
     def _on_transforms(self, deliveries: list[Delivery]) -> None:
         """Add transforms of some joints to their scans; publish the endpoint once a scan is complete."""

@@ -307,7 +307,9 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
         transform: bytes | None
         if taken:
             scan.stream.keep(scan.data)
-            is_read = self._publisher.is_read_by_others(scan.taker) or self._throttle.has_subscriptions
+            stamp_ns, changed, _ = scan.stream.stamp_change_and_missing()
+            is_due = self._throttle.is_due(stamp_ns, changed=bool(changed))
+            is_read = is_due or self._publisher.is_read_by_others(scan.taker)
             transform = scan.stream.transform() if is_read else b""
         else:
             transform = scan.stream.finish(scan.data)
@@ -371,8 +373,8 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
         stamp_ns, changed, missing = stream.stamp_change_and_missing()
         if missing:
             self._inputs.note(*self._order.count_missing(stream.number_of(data), missing))
-        if transform and self._throttle.has_subscriptions and self._throttle.is_due(stamp_ns, changed=bool(changed)):
-            self._throttle.publish(transform)
+        if transform and self._throttle.is_due(stamp_ns, changed=bool(changed)):
+            self._throttle.publish_due(stamp_ns, transform)
         if stamp_ns:
             self.timing.record(stamp_ns)
         self._scans += 1

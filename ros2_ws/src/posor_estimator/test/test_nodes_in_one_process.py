@@ -17,6 +17,7 @@ import pytest
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 from posor.messages.cdr_schema import STAMP
 from posor.messages.message_definitions import MessageTypes
+from posor.messages.message_stream import RawScanStream
 from posor.messages.raw_scan import ScanTemplate
 from posor.node_parameters import NodeParameters
 from posor.ros_names import RAW_SCAN as RAW_SCAN_TYPE
@@ -173,6 +174,28 @@ def test_throttled_states_have_levels_although_most_scans_have_no_effects(scans:
     assert [stamp_ns(each) // PERIOD_NS for each in received] == list(range(7))
     assert not np.isnan([each.protection_level for each in received[1:]]).any()
     assert 0 < sum(read[100:]) < 0.3 * len(read[100:])
+
+
+def test_only_transforms_that_are_due_become_messages_for_the_throttled_topic(
+    scans: list[bytes], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = list[int]()
+    complete_scan = PosorEstimatorNode.complete_scan
+
+    def complete(node: PosorEstimatorNode, stream: RawScanStream, data: bytes, transform: bytes) -> None:
+        made.extend([stream.stamp_change_and_missing()[0]] if transform else [])
+        complete_scan(node, stream, data, transform)
+
+    monkeypatch.setattr(PosorEstimatorNode, "complete_scan", complete)
+    with NodeProcess() as process, Graph() as graph:
+        arm = Arm([process])
+        received = graph.collect(JointTransform, "/joint1/transform_throttle")
+        graph.wait_until(lambda: arm.posor._throttle.has_subscriptions, "a subscription", arm.spin_once)
+        for n in range(1, 601):  # at 2 kHz
+            arm.raw.publish(ScanTemplate(scans[0]).at(n * PERIOD_NS // 100, n))
+        graph.wait_until(lambda: len(received) == 7, "a transform of each period", arm.spin_once)
+    assert [stamp_ns(each) // PERIOD_NS for each in received] == list(range(7))
+    assert made == [stamp_ns(each) for each in received]
 
 
 def test_services_may_be_called_while_scans_come_in_another_thread(scans: list[bytes]) -> None:

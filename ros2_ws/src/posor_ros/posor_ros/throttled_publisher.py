@@ -34,7 +34,9 @@ class ThrottledPublisher(IntraProcessPublisher):
 
     def is_due(self, stamp_ns: int, *, changed: bool) -> bool:
         """Return whether to publish the message of a stamp [ns]; ``changed``: it says another thing than the last."""
-        slot = stamp_ns // PERIOD_NS
-        is_due = changed or slot != self._slot
-        self._slot = slot
-        return is_due
+        return self.has_subscriptions and (changed or stamp_ns // PERIOD_NS != self._slot)
+
+    def publish_due(self, stamp_ns: int, data: bytes) -> None:
+        """Publish the message of a stamp [ns] that is due; the next one is that of another period, or a change."""
+        self._slot = stamp_ns // PERIOD_NS
+        self.publish(data)
