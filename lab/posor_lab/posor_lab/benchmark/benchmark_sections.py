@@ -253,8 +253,18 @@ class BenchmarkSections:
             for use, of_use in runs.items():
                 load = GraphLoad(self._arms[plan.joints], "graph", plan.layout, plan.rate, page=use)
                 of_use.append(self._measure_variant(f"live page {use}", load))
-        ratios = {use: paired_p99_ratio(of_use, runs["absent"]) for use, of_use in runs.items()}
-        return {"page": {use: {**run_figures(of_use), "p99_ratio": ratios[use]} for use, of_use in runs.items()}}
+        received, published = (
+            {use: [getattr(run, name) for run in of_use] for use, of_use in runs.items()}
+            for name in ("latencies_ns", "published_ns")
+        )
+        return {
+            "page": {
+                use: run_figures(of_use)
+                | {"p99_ratio": paired_p99_ratio(received[use], received["absent"])}
+                | {"published_p99_ratio": paired_p99_ratio(published[use], published["absent"])}
+                for use, of_use in runs.items()
+            }
+        }
 
     def growth(self) -> dict[str, Any]:
         """Measure the processor time by joints and by rate."""

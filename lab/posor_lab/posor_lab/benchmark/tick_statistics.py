@@ -149,14 +149,13 @@ def run_figures(runs: Sequence[MeasuredRun]) -> dict[str, Any]:
     }
 
 
-def paired_p99_ratio(runs: Sequence[MeasuredRun], others: Sequence[MeasuredRun]) -> dict[str, float | None]:
-    """Return the ratio of the p99 latencies of runs to those of others, each measured next to the other.
+def paired_p99_ratio(times_ns: Sequence[IntArray], others_ns: Sequence[IntArray]) -> dict[str, float | None]:
+    """Return the ratio of the p99 of the times of runs to that of others, each measured next to the other.
 
     Of the pairs: the ``median``, and its 95 % interval from ``low`` to ``high``, which supposes nothing of the
     distribution; None: fewer than six pairs have no interval.
     """
-    p99 = [[np.percentile(run.latencies_ns, 99.0) for run in each] for each in (runs, others)]
-    ratios = np.divide(*p99)
+    ratios = np.divide(*([np.percentile(run_ns, 99.0) for run_ns in each] for each in (times_ns, others_ns)))
     interval = quantile_test(ratios, p=0.5).confidence_interval(0.95)
     low, high = (float(end) if np.isfinite(end) else None for end in interval)
     return {"median": float(np.median(ratios)), "low": low, "high": high}
