@@ -155,7 +155,8 @@ def paired_p99_ratio(times_ns: Sequence[IntArray], others_ns: Sequence[IntArray]
     Of the pairs: the ``median``, and its 95 % interval from ``low`` to ``high``, which supposes nothing of the
     distribution; None: fewer than six pairs have no interval.
     """
-    ratios = np.divide(*([np.percentile(run_ns, 99.0) for run_ns in each] for each in (times_ns, others_ns)))
-    interval = quantile_test(ratios, p=0.5).confidence_interval(0.95)
+    pairs = zip(times_ns, others_ns, strict=True)
+    ratios = [float(np.percentile(run_ns, 99.0) / np.percentile(other_ns, 99.0)) for run_ns, other_ns in pairs]
+    interval: Any = quantile_test(ratios, p=0.5).confidence_interval(0.95)
     low, high = (float(end) if np.isfinite(end) else None for end in interval)
     return {"median": float(np.median(ratios)), "low": low, "high": high}

@@ -20,7 +20,7 @@ class TimedSpin:
     """The present spin of an executor; one that was never run has no end."""
 
     def __init__(self) -> None:
-        self._until: Future[None] = Future()
+        self._until = Future()
         self._end_s = inf
 
     def run(self, executor: Any, duration_s: float) -> None:
