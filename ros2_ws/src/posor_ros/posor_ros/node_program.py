@@ -195,8 +195,8 @@ class NodeGroup:
             manager.report_ready()
             unchecked: deque[PosorNode[Any]] = deque()
             while self._locations and not stop():
+                spin.run(executor, 0.0 if unchecked else INPUT_CHECK_S)
                 unchecked = unchecked or deque(self._locations)
-                spin.run(executor, INPUT_CHECK_S / len(self._locations))
                 run_when_idle(unchecked.popleft().run_checks)  # one at a time: messages do not wait for all nodes
                 manager.report_alive()
                 for node in [node for node in self._locations if node.exit_requested]:
