@@ -278,8 +278,9 @@ def test_an_encoder_that_disagrees_latches_a_fault_until_it_agrees() -> None:
             request = Acknowledge.Request(caller="a test", reason="the encoder was inspected")
             return str(graph.call(Acknowledge, "/posor_node/acknowledge", request).message)
 
-        rig.wait_for_sound_scan()  # a loaded host sends the first scans at unequal intervals, which may be a step
-        graph.wait_until(lambda: acknowledge() == "there is no latched fault", "nothing to acknowledge")
+        rig.sender.send()  # one scan: a loaded host would send several at unequal intervals, a step of their stamps
+        graph.wait_until(lambda: bool(rig.transforms), "a transform")
+        assert acknowledge() == "there is no latched fault"
         message = JointState(name=["joint1"], position=[0.5])
         message.header.stamp = graph.node.get_clock().now().to_msg()
         encoder.publish(JointState())

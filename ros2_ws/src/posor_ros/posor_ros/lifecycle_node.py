@@ -29,7 +29,6 @@ from posor_ros.idle_scheduler import run_when_idle
 from posor_ros.parameter_files import check_sections
 from posor_ros.publication_timing import TIMING_STATUS, Timing
 from posor_ros.qos_overrides import PREFIX, QosOverrides
-from posor_ros.timed_spin import TimedSpin
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -71,7 +70,6 @@ class PosorNode(LifecycleNode, Generic[ParametersT]):
         may_publish: Whether the node is active or being activated; publishers are silent otherwise.
         check_timer: Calls ``run_checks`` every ``INPUT_CHECK_S``; see there.
         stop_requested: Returns whether a signal has asked the program to end.
-        spin: The spin of the executor that runs this node in a `NodeGroup`.
 
     """
 
@@ -92,7 +90,6 @@ class PosorNode(LifecycleNode, Generic[ParametersT]):
             raise ParameterError(reason, where=f"node {self.NAME}") from None
         self.exit_requested = self.may_publish = self._is_configured = False
         self.stop_requested: Callable[[], bool] = lambda: False
-        self.spin = TimedSpin()
         self._failure: Exception | None = None
         self._refusal: Exception | None = None
         self._starting = False
@@ -209,32 +206,10 @@ class PosorNode(LifecycleNode, Generic[ParametersT]):
     def create_subscription(
         self, msg_type: Any, topic: str, callback: Any, qos_profile: QoSProfile | int, **options: Any
     ) -> Any:
-        """Create a subscription; parameters ``qos_overrides.*`` may change its quality of service.
-
-        ``callback`` receives the message alone.
-        """
+        """Create a subscription; parameters ``qos_overrides.*`` may change its quality of service."""
         return super().create_subscription(
-            msg_type,
-            topic,
-            self._ending_late_spin(callback),
-            copy(qos_profile),
-            **self._qos_options("subscription", topic),
-            **options,
+            msg_type, topic, callback, copy(qos_profile), **self._qos_options("subscription", topic), **options
         )
-
-    def create_service(self, srv_type: Any, srv_name: str, callback: Any, **options: Any) -> Any:
-        """Create a service."""
-        return super().create_service(srv_type, srv_name, self._ending_late_spin(callback), **options)
-
-    def _ending_late_spin(self, callback: Callable[..., Any]) -> Callable[..., Any]:
-        """Return a callback that also ends a spin whose time is over: events may come faster than they are handled."""
-
-        def run(*arguments: Any) -> Any:
-            result = callback(*arguments)
-            self.spin.end_if_due()
-            return result
-
-        return run
 
     def _qos_options(self, kind: Literal["publisher", "subscription"], topic: str) -> dict[str, Any]:
         """Return rclpy's argument for the overrides; empty before the overrides are known."""
@@ -295,7 +270,6 @@ class PosorNode(LifecycleNode, Generic[ParametersT]):
         """Request the end of the program, from any thread; ``raise_failure`` raises the first ``failure``."""
         self._failure = self._failure or failure
         self.exit_requested = True
-        self.spin.end()
 
     def raise_failure(self) -> None:
         """Raise the failure passed to ``request_exit``, if any."""

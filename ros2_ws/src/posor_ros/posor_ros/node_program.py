@@ -9,6 +9,7 @@ import signal
 import sys
 from collections import deque
 from contextlib import ExitStack, closing, contextmanager
+from time import monotonic
 from typing import TYPE_CHECKING, Any, Self
 
 import rclpy
@@ -25,7 +26,6 @@ from posor_ros.lifecycle_node import INPUT_CHECK_S
 from posor_ros.parameter_files import parameter_files_of, refuse_octal_arguments
 from posor_ros.realtime_process import PROCESS_STATUS, ProcessHealth, apply_realtime_parameters, prepare_heap
 from posor_ros.service_manager import ServiceManager
-from posor_ros.timed_spin import TimedSpin
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -181,23 +181,26 @@ class NodeGroup:
         PosorError: the only node cannot start or has failed; SystemRefusal: the system refuses a required setting.
         """
         several = len(self._locations) > 1
-        manager, spin = ServiceManager(), TimedSpin()
+        manager = ServiceManager()
         self._report_process_health()
         with node_executor(list(self._locations)) as executor, closing(manager):
             for node, location in self._locations.items():
                 if stop():
                     return
-                node.stop_requested, node.spin = stop, spin
+                node.stop_requested = stop
                 with _name_node_in_errors(node, location, several=several):
                     node.start()
                 node.check_timer.cancel()
             prepare_heap()
             manager.report_ready()
+            next_check_s = 0.0
             unchecked: deque[PosorNode[Any]] = deque()
             while self._locations and not stop():
-                spin.run(executor, 0.0 if unchecked else INPUT_CHECK_S)
-                unchecked = unchecked or deque(self._locations)
-                run_when_idle(unchecked.popleft().run_checks)  # one at a time: messages do not wait for all nodes
+                executor.spin_once(timeout_sec=0.0 if unchecked else INPUT_CHECK_S)
+                if not unchecked and (now_s := monotonic()) >= next_check_s:
+                    next_check_s, unchecked = now_s + INPUT_CHECK_S, deque(self._locations)
+                if unchecked:  # one at a time: messages do not wait for the checks of all nodes
+                    run_when_idle(unchecked.popleft().run_checks)
                 manager.report_alive()
                 for node in [node for node in self._locations if node.exit_requested]:
                     leave_executor(node)
