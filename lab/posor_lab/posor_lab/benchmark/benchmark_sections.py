@@ -253,18 +253,13 @@ class BenchmarkSections:
             for use, of_use in runs.items():
                 load = GraphLoad(self._arms[plan.joints], "graph", plan.layout, plan.rate, page=use)
                 of_use.append(self._measure_variant(f"live page {use}", load))
-        received, published = (
-            {use: [getattr(run, name) for run in of_use] for use, of_use in runs.items()}
-            for name in ("latencies_ns", "published_ns")
-        )
-        return {
-            "page": {
-                use: run_figures(of_use)
-                | {"p99_ratio": paired_p99_ratio(received[use], received["absent"])}
-                | {"published_p99_ratio": paired_p99_ratio(published[use], published["absent"])}
-                for use, of_use in runs.items()
-            }
-        }
+        figures = {}
+        for use, of_use in runs.items():
+            pairs = list(zip(of_use, runs["absent"], strict=True))
+            received = paired_p99_ratio((run.latencies_ns, other.latencies_ns) for run, other in pairs)
+            published = paired_p99_ratio((run.published_ns, other.published_ns) for run, other in pairs)
+            figures[use] = {**run_figures(of_use), "p99_ratio": received, "published_p99_ratio": published}
+        return {"page": figures}
 
     def growth(self) -> dict[str, Any]:
         """Measure the processor time by joints and by rate."""

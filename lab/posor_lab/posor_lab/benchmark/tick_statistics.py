@@ -18,7 +18,7 @@ from rclpy.utilities import get_rmw_implementation_identifier
 from scipy.stats import quantile_test
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
 
     from posor.numerics.array_types import IntArray
 
@@ -149,13 +149,12 @@ def run_figures(runs: Sequence[MeasuredRun]) -> dict[str, Any]:
     }
 
 
-def paired_p99_ratio(times_ns: Sequence[IntArray], others_ns: Sequence[IntArray]) -> dict[str, float | None]:
-    """Return the ratio of the p99 of the times of runs to that of others, each measured next to the other.
+def paired_p99_ratio(pairs: Iterable[tuple[IntArray, IntArray]]) -> dict[str, float | None]:
+    """Return the ratio of the p99 of the times of a run to that of another one, measured next to it.
 
-    Of the pairs: the ``median``, and its 95 % interval from ``low`` to ``high``, which supposes nothing of the
+    Of all pairs: the ``median``, and its 95 % interval from ``low`` to ``high``, which supposes nothing of the
     distribution; None: fewer than six pairs have no interval.
     """
-    pairs = zip(times_ns, others_ns, strict=True)
     ratios = [float(np.percentile(run_ns, 99.0) / np.percentile(other_ns, 99.0)) for run_ns, other_ns in pairs]
     interval: Any = quantile_test(ratios, p=0.5).confidence_interval(0.95)
     low, high = (float(end) if np.isfinite(end) else None for end in interval)

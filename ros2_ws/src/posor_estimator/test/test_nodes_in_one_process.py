@@ -191,10 +191,14 @@ def test_only_transforms_that_are_due_become_messages_for_the_throttled_topic(
         arm = Arm([process])
         received = graph.collect(JointTransform, "/joint1/transform_throttle")
         graph.wait_until(lambda: arm.posor._throttle.has_subscriptions, "a subscription", arm.spin_once)
+        broken = deserialize_message(scans[0], RawScan)
+        broken.gap_voltages[0] = math.nan
+        templates = {250: ScanTemplate(RAW_SCAN.serialize(broken))}
         for n in range(1, 601):  # at 2 kHz
-            arm.raw.publish(ScanTemplate(scans[0]).at(n * PERIOD_NS // 100, n))
-        graph.wait_until(lambda: len(received) == 7, "a transform of each period", arm.spin_once)
-    assert [stamp_ns(each) // PERIOD_NS for each in received] == list(range(7))
+            arm.raw.publish(templates.get(n, ScanTemplate(scans[0])).at(n * PERIOD_NS // 100, n))
+        graph.wait_until(lambda: len(received) == 9, "a transform of each period and change", arm.spin_once)
+    numbers = [stamp_ns(each) * 100 // PERIOD_NS for each in received]
+    assert numbers == [1, 100, 200, 250, 251, 300, 400, 500, 600]
     assert made == [stamp_ns(each) for each in received]
 
 
