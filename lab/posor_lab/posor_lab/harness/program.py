@@ -78,7 +78,8 @@ class Program:
                 self.process.wait(END_S)
             except subprocess.TimeoutExpired:
                 self.process.kill()
-        self.wait()
+        if self.wait() == -signal.SIGSEGV:  # with the stacks of its threads
+            print("\n".join(self.stderr))
         for stream in (self.process.stdout, self.process.stderr):
             if stream is not None:
                 stream.close()
@@ -130,8 +131,6 @@ class Program:
         code = self.process.wait(TIMEOUT_S)
         for reader in self._readers:
             reader.join(TIMEOUT_S)
-        if code == -signal.SIGSEGV:  # with the stacks of its threads
-            print("\n".join(self.stderr))
         return code
 
     def end(self, number: signal.Signals = signal.SIGINT) -> int:
