@@ -401,9 +401,10 @@ class DeviceReader:
 
         """
         nominal, line = self.device.frame_rate, self._mapping.line
-        self._fault = "" if line else f"{self.device.name}: finding its clock, which takes a second"
         if line is not None and abs((rate := NS / line.period_ns) / nominal - 1.0) > MAX_DRIFT:
+            self._mapping = ClockMapping(nominal)  # nobody places a frame by it before the error arrives
             raise self.device.error(f"{rate:.6g} frames per second", f"{nominal:g}, as stated")
+        self._fault = "" if line else f"{self.device.name}: finding its clock, which takes a second"
 
 
 _sharing = Lock()

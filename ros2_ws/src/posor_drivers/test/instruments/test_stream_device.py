@@ -10,6 +10,7 @@ import struct
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from threading import Lock
 from typing import Any
 
 import numpy as np
@@ -178,9 +179,35 @@ def test_absent_device_is_named_and_read_when_it_comes() -> None:
         assert reader.values_at(time.time_ns()) is None
 
 
-def test_another_rate_than_stated_is_a_fault(server: StreamServer) -> None:
+class LockOfFaults:
+    """A lock that gives others time to read what a fault leaves behind."""
+
+    def __init__(self) -> None:
+        self._lock = Lock()
+
+    def __enter__(self) -> None:
+        self._lock.acquire()
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        self._lock.release()
+        if kind is not None:
+            time.sleep(0.1)
+
+
+def test_another_rate_than_stated_is_a_fault_before_any_frame_is_used(
+    server: StreamServer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("posor_drivers.instruments.device_reader.Lock", LockOfFaults)
     with running(StreamDevice("box", settings(server.port, rate={"value": 900, "unit": "Hz"}))) as reader:
-        wait_for_fault(reader, "frames per second; expected 900, as stated.")
+        found = []
+
+        def read() -> bool:
+            values = reader.values_at(time.time_ns() - 50_000_000)
+            found.append((reader.state.fault, values))
+            return found[-1][0].endswith("frames per second; expected 900, as stated.")
+
+        wait_for(read, "fault of the rate")
+    assert all(fault and values is None for fault, values in found)
 
 
 DISORDER = {  # frames that are sent before the late one; what is counted
