@@ -33,5 +33,12 @@ def wait_for_frames(reader: DeviceReader) -> None:
     wait_for(lambda: not reader.state.fault, "frames")
 
 
+def wait_for_values(reader: DeviceReader) -> int:
+    """Wait until the frames of the present time have come, and return this ROS time [ns]."""
+    now_ns = time.time_ns()
+    wait_for(lambda: reader.values_at(now_ns) is not None, "the frames until now")
+    return now_ns
+
+
 def wait_for_fault(reader: DeviceReader, words: str = "") -> None:
     wait_for(lambda: reader.state.fault and words in reader.state.fault, f"fault with '{words}'")
