@@ -49,7 +49,7 @@ def test_the_page_follows_the_arm_and_a_killed_driver_turns_its_joint_red(tmp_pa
     with running_arm(tmp_path) as arm, opened_page(str(arm.path), WIDTH, HEIGHT) as (page, view):
         page.set_default_timeout(60_000)
         x = page.wait_for_function(HAS_X, polling=50).json_value()  # a later x may be that of no pose
-        picture = page.locator(PICTURE)
+        picture, notice = page.locator(PICTURE), page.locator("#no-update")
         drawn = picture.screenshot()
         page.wait_for_function(HAS_MOVED, arg=[x, MOVED_MM], polling=50)
         assert picture.screenshot() != drawn
@@ -72,6 +72,12 @@ def test_the_page_follows_the_arm_and_a_killed_driver_turns_its_joint_red(tmp_pa
         wait_for_banner(page, ": STALE no pose since")
         page.wait_for_function(SAYS, arg=[STATE, "STALE"], polling=50)  # the page changes element by element
         page.wait_for_function(HAS_NO_X, polling=50)
+        assert notice.is_hidden()  # with updates for longer than its time
+        view.process.send_signal(signal.SIGSTOP)
+        notice.wait_for(state="visible")
+        page.screenshot(path=ARTIFACTS / "no_update.png")
+        view.process.send_signal(signal.SIGCONT)
+        notice.wait_for(state="hidden")
         assert view.end(signal.SIGTERM) == 0
 
 

@@ -79,7 +79,7 @@ def parse_options(arguments: Sequence[str] | None) -> argparse.Namespace:
 def _stated_dwells(path: Path) -> list[tuple[int, int]]:
     """Return the dwells of a table. Raises DataFileError: it cannot be read, or a dwell is invalid."""
     try:
-        with path.open(encoding="utf-8", newline="") as file:
+        with path.open(encoding="utf-8-sig", newline="") as file:
             rows = list(csv.DictReader(file))
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         reason = error.strerror if isinstance(error, OSError) else error

@@ -105,7 +105,7 @@ class Observer:
             return Observation(time_ns, is_fresh=False, state=NO_MESSAGE, causes=(cause,), joints=joints)
         endpoint = self._endpoint(values, messages[-1])
         if self._silence_s(topic, now_s) > 0.0:
-            cause = Cause("STALE", f"no message on {topic}: chain_node has ended or hangs")
+            cause = Cause("STALE", f"no message on {topic}: chain_node has ended, hangs or is not active")
             joints = dict.fromkeys(self._joints, "STALE")
             return Observation(
                 time_ns, is_fresh=False, state="STALE", causes=(cause,), endpoint=endpoint, joints=joints

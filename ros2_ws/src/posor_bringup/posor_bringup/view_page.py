@@ -29,6 +29,7 @@ from posor_bringup.view_texts import (
     colour_of,
     events_table,
     joints_table,
+    no_update_notice,
     numbers_table,
     statement,
 )
@@ -286,7 +287,8 @@ class ViewPage:
             self._draw_scene(observation, drawn, factor)
             if has_changed or now_s >= self._next_text_s:
                 self._next_text_s, self._drawn_health = now_s + TEXT_PERIOD_S, health
-                self._banner.content = statement(self._name, observation, self._record)
+                notice = no_update_notice(time.time_ns()) if self._span_ns is None else ""
+                self._banner.content = statement(self._name, observation, self._record) + notice
                 self._causes.content = joints_table(observation) + causes_table(observation, self._record.log)
                 self._numbers.content = numbers_table(observation, drawn)
             if has_changed or now_s >= self._next_chart_s:

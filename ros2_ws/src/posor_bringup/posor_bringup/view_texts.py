@@ -50,6 +50,15 @@ table.posor {width:calc(100% - 18px); margin-left:4px; font-size:12px; border-co
 .number td:nth-child(n+2):nth-child(-n+5), #endpoint th:nth-child(n+2):nth-child(-n+5) {text-align:right}
 </style>"""
 
+NO_UPDATE_S = 3.0
+"""Time without an update after which the page itself says so, because the program that would say it is silent."""
+NOTICE = "<style>@keyframes posor-no-update {0%, 99% {visibility:hidden} 100% {visibility:visible}}</style>"
+NOTICE_STYLE = (
+    "position:fixed;inset:0;z-index:1000;pointer-events:none;padding:30px;color:white;font-size:20px;"
+    "display:flex;align-items:center;justify-content:center;text-align:center;"
+    f"background:rgba{*GREY, 0.95}"
+)
+
 
 def colour_of(state: str) -> tuple[int, int, int]:
     """Return the colour of a state."""
@@ -86,6 +95,16 @@ def banner(name: str, state: str, colour: tuple[int, int, int], since: str, line
     text = "<br>".join(escape(line) for line in lines)
     head = f'<b style="font-size:17px">{escape(name)}: {escape(state)}</b> <span id="since">{since}</span>'
     return f'{STYLE}<div id="banner" style="{style}">{head}<br>{text}</div>'
+
+
+def no_update_notice(time_ns: int) -> str:
+    """Return a notice that the browser shows over the page after NO_UPDATE_S, unless a later one replaces it.
+
+    ``time_ns``: any time, another one for each update.
+    """
+    style = f"animation:posor-no-update {NO_UPDATE_S:g}s forwards;{NOTICE_STYLE}"
+    text = f"NO UPDATE for {NO_UPDATE_S:g} s: this page hears nothing from posor view; what it shows is old"
+    return f'{NOTICE}<div id="no-update" data-time="{time_ns}" style="{style}">{text}</div>'
 
 
 def _cause_text(cause: Cause, observation: Observation) -> str:

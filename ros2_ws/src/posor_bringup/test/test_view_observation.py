@@ -74,7 +74,7 @@ def test_everything_is_stale_without_messages_on_the_endpoint(rig: Rig) -> None:
     seen = rig.observe(now_s)
     assert not seen.is_fresh
     assert (seen.state, seen.joints["joint1"]) == ("STALE", "STALE")
-    assert seen.causes == (Cause("STALE", f"no message on {STATE}: chain_node has ended or hangs"),)
+    assert seen.causes == (Cause("STALE", f"no message on {STATE}: chain_node has ended, hangs or is not active"),)
     assert seen.scan is None
 
 

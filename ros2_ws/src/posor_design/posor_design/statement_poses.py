@@ -72,7 +72,7 @@ def path_poses(model: ArmUncertainty, path: Path) -> StatementPoses:
     Raises DataFileError: the file cannot be read, lacks a joint, or has an invalid angle.
     """
     try:
-        with path.open(encoding="utf-8", newline="") as file:
+        with path.open(encoding="utf-8-sig", newline="") as file:
             reader = csv.DictReader(file)
             rows = list(reader)
     except (OSError, UnicodeDecodeError, csv.Error) as error:

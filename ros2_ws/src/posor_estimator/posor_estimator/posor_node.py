@@ -127,14 +127,18 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
         self._inputs.start()
 
     def deactivate(self) -> None:
-        """Expect no scans."""
+        """Expect no scans; the target may move before the next."""
         self._inputs.stop()
+        with self._lock:
+            self._stream, self._count_from_next = None, False
+            self._recent_scans.clear()
 
     def _on_inputs_checked(self, is_new: bool) -> None:  # noqa: FBT001  a callback
-        """Report that no scan arrives; the next one is reported again."""
+        """Report that no scan arrives, and discard the kept ones; the next scan is reported again."""
         if is_new and self._inputs.silent:
             with self._lock:
                 self._reported = None
+                self._recent_scans.clear()
                 self._status.report(Level.ERROR, f"no estimate: {self._inputs.silent}", self._counts())
 
     def _forget_scans(self) -> None:
@@ -202,6 +206,11 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
         self._apply_calibration(calibration, session_calibration)
         return f"calibration '{calibration.name}', hash {calibration.content_hash}"
 
+    def _require_scans(self, service: str, expected: str) -> None:
+        """Raises ParameterError: no scans come now; those before may show the target where it no longer is."""
+        if self._inputs.silent:
+            raise ParameterError(self._inputs.silent, where=service, expected=expected)
+
     def _count_from_home(self) -> str:
         if not self._posor.counts_bumps:
             raise ParameterError(
@@ -210,8 +219,10 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
                 expected="a bumpy ring; ~/set_home of the chain makes poses relative to home",
             )
         with self._lock:
-            if refusal := self._inputs.silent or ("the last scan is LOST" if self._is_lost else ""):
-                raise ParameterError(refusal, where="home", expected="sound scans while the joint is at the home mark")
+            expected = "sound scans while the joint is at the home mark"
+            self._require_scans("home", expected)
+            if self._is_lost:
+                raise ParameterError("the last scan is LOST", where="home", expected=expected)
             self._count_from_next = True
             if self._stream is not None:
                 self._stream.count_from_next()
@@ -227,6 +238,7 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
     def _zero_gap_probes(self) -> str:
         """Shift the zero of the gap probes by the most recent scans (thesis 8.3.1)."""
         with self._lock:
+            self._require_scans("zero", "sound scans while the target is at home")
             recent = list(self._recent_scans)
         if len(recent) < self.parameters.zero_scans:
             raise ParameterError(
@@ -248,6 +260,7 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
         with self._lock:
             if not self._posor.has_latch:
                 return "there is no latched fault"
+            self._require_scans("acknowledge", "sound scans at the release")
             now_s = time.monotonic()
             self._release.check(request.caller, request.reason, now_s)
             last = None if self._stream is None else self._stream.last_lit_scan()

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Self
@@ -12,6 +13,7 @@ from typing import Any, Self
 import numpy as np
 import pytest
 import yaml
+from lifecycle_msgs.msg import Transition
 from posor.calibration.calibration_file import Calibration, load_calibration
 from posor.calibration.designs import DesignName, design
 from posor.calibration.quantity import Quantity
@@ -277,6 +279,52 @@ def test_home_starts_the_count_of_bumps_and_zero_needs_a_home_pose(tmp_path: Pat
         rig.graph.wait_until(
             lambda: any("the call of ~/home is void" in status.message for status in rig.graph.diagnostics), "the note"
         )
+
+
+SERVICES: dict[str, tuple[DesignName, str]] = {  # design of the joint, and what is expected
+    "home": ("triad_bumpy_ring", "sound scans while the joint is at the home mark"),
+    "zero": ("triad_diodes", "sound scans while the target is at home"),
+    "acknowledge": ("triad_diodes", "sound scans at the release"),
+}
+
+
+@pytest.mark.parametrize("service", SERVICES)
+def test_scans_before_a_silence_or_a_deactivation_show_nothing_of_the_present(tmp_path: Path, service: str) -> None:
+    name, expected = SERVICES[service]
+    zero = {"home_pose": [GAP, 0.0, 0.0], "zero_scans": SCANS} if service == "zero" else {}
+    with NodeRig(tmp_path, name, motion=service == "acknowledge", **zero, **{"freshness.max_silence": 0.5}) as rig:
+        call = rig.acknowledge if service == "acknowledge" else lambda: rig.call(service)
+
+        def prepare() -> None:
+            latched(rig) if service == "acknowledge" else rig.send(SCANS)
+
+        prepare()
+        rig.graph.wait_for_status("/posor_node: estimate", "no estimate: no input on /raw for ")
+        success, message = call()
+        assert not success
+        assert re.fullmatch(rf"{service}: no input on /raw for [\d.]+ s; expected {expected}\.", message)
+        if service == "zero":  # the scans before the silence are no longer kept
+
+            def counts_anew() -> bool:
+                rig.send(1)
+                return call()[1].endswith(f"sound scans so far; expected {SCANS}.")
+
+            rig.graph.wait_until(counts_anew, "scans that are counted anew")
+        prepare()
+        assert rig.graph.change_state("/posor_node", Transition.TRANSITION_DEACTIVATE)
+        assert call() == (False, f"{service}: the node is not active; expected {expected}.")
+        assert rig.graph.change_state("/posor_node", Transition.TRANSITION_ACTIVATE)
+        if service != "home":
+            assert not call()[0]
+
+
+def test_a_call_of_home_is_void_after_a_deactivation(tmp_path: Path) -> None:
+    with NodeRig(tmp_path, "triad_bumpy_ring") as rig:
+        rig.send(3)
+        assert rig.call("home")[0]
+        for transition in (Transition.TRANSITION_DEACTIVATE, Transition.TRANSITION_ACTIVATE):
+            assert rig.graph.change_state("/posor_node", transition)
+        assert {transform.state for transform in rig.send(3)} == {JointTransform.STATE_UNCOUNTED}
 
 
 def latched(rig: NodeRig) -> None:

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
 PUBLISHER_GONE_S = 0.2  # time after a second publisher has gone in which its last messages may still arrive [s]
 INPUT_STATUS = "input"  # name of the status line
+INACTIVE = "the node is not active"
 MISSING, REPEATED, BACKWARD = "numbers_missing", "scans_repeated", "numbers_backward"
 """Kinds of scans out of order, as the diagnostics count them."""
 
@@ -94,7 +95,7 @@ class InputMonitor:
 
     Attributes:
         several: Error text while a topic has several publishers, updated with a delay; ``refusal`` is up to date.
-        silent: Sentence on silent inputs; empty: all arrive.
+        silent: Sentence on silent inputs, or that they are not read; empty: all arrive.
         silent_names: Their names.
         stamp_limits: Ages of stamps that the node accepts.
 
@@ -118,7 +119,7 @@ class InputMonitor:
         self.several, self._several_until_s = "", math.inf
         self.stamp_limits = StampLimits.of(node.timing.now_ns, node.parameters.freshness)
         self.silent_names: list[str] = []
-        self.silent = ""
+        self.silent = INACTIVE
         node.diagnostics.add_refresh(self._refresh)
         node.add_graph_check(self._find_publishers)
         node.add_input_check(self.check)
@@ -148,12 +149,11 @@ class InputMonitor:
         for watch in self._watches:
             watch.restart(monotonic())
         self._notes, self._notes_of_this_second = {}, {}
-        self._is_active = True
+        self.silent, self._is_active = "", True
 
     def stop(self) -> None:
         """Expect no input any more."""
-        self._is_active = False
-        self.silent = ""
+        self.silent, self._is_active = INACTIVE, False
         self._report(Level.OK, "not watched", None)
 
     def note(self, kind: str, text: str) -> None:

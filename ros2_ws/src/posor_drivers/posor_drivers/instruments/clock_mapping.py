@@ -7,12 +7,17 @@ mapping is the line below all arrivals of the last seconds that is closest to th
 and it is the maximum-likelihood line for exponential delays (Moon, Skelly and Towsley 1999, section IV). So single slow
 packets have no effect, and the time of a frame is far more exact than its arrival. What cannot be seen in arrivals is
 the smallest delay itself; a device states it as ``delay``.
+
+Where one of the clocks is set, or the device pauses without counting, the line fits again when the window has passed.
+Until then the least delay of the last arrivals, by the line, is an error that the times may have.
 """
 
 from __future__ import annotations
 
 import math
 from collections import deque
+from itertools import pairwise
+from statistics import median
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -29,6 +34,12 @@ INTERVAL_S = 0.05
 """Of all arrivals of this time only the one with the least delay can touch the line."""
 LEAST_INTERVALS = 20
 """Intervals before there is a mapping: a second."""
+COMPARED_INTERVALS = 8
+"""Intervals before two halves of the arrivals are compared, so that the first mapping rests on several comparisons."""
+LAST_INTERVALS = 2
+"""Intervals whose least delay counts as an error: in each of them, some frames of a sound connection are not late."""
+USUAL_DELAYS = 4.0
+"""Least delay, in median changes between intervals, up to which the standard uncertainty is that of the line."""
 MAX_COMPARISONS = 100
 """Comparisons of two halves of the arrivals that the uncertainty rests on."""
 
@@ -39,8 +50,8 @@ class ClockLine(NamedTuple):
     first: int  # number of the frame at ``start_ns``
     start_ns: int  # its time [ns]
     period_ns: float  # time from frame to frame [ns]
-    uncertainty_s: float  # standard uncertainty of the times of the newest frames [s], without that of the least delay
-    limit_s: float  # largest difference of two halves of the arrivals [s]
+    uncertainty_s: float  # standard uncertainty of the times of the newest frames [s], without that of ``delay``
+    limit_s: float  # largest difference of two halves of the arrivals, with the least delay of the last ones [s]
 
     def times_ns(self, counters: IntArray) -> IntArray:
         """Return the ROS times of frames [ns], (n,)."""
@@ -92,18 +103,29 @@ class ClockMapping:
         arrivals.append(least)
         while arrivals[0].elapsed_s < least.elapsed_s - WINDOW_S:
             arrivals.popleft()
-        if len(arrivals) < LEAST_INTERVALS or self._first is None:
+        if len(arrivals) < COMPARED_INTERVALS or self._first is None:
             return
         points = list(arrivals)
         drift, late_s = _lower_line(points)
         halves = [_lower_line(half) for half in (points[::2], points[1::2])]
         there = [offset_s + slope * least.elapsed_s for slope, offset_s in halves]
         self._differences.append(there[1] - there[0])
+        if len(arrivals) < LEAST_INTERVALS:
+            return
         spread_s = math.sqrt(sum(each * each for each in self._differences) / len(self._differences))
         first, start_ns = self._first
         period_ns = self._nominal_ns * (1.0 + drift)
+        limit_s = max(abs(each) for each in self._differences)
+        delays_s = [each.late_s - late_s - drift * each.elapsed_s for each in points]
+        delay_s = min(delays_s[-LAST_INTERVALS:])
+        usual_s = median(abs(after - before) for before, after in pairwise(delays_s))
+        unusual_s = max(0.0, delay_s - USUAL_DELAYS * usual_s)
         self.line = ClockLine(
-            first, start_ns + round(late_s * NS), period_ns, spread_s, max(abs(each) for each in self._differences)
+            first,
+            start_ns + round(late_s * NS),
+            period_ns,
+            math.hypot(spread_s, unusual_s / math.sqrt(3.0)),
+            limit_s + delay_s,
         )
 
 

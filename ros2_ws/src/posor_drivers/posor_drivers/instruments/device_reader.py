@@ -110,7 +110,8 @@ class DeviceReader:
 
     @property
     def state(self) -> DeviceState:
-        """The present state."""
+        """The present state. Raises what has ended the thread, if it was no ``DeviceError``."""
+        self._raise_failure()
         with self._lock:
             values: dict[str, float | int] = dict(self._counts)
             if self._timed:
@@ -141,8 +142,7 @@ class DeviceReader:
             Exception: What has ended the thread, if it was no ``DeviceError``.
 
         """
-        if self._failure is not None:
-            raise self._failure
+        self._raise_failure()
         with self._lock:
             values = np.empty(len(self.exposures.offsets_s))
             for shift_ns, columns in self._read_together:
@@ -159,6 +159,10 @@ class DeviceReader:
             for column in whole:
                 values[column] = nearest[column]
         return values
+
+    def _raise_failure(self) -> None:
+        if self._failure is not None:
+            raise self._failure
 
     def stamp_error_at(self, time_ns: int) -> StampError | None:
         """Return the error of the times of the frames around a ROS time [ns], with that of the stated least delay.
@@ -271,7 +275,8 @@ class DeviceReader:
         return None if found is None else found[1]
 
     def newest_frame(self) -> tuple[int, FloatArray] | None:
-        """Return number and values (c,) of the newest frame; None where there is none."""
+        """Return number and values (c,) of the newest frame; None where there is none. Raises as ``state``."""
+        self._raise_failure()
         with self._lock:
             return None if self._last is None else (self._last, self._values[self._last % CAPACITY].copy())
 
@@ -372,7 +377,10 @@ class DeviceReader:
         if row is not None:
             same = np.array_equal(self._values[row], frames.values[n], equal_nan=True)
             counts["frames_repeated"] += 1
-            restarted = back > 0 and not same
+            if not back and not same:
+                what = f"two frames with the number {number} and different values"
+                raise self.device.error(what, "ascending numbers, of one device")
+            restarted = not same
         elif back < min(CAPACITY, LATE_S * self.device.frame_rate):
             self._write(frames, np.array([n]))
             counts["frames"] += 1

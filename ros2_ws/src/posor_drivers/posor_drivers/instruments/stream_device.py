@@ -31,6 +31,7 @@ import select
 import socket
 import struct
 import time
+from contextlib import ExitStack
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 import numpy as np
@@ -48,6 +49,7 @@ TEXT = "text"
 _CODE = re.compile(r"(\d*)([A-Za-z?])")
 LONGEST_LINE = 65_536  # bytes
 MAX_DATAGRAM = 65_536
+MAX_COUNTER = 1 << 62
 RECEIVE_BUFFER = 1 << 22
 """Bytes for datagrams that wait while the reader does not run; the system gives at most ``net.core.rmem_max``."""
 
@@ -76,6 +78,8 @@ class StreamSettings(DeviceSettings):
     fields: tuple[str, ...]
     separator: Annotated[str, Field(min_length=1)] | None = None
     """Of lines of text; default: a comma; a blank stands for any number of blanks."""
+    counter_bits: Annotated[int, Field(strict=True, ge=8, le=64)] | None = None
+    """Of the counter in lines of text, where it wraps."""
     overload: Annotated[str, Field(min_length=1)] | None = None
     """Text in place of a number that is out of range."""
     without_counter: bool = Field(default=False, strict=True)
@@ -105,7 +109,7 @@ class StreamSettings(DeviceSettings):
 
     def _check_format(self) -> None:
         """Check the keys of binary frames."""
-        for name in ("separator", "overload"):
+        for name in ("separator", "overload", "counter_bits"):
             if getattr(self, name) is not None:
                 raise EntryError(f"{name} of binary frames", key=(name,), expected="format: text")
         try:
@@ -167,15 +171,17 @@ class StreamDevice(Device[StreamSettings]):
         self._scales = np.array([channel.scale for channel in settings.channels.values()])
         self._constants = [(fields.index(each), each, value) for each, value in settings.constants.items()]
         self._counter = fields.index(COUNTER) if COUNTER in fields else None
-        self._wrap = 1 << 64
+        bits = settings.counter_bits or 64
         if self._counter is not None and not settings.is_text:
-            self._wrap = 1 << (8 * struct.calcsize(codes_of(settings.format)[self._counter]))
+            bits = 8 * struct.calcsize(codes_of(settings.format)[self._counter])
+        self._wrap = 1 << bits
         self._start()
 
     def _start(self) -> None:
         """Forget what an earlier connection has sent."""
         self._rest, self._numbers, self._counted = b"", FrameCounter(self._wrap), 0
         self._is_first = self.settings.is_text  # a connection may begin within a line
+        self._sender: Any = None
 
     @classmethod
     def starting_settings(cls, units: Mapping[str, str]) -> dict[str, Any]:
@@ -206,14 +212,17 @@ class StreamDevice(Device[StreamSettings]):
         return self.address
 
     def _open_port(self) -> socket.socket:
-        port = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        port.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER)
-        try:
-            port.bind((self.settings.host, self.settings.port))
-        except OSError as error:
-            port.close()
-            what = f"{self.address} cannot be opened, {error.strerror}"
-            raise self.error(what, "an address of this host and a free port") from None
+        with ExitStack() as stack:
+            try:
+                found = socket.getaddrinfo(self.settings.host, self.settings.port, type=socket.SOCK_DGRAM)
+                family, kind, protocol, _, address = found[0]
+                port = stack.enter_context(socket.socket(family, kind, protocol))
+                port.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER)
+                port.bind(address)
+            except OSError as error:
+                what = f"{self.address} cannot be opened, {error.strerror}"
+                raise self.error(what, "an address of this host and a free port") from None
+            stack.pop_all()
         return port
 
     def read(self, timeout_s: float) -> Frames | None:
@@ -238,7 +247,11 @@ class StreamDevice(Device[StreamSettings]):
         """Return the content of all datagrams received so far; waits for the first."""
         data = b""
         while select.select([port], [], [], 0.0)[0]:
-            datagram = port.recv(MAX_DATAGRAM)
+            datagram, sender = port.recvfrom(MAX_DATAGRAM)
+            self._sender = self._sender or sender
+            if sender != self._sender:
+                what = " and ".join(f"{host} port {number}" for host, number, *_ in sorted([self._sender, sender]))
+                raise self.error(f"datagrams of {what}", "one sender at this port")
             if self.settings.is_text:
                 datagram = datagram.rstrip(b"\r\n") + b"\n"
                 self._is_first = False
@@ -296,6 +309,6 @@ class StreamDevice(Device[StreamSettings]):
         counter = row[self._counter]
         if isinstance(counter, float) and counter.is_integer() and counter >= 0.0:
             counter = int(counter)
-        if not isinstance(counter, int):
-            raise self.error(f"'{counter}' in place of the counter", "a whole number")
+        if not isinstance(counter, int) or not -MAX_COUNTER < counter < MAX_COUNTER:
+            raise self.error(f"'{counter}' in place of the counter", f"a whole number below {MAX_COUNTER}")
         return self._numbers.number(counter)

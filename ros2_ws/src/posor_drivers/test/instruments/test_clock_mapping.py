@@ -12,19 +12,27 @@ START_NS = 1_800_000_000_000_000_000
 DRIFT = 50e-6
 FIRST = 4_000_000_000
 SEEDS = 20
+STEP_AT_S = 12.0
 
 
-def errors_and_uncertainties(rate: int, seconds: float, delays_s: np.ndarray, *, ordered: bool) -> np.ndarray:
-    """Return time [s], error of the newest stamp [s] and its stated uncertainty [s] of each tenth frame, (n, 3)."""
+def errors_and_uncertainties(
+    rate: int, seconds: float, delays_s: np.ndarray, *, ordered: bool, step_s: float = 0.0
+) -> np.ndarray:
+    """Return time, error of the newest stamp, its stated uncertainty and limit [s] of each tenth frame, (n, 4).
+
+    ``step_s``: of the clock of this host, or pause of the device, at STEP_AT_S.
+    """
     mapping, rows = ClockMapping(rate), []
     numbers = np.arange(int(seconds * rate))
     exposed = START_NS + np.rint(numbers * (1e9 / rate * (1.0 + DRIFT))).astype(np.int64)
+    exposed[numbers > STEP_AT_S * rate] += round(1e9 * step_s)
     arrived = exposed + np.rint(1e9 * delays_s[: len(numbers)]).astype(np.int64)
     for n, arrived_ns in enumerate(np.maximum.accumulate(arrived) if ordered else arrived):
         mapping.add(FIRST + n, int(arrived_ns))
         if mapping.line is not None and n % 10 == 0:
             (stamp_ns,) = mapping.line.times_ns(np.array([FIRST + n]))
-            rows.append((n / rate, (stamp_ns - int(exposed[n])) * 1e-9, mapping.line.uncertainty_s))
+            error_s = (stamp_ns - int(exposed[n])) * 1e-9
+            rows.append((n / rate, error_s, mapping.line.uncertainty_s, mapping.line.limit_s))
     return np.array(rows)
 
 
@@ -62,6 +70,29 @@ def test_a_long_pause_of_the_network_changes_nothing() -> None:
     delays_s[2000:2200] += 0.2
     rows = errors_and_uncertainties(1000, 4.0, delays_s, ordered=True)
     assert np.abs(rows[:, 1]).max() < 20e-6
+
+
+@pytest.mark.parametrize("step_s", [0.05, 0.005, 0.001, -0.005, -0.05])
+def test_a_step_of_the_clock_is_in_the_uncertainty_until_the_line_fits_again(step_s: float) -> None:
+    delays_s = exponential(1, 1e-4, 30_000)
+    rows = errors_and_uncertainties(1000, 30.0, delays_s, ordered=False, step_s=step_s)
+    times_s, (errors_s, sigmas_s, limits_s) = rows[:, 0], np.abs(rows[:, 1:].T)
+    before, later = (times_s > 5.0) & (times_s < STEP_AT_S), times_s > STEP_AT_S + 16.0
+    known = np.abs(times_s - STEP_AT_S - 0.1) > 0.1  # two intervals show it
+    assert np.all(errors_s[known] <= limits_s[known] + 5e-6)
+    assert np.all(errors_s[known] <= 3.0 * sigmas_s[known] + 5e-6)
+    assert errors_s.max() > 0.9 * abs(step_s)
+    assert max(sigmas_s[before].max(), sigmas_s[later].max()) < 20e-6
+
+
+@pytest.mark.parametrize("rate", [100, 1000])
+def test_the_first_mapping_states_its_errors(rate: int) -> None:
+    beyond = []
+    for seed in range(SEEDS):
+        rows = errors_and_uncertainties(rate, 1.6, exponential(seed, 2e-3, 2 * rate), ordered=True)
+        beyond += [np.abs(rows[:, 1]) > rows[:, 3], np.abs(rows[:, 1]) > 5.0 * rows[:, 2]]
+    assert np.mean(np.concatenate(beyond[::2])) < 0.01
+    assert not np.concatenate(beyond[1::2]).any()
 
 
 def test_there_is_no_mapping_in_the_first_second() -> None:

@@ -9,12 +9,15 @@ import socket
 import struct
 import time
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from itertools import count
 from pathlib import Path
 from threading import Lock
 from typing import Any
 
 import numpy as np
 import pytest
+from posor_drivers.instruments.device import DeviceError
 from posor_drivers.instruments.device_reader import DeviceReader, shared_reader
 from posor_drivers.instruments.stream_device import StreamDevice, StreamSettings
 from posor_lab.device_servers.stream_server import LEAD, StreamServer
@@ -250,16 +253,98 @@ def free_udp_port() -> int:
 
 
 def test_datagrams_wait_while_the_reader_does_not_run() -> None:
-    port, count = free_udp_port(), 500
+    port, sent = free_udp_port(), 500
     device = StreamDevice("box", settings(port, transport="udp"))
     device.connect(1.0)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
-        for counter in range(count):
+        for counter in range(sent):
             sender.sendto(struct.pack(f"{LEAD}2d", 0xAA55, counter, 1.0, 2.0), ("127.0.0.1", port))
     frames = device.read(1.0)
     device.close()
     assert frames is not None
-    assert frames.counters.tolist() == list(range(count))
+    assert frames.counters.tolist() == list(range(sent))
+
+
+def test_datagrams_of_two_senders_are_a_fault() -> None:
+    port = free_udp_port()
+    with running(StreamDevice("box", settings(port, transport="udp"))) as reader, ExitStack() as stack:
+        boxes = [stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) for _ in range(2)]
+        sent = count()
+
+        def is_named() -> bool:
+            for number, box in enumerate(boxes):
+                box.sendto(struct.pack(f"{LEAD}2d", 0xAA55, next(sent), number, number), ("127.0.0.1", port))
+            return " and 127.0.0.1 port " in reader.state.fault
+
+        wait_for(is_named, "the senders")
+        assert re.fullmatch(
+            r"box: datagrams of 127\.0\.0\.1 port \d+ and 127\.0\.0\.1 port \d+; expected one sender at this port\.",
+            reader.state.fault,
+        )
+
+
+def test_two_frames_of_one_number_contradict_each_other() -> None:
+    port = free_udp_port()
+    with (
+        running(StreamDevice("box", settings(port, transport="udp"))) as reader,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as box,
+    ):
+        values = count()
+
+        def is_named() -> bool:
+            box.sendto(struct.pack(f"{LEAD}2d", 0xAA55, 7, next(values), 0.0), ("127.0.0.1", port))
+            return reader.state.fault.startswith("box: two frames with the number 7 and different values; expected ")
+
+        wait_for(is_named, "the contradiction")
+
+
+def test_datagrams_come_to_an_address_of_ipv6() -> None:
+    with socket.socket(socket.AF_INET6, socket.SOCK_DGRAM) as sender:
+        try:
+            sender.bind(("::1", 0))
+        except OSError:
+            pytest.skip("this host has no address ::1")
+        port = free_udp_port()
+        device = StreamDevice("box", settings(port, transport="udp", host="::1"))
+        device.connect(1.0)
+        sender.sendto(struct.pack(f"{LEAD}2d", 0xAA55, 1, 2.0, 3.0), ("::1", port))
+        frames = device.read(1.0)
+        device.close()
+    assert frames is not None
+    assert frames.counters.tolist() == [1]
+
+
+@pytest.mark.parametrize(("form", "bits"), [("<Q2d", None), ("text", 64)])
+def test_an_absurd_counter_is_named(form: str, bits: int | None) -> None:
+    port = free_udp_port()
+    changes = {"format": form, "fields": ["counter", "gap1", "gap2"], "constants": {}, "counter_bits": bits}
+    device = StreamDevice("box", settings(port, transport="udp", **changes))
+    device.connect(1.0)
+    frame = b"9300000000000000000,1,2" if bits else struct.pack(form, 1 << 63, 1.0, 2.0)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+        sender.sendto(frame, ("127.0.0.1", port))
+        with pytest.raises(DeviceError, match=r"box: '9\d{18}' in place of the counter; expected a whole number below"):
+            device.read(1.0)
+    device.close()
+
+
+def test_what_ends_the_thread_of_a_reader_ends_its_users(server: StreamServer, monkeypatch: pytest.MonkeyPatch) -> None:
+    device = StreamDevice("box", settings(server.port))
+    with running(device) as reader:
+        wait_for_frames(reader)
+        monkeypatch.setattr(device, "read", lambda _: {}["absent"])
+
+        def is_raised() -> bool:
+            try:
+                return not reader.state
+            except KeyError:
+                return True
+
+        wait_for(is_raised, "the error")
+        with pytest.raises(KeyError):
+            reader.newest_values()
+        with pytest.raises(KeyError):
+            reader.values_at(time.time_ns())
 
 
 @pytest.mark.parametrize(("order", "code", "last"), [("<", "H", 65535), (">", "I", (1 << 32) - 1), ("<", "h", 32767)])
@@ -288,6 +373,7 @@ def test_counter_beside_repeated_codes_goes_on_where_it_wraps(order: str, code: 
         ({"fields": ["magic", "count", "gap1", "gap2"]}, "'counter' occurs 0 times"),
         ({"format": "<Hddd"}, "the counter is no integer"),
         ({"channels": {"gap3": {"unit": "V"}}}, "'gap3' occurs 0 times"),
+        ({"counter_bits": 16}, "counter_bits of binary frames"),
         ({"format": "<H?2d"}, "the counter is no integer"),
         ({"format": "<HId8s"}, "channel 'gap2' is no number; expected a code of a number in place of 's'"),
         ({"format": "<hI2d"}, "43605 (0xaa55) does not fit the code 'h'; expected"),

@@ -86,6 +86,10 @@ WAYS: dict[str, tuple[Callable[[int], bytes], dict[str, Any]]] = {
         lambda n: f"$GAP;{n};0.5;-1.25;ok\n".encode(),
         {"separator": ";", "constants": {"name": "$GAP"}, "fields": ["name", "counter", "gap1", "gap2", "remark"]},
     ),
+    "a counter of 8 bits": (
+        lambda n: f"{n % 256},0.5,-1.25\n".encode(),
+        {"fields": ["counter", "gap1", "gap2"], "counter_bits": 8},
+    ),
     "binary without counter": (lambda _: struct.pack("<2d", 0.5, -1.25), {"format": "<2d"}),
 }
 
