@@ -34,7 +34,7 @@ REFUSALS = yaml.safe_load(Path(__file__).with_name("statement_refusals.yaml").re
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("statement")
     path = folder / "poses.csv"
-    path.write_text(PATH, encoding="utf-8")
+    path.write_text(PATH, encoding="utf-8-sig")  # as Excel does
     assert main(["five_axis", "--path", str(path), "--output", str(folder / "deep" / "er")]) == 0
     return folder / "deep" / "er"
 
