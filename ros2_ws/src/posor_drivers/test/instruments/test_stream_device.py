@@ -317,7 +317,12 @@ def test_datagrams_come_to_an_address_of_ipv6() -> None:
 @pytest.mark.parametrize(("form", "bits"), [("<Q2d", None), ("text", 64)])
 def test_an_absurd_counter_is_named(form: str, bits: int | None) -> None:
     port = free_udp_port()
-    changes = {"format": form, "fields": ["counter", "gap1", "gap2"], "constants": {}, "counter_bits": bits}
+    changes: dict[str, Any] = {
+        "format": form,
+        "fields": ["counter", "gap1", "gap2"],
+        "constants": {},
+        "counter_bits": bits,
+    }
     device = StreamDevice("box", settings(port, transport="udp", **changes))
     device.connect(1.0)
     frame = b"9300000000000000000,1,2" if bits else struct.pack(form, 1 << 63, 1.0, 2.0)
@@ -332,7 +337,7 @@ def test_what_ends_the_thread_of_a_reader_ends_its_users(server: StreamServer, m
     device = StreamDevice("box", settings(server.port))
     with running(device) as reader:
         wait_for_frames(reader)
-        monkeypatch.setattr(device, "read", lambda _: {}["absent"])
+        monkeypatch.setattr(device, "read", lambda _: dict[str, Any]()["absent"])
 
         def is_raised() -> bool:
             try:
