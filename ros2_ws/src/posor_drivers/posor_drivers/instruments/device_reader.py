@@ -237,7 +237,7 @@ class DeviceReader:
     def _timed_place(self, time_ns: int) -> tuple[int, FrameWeights, float] | None:
         """Return the nearest frame among those that have a time of their own, weights, and time after it [s].
 
-        None where a frame is missing, or where two are far apart.
+        None where a frame is missing, or where two are far apart or, after the clock was set back, in another order.
         """
         last = self._last
         if last is None:
@@ -258,7 +258,7 @@ class DeviceReader:
             return None
         before_ns, nearest_ns, after_ns = self._times_ns[rows].tolist()
         steps = nearest_ns - before_ns, after_ns - nearest_ns
-        if max(steps) > self.device.longest_interval_s * NS:
+        if min(steps) <= 0 or max(steps) > self.device.longest_interval_s * NS:
             return None
         return number, frame_weights(*steps, time_ns - nearest_ns), (time_ns - nearest_ns) / NS
 

@@ -72,12 +72,13 @@ class PolledDevice(Device[SettingsT]):
         if wait_s > timeout_s:
             return None
         self._next_s = max(self._next_s, time.monotonic() - 1.0 / self.frame_rate) + 1.0 / self.frame_rate
-        asked_ns = time.time_ns()
+        asked_s, asked_ns = time.monotonic(), time.time_ns()
         values = np.array([self.ask()])
-        answered_ns = time.time_ns()
+        answered_ns, elapsed_s = time.time_ns(), time.monotonic() - asked_s
+        step_s = (answered_ns - asked_ns) / NS - elapsed_s  # of a clock that was set meanwhile
         if not self._asked % EXPOSURES_EVERY:
             exposures = self.exposures
             self._span_s = 0.0 if math.isnan(sum(exposures.offsets_s)) else exposures.span_s
         self._asked += 1
-        uncertainty_s = max(0.0, (answered_ns - asked_ns) / NS - self._span_s) / (2.0 * math.sqrt(3.0))
+        uncertainty_s = max(0.0, elapsed_s + abs(step_s) - self._span_s) / (2.0 * math.sqrt(3.0))
         return Frames(np.array([self._asked]), values, np.array([(asked_ns + answered_ns) // 2]), uncertainty_s)

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from contextlib import closing
 from itertools import pairwise
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -107,6 +108,59 @@ def test_values_are_those_of_their_time(server: LabJackServer | ScpiServer, read
     values = reader.state.values
     assert 0.0 < values["clock_uncertainty"] < 0.1
     assert values["frames"] > 0
+
+
+@pytest.mark.parametrize("step_s", [0.0, 0.05, -0.05, -0.001])
+def test_a_clock_that_is_set_between_question_and_answer_is_in_the_uncertainty(
+    monkeypatch: pytest.MonkeyPatch, step_s: float
+) -> None:
+    set_ns, read_ns = [0], []
+
+    def time_ns() -> int:
+        read_ns.append(time.time_ns() + set_ns[0])
+        return read_ns[-1]
+
+    with LabJackServer(ramp) as server:
+        device = LabJackDevice("box", labjack_settings(server.port))
+        device.connect(1.0)
+        ask = device.ask
+
+        def ask_and_set() -> Any:
+            set_ns[0] = round(1e9 * step_s)
+            return ask()
+
+        monkeypatch.setattr(device, "ask", ask_and_set)
+        clock = SimpleNamespace(time_ns=time_ns, monotonic=time.monotonic, sleep=time.sleep)
+        monkeypatch.setattr("posor_drivers.instruments.polled_device.time", clock)
+        frames = device.read(1.0)
+        device.close()
+    assert frames is not None
+    assert frames.times_ns is not None
+    asked_ns, answered_ns = read_ns[0] + set_ns[0], read_ns[-1]  # by the clock after the step
+    errors_s = np.abs(np.array([asked_ns, answered_ns]) - frames.times_ns) * 1e-9
+    assert errors_s.max() <= np.sqrt(3.0) * frames.time_uncertainty_s + 20e-6  # of two readings of clocks
+    assert frames.time_uncertainty_s < 0.5 * abs(step_s) + 0.05
+
+
+def test_frames_of_a_clock_that_was_set_back_are_not_interpolated(monkeypatch: pytest.MonkeyPatch) -> None:
+    times_s = [1.0, 1.1, 1.2, 1.3, 0.75, 0.85, 0.95]
+    with LabJackServer(ramp) as server:
+        device = LabJackDevice("box", labjack_settings(server.port, rate={"value": 10, "unit": "Hz"}))
+        with running(device) as reader:
+            wait_for_frames(reader)
+            start_ns, taken = time.time_ns(), iter(enumerate(times_s, start=1000))
+
+            def read(_: float) -> Frames | None:
+                number, time_s = next(taken, (0, 0.0))
+                ns = np.array([start_ns + round(1e9 * time_s)])
+                return Frames(np.array([number]), np.full((1, 3), time_s), ns) if number else None
+
+            monkeypatch.setattr(device, "read", read)
+            wait_for(lambda: (reader.newest_frame() or (0,))[0] == 1000 + len(times_s) - 1, "frames")
+            found = [reader.values_at(start_ns + round(1e9 * time_s)) for time_s in (0.77, 0.86, 1.16)]
+    assert found[0] is None
+    assert found[1] is not None
+    np.testing.assert_allclose(found[1], 0.86, atol=1e-9)
 
 
 def test_a_stall_and_a_restart_of_the_device_are_named_and_end(
