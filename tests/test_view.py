@@ -72,11 +72,15 @@ def test_the_page_follows_the_arm_and_a_killed_driver_turns_its_joint_red(tmp_pa
         wait_for_banner(page, ": STALE no pose since")
         page.wait_for_function(SAYS, arg=[STATE, "STALE"], polling=50)  # the page changes element by element
         page.wait_for_function(HAS_NO_X, polling=50)
-        assert notice.is_hidden()  # with updates for longer than its time
+        notice.wait_for(state="attached")
+        notice.wait_for(state="hidden")
         view.process.send_signal(signal.SIGSTOP)
-        notice.wait_for(state="visible")
-        page.screenshot(path=ARTIFACTS / "no_update.png")
-        view.process.send_signal(signal.SIGCONT)
+        try:
+            notice.wait_for(state="visible")
+            assert notice.bounding_box() == {"x": 0, "y": 0, "width": WIDTH, "height": HEIGHT}
+            page.screenshot(path=ARTIFACTS / "no_update.png")
+        finally:
+            view.process.send_signal(signal.SIGCONT)
         notice.wait_for(state="hidden")
         assert view.end(signal.SIGTERM) == 0
 

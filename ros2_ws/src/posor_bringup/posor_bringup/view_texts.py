@@ -51,7 +51,7 @@ table.posor {width:calc(100% - 18px); margin-left:4px; font-size:12px; border-co
 </style>"""
 
 NO_UPDATE_S = 3.0
-"""Time without an update after which the page itself says so, because the program that would say it is silent."""
+"""Time without an update after which the browser shows a notice; ``view`` itself may have ended."""
 NOTICE = "<style>@keyframes posor-no-update {0%, 99% {visibility:hidden} 100% {visibility:visible}}</style>"
 NOTICE_STYLE = (
     "position:fixed;inset:0;z-index:1000;pointer-events:none;padding:30px;color:white;font-size:20px;"
@@ -97,14 +97,14 @@ def banner(name: str, state: str, colour: tuple[int, int, int], since: str, line
     return f'{STYLE}<div id="banner" style="{style}">{head}<br>{text}</div>'
 
 
-def no_update_notice(time_ns: int) -> str:
+def no_update_notice(update: int) -> str:
     """Return a notice that the browser shows over the page after NO_UPDATE_S, unless a later one replaces it.
 
-    ``time_ns``: any time, another one for each update.
+    ``update``: another number for each update, so that the browser measures the time anew.
     """
     style = f"animation:posor-no-update {NO_UPDATE_S:g}s forwards;{NOTICE_STYLE}"
-    text = f"NO UPDATE for {NO_UPDATE_S:g} s: this page hears nothing from posor view; what it shows is old"
-    return f'{NOTICE}<div id="no-update" data-time="{time_ns}" style="{style}">{text}</div>'
+    text = f"NO UPDATE for more than {NO_UPDATE_S:g} s: this page hears nothing from posor view; what it shows is old"
+    return f'{NOTICE}<div id="no-update" data-update="{update}" style="{style}">{text}</div>'
 
 
 def _cause_text(cause: Cause, observation: Observation) -> str:

@@ -127,10 +127,11 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
         self._inputs.start()
 
     def deactivate(self) -> None:
-        """Expect no scans; the target may move before the next."""
+        """Discard kept scans and a pending ``~/home``: the target may move before the next scan."""
         self._inputs.stop()
         with self._lock:
-            self._stream, self._count_from_next = None, False
+            self._stream = self._encoder = None
+            self._count_from_next = self._is_lost = False
             self._recent_scans.clear()
 
     def _on_inputs_checked(self, is_new: bool) -> None:  # noqa: FBT001  a callback
@@ -207,9 +208,9 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
         return f"calibration '{calibration.name}', hash {calibration.content_hash}"
 
     def _require_scans(self, service: str, expected: str) -> None:
-        """Raises ParameterError: no scans come now; those before may show the target where it no longer is."""
-        if self._inputs.silent:
-            raise ParameterError(self._inputs.silent, where=service, expected=expected)
+        """Raise ParameterError if no scans come, or the node is inactive: earlier ones may show an earlier position."""
+        if silent := self._inputs.silent:
+            raise ParameterError(silent, where=service, expected=expected)
 
     def _count_from_home(self) -> str:
         if not self._posor.counts_bumps:

@@ -289,7 +289,7 @@ SERVICES: dict[str, tuple[DesignName, str]] = {  # design of the joint, and what
 
 
 @pytest.mark.parametrize("service", SERVICES)
-def test_scans_before_a_silence_or_a_deactivation_show_nothing_of_the_present(tmp_path: Path, service: str) -> None:
+def test_services_refuse_scans_from_before_a_silence_or_a_deactivation(tmp_path: Path, service: str) -> None:
     name, expected = SERVICES[service]
     zero = {"home_pose": [GAP, 0.0, 0.0], "zero_scans": SCANS} if service == "zero" else {}
     with NodeRig(tmp_path, name, motion=service == "acknowledge", **zero, **{"freshness.max_silence": 0.5}) as rig:
@@ -315,7 +315,9 @@ def test_scans_before_a_silence_or_a_deactivation_show_nothing_of_the_present(tm
         assert call() == (False, f"{service}: the node is not active; expected {expected}.")
         assert rig.graph.change_state("/posor_node", Transition.TRANSITION_ACTIVATE)
         if service != "home":
-            assert not call()[0]
+            success, message = call()
+            assert not success
+            assert re.search("0 sound scans so far|no lit scan has arrived|no input on /raw", message)
 
 
 def test_a_call_of_home_is_void_after_a_deactivation(tmp_path: Path) -> None:

@@ -8,8 +8,9 @@ and it is the maximum-likelihood line for exponential delays (Moon, Skelly and T
 packets have no effect, and the time of a frame is far more exact than its arrival. What cannot be seen in arrivals is
 the smallest delay itself; a device states it as ``delay``.
 
-Where one of the clocks is set, or the device pauses without counting, the line fits again when the window has passed.
-Until then the least delay of the last arrivals, by the line, is an error that the times may have.
+After a step of either clock, or a pause of the device without counting, the line is wrong until most of its window is
+later. Until then the uncertainty includes the least distance of the newest arrivals from the line. They are that far
+from it, too, where a network delays every frame for longer than ``STEP_INTERVALS``; their times are then right.
 """
 
 from __future__ import annotations
@@ -33,13 +34,13 @@ WINDOW_S = 10.0
 INTERVAL_S = 0.05
 """Of all arrivals of this time only the one with the least delay can touch the line."""
 LEAST_INTERVALS = 20
-"""Intervals before there is a mapping: a second."""
+"""Intervals with frames before there is a line: a second, where each interval has a frame."""
 COMPARED_INTERVALS = 8
-"""Intervals before two halves of the arrivals are compared, so that the first mapping rests on several comparisons."""
-LAST_INTERVALS = 2
-"""Intervals whose least delay counts as an error: in each of them, some frames of a sound connection are not late."""
-USUAL_DELAYS = 4.0
-"""Least delay, in median changes between intervals, up to which the standard uncertainty is that of the line."""
+"""Intervals before two halves of the arrivals are compared, so that the first line rests on several comparisons."""
+STEP_INTERVALS = 2
+"""Newest intervals that show a step: the arrivals of all of them are far from the line."""
+DELAY_THRESHOLD = 4.0
+"""Least delay, in medians of its change between intervals, beyond which it is part of the standard uncertainty."""
 MAX_COMPARISONS = 100
 """Comparisons of two halves of the arrivals that the uncertainty rests on."""
 
@@ -50,8 +51,8 @@ class ClockLine(NamedTuple):
     first: int  # number of the frame at ``start_ns``
     start_ns: int  # its time [ns]
     period_ns: float  # time from frame to frame [ns]
-    uncertainty_s: float  # standard uncertainty of the times of the newest frames [s], without that of ``delay``
-    limit_s: float  # largest difference of two halves of the arrivals, with the least delay of the last ones [s]
+    uncertainty_s: float  # standard uncertainty of the times of the newest frames [s], without that of the least delay
+    limit_s: float  # largest difference of two halves of the arrivals, plus the least delay of the newest intervals [s]
 
     def times_ns(self, counters: IntArray) -> IntArray:
         """Return the ROS times of frames [ns], (n,)."""
@@ -117,14 +118,14 @@ class ClockMapping:
         period_ns = self._nominal_ns * (1.0 + drift)
         limit_s = max(abs(each) for each in self._differences)
         delays_s = [each.late_s - late_s - drift * each.elapsed_s for each in points]
-        delay_s = min(delays_s[-LAST_INTERVALS:])
-        usual_s = median(abs(after - before) for before, after in pairwise(delays_s))
-        unusual_s = max(0.0, delay_s - USUAL_DELAYS * usual_s)
+        delay_s = max(0.0, min(delays_s[-STEP_INTERVALS:]))
+        change_s = median(abs(after - before) for before, after in pairwise(delays_s))
+        excess_s = max(0.0, delay_s - DELAY_THRESHOLD * change_s)
         self.line = ClockLine(
             first,
             start_ns + round(late_s * NS),
             period_ns,
-            math.hypot(spread_s, unusual_s / math.sqrt(3.0)),
+            math.hypot(spread_s, excess_s / math.sqrt(3.0)),  # anything from 0 to the excess may be the error
             limit_s + delay_s,
         )
 

@@ -110,7 +110,7 @@ class DeviceReader:
 
     @property
     def state(self) -> DeviceState:
-        """The present state. Raises what has ended the thread, if it was no ``DeviceError``."""
+        """The present state. Raises the exception that has ended the thread, which was no ``DeviceError``."""
         self._raise_failure()
         with self._lock:
             values: dict[str, float | int] = dict(self._counts)
@@ -378,8 +378,8 @@ class DeviceReader:
             same = np.array_equal(self._values[row], frames.values[n], equal_nan=True)
             counts["frames_repeated"] += 1
             if not back and not same:
-                what = f"two frames with the number {number} and different values"
-                raise self.device.error(what, "ascending numbers, of one device")
+                what = f"frame {number} arrived twice, with different values"
+                raise self.device.error(what, "each number once, from one device")
             restarted = not same
         elif back < min(CAPACITY, LATE_S * self.device.frame_rate):
             self._write(frames, np.array([n]))
@@ -410,8 +410,10 @@ class DeviceReader:
         """
         nominal, line = self.device.frame_rate, self._mapping.line
         if line is not None and abs((rate := NS / line.period_ns) / nominal - 1.0) > MAX_DRIFT:
-            self._mapping = ClockMapping(nominal)  # nobody places a frame by it before the error arrives
-            raise self.device.error(f"{rate:.6g} frames per second", f"{nominal:g}, as stated")
+            error = self.device.error(f"{rate:.6g} frames per second", f"{nominal:g}, as stated")
+            # Other threads must not use this line before the error has passed to ``_run``.
+            self._mapping, self._fault = ClockMapping(nominal), str(error)
+            raise error
         self._fault = "" if line else f"{self.device.name}: finding its clock, which takes a second"
 
 

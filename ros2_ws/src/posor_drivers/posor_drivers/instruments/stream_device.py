@@ -49,7 +49,7 @@ TEXT = "text"
 _CODE = re.compile(r"(\d*)([A-Za-z?])")
 LONGEST_LINE = 65_536  # bytes
 MAX_DATAGRAM = 65_536
-MAX_COUNTER = 1 << 62
+TEXT_COUNTER_BITS, MAX_COUNTER_BITS = 53, 62  # numbers in text are doubles; sums of others stay 64 bit integers
 RECEIVE_BUFFER = 1 << 22
 """Bytes for datagrams that wait while the reader does not run; the system gives at most ``net.core.rmem_max``."""
 
@@ -78,8 +78,8 @@ class StreamSettings(DeviceSettings):
     fields: tuple[str, ...]
     separator: Annotated[str, Field(min_length=1)] | None = None
     """Of lines of text; default: a comma; a blank stands for any number of blanks."""
-    counter_bits: Annotated[int, Field(strict=True, ge=8, le=64)] | None = None
-    """Of the counter in lines of text, where it wraps."""
+    counter_bits: Annotated[int, Field(strict=True, ge=8, le=TEXT_COUNTER_BITS)] | None = None
+    """Number of bits of a counter in lines of text that wraps; None: it does not wrap."""
     overload: Annotated[str, Field(min_length=1)] | None = None
     """Text in place of a number that is out of range."""
     without_counter: bool = Field(default=False, strict=True)
@@ -91,6 +91,8 @@ class StreamSettings(DeviceSettings):
     def _check_fields(self) -> Self:
         if not self.is_text:
             self._check_format()
+        if self.without_counter and self.counter_bits is not None:
+            raise EntryError("counter_bits", key=("counter_bits",), expected="a counter in the frames")
         if self.without_counter and (COUNTER in self.fields or self.transport == "udp"):
             expected = "a counter in the frames of UDP" if self.transport == "udp" else "fields without a counter"
             raise EntryError("without_counter", key=("without_counter",), expected=expected)
@@ -175,6 +177,7 @@ class StreamDevice(Device[StreamSettings]):
         if self._counter is not None and not settings.is_text:
             bits = 8 * struct.calcsize(codes_of(settings.format)[self._counter])
         self._wrap = 1 << bits
+        self._greatest = (1 << min(bits, TEXT_COUNTER_BITS if settings.is_text else MAX_COUNTER_BITS)) - 1
         self._start()
 
     def _start(self) -> None:
@@ -214,13 +217,12 @@ class StreamDevice(Device[StreamSettings]):
     def _open_port(self) -> socket.socket:
         with ExitStack() as stack:
             try:
-                found = socket.getaddrinfo(self.settings.host, self.settings.port, type=socket.SOCK_DGRAM)
-                family, kind, protocol, _, address = found[0]
-                port = stack.enter_context(socket.socket(family, kind, protocol))
+                family = socket.AF_INET6 if ":" in self.settings.host else socket.AF_INET
+                port = stack.enter_context(socket.socket(family, socket.SOCK_DGRAM))
                 port.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER)
-                port.bind(address)
-            except OSError as error:
-                what = f"{self.address} cannot be opened, {error.strerror}"
+                port.bind((self.settings.host, self.settings.port))
+            except (OSError, UnicodeError) as error:  # UnicodeError: the host is no valid name
+                what = f"{self.address} cannot be opened, {getattr(error, 'strerror', error)}"
                 raise self.error(what, "an address of this host and a free port") from None
             stack.pop_all()
         return port
@@ -244,7 +246,7 @@ class StreamDevice(Device[StreamSettings]):
         return self._frames(rows, arrived_ns) if rows else None
 
     def _receive_datagrams(self, port: socket.socket) -> bytes:
-        """Return the content of all datagrams received so far; waits for the first."""
+        """Return the content of all datagrams received so far. Raises DeviceError: they are of two senders."""
         data = b""
         while select.select([port], [], [], 0.0)[0]:
             datagram, sender = port.recvfrom(MAX_DATAGRAM)
@@ -309,6 +311,6 @@ class StreamDevice(Device[StreamSettings]):
         counter = row[self._counter]
         if isinstance(counter, float) and counter.is_integer() and counter >= 0.0:
             counter = int(counter)
-        if not isinstance(counter, int) or not -MAX_COUNTER < counter < MAX_COUNTER:
-            raise self.error(f"'{counter}' in place of the counter", f"a whole number below {MAX_COUNTER}")
+        if not isinstance(counter, int) or abs(counter) > self._greatest:
+            raise self.error(f"'{counter}' in place of the counter", f"a whole number of at most {self._greatest}")
         return self._numbers.number(counter)

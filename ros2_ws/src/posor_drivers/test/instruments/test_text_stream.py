@@ -20,7 +20,7 @@ from pydantic import ValidationError
 
 from .device_states import running, wait_for, wait_for_fault, wait_for_frames
 
-RATE = 200.0
+RATE, MORE_FRAMES = 200.0, 300
 
 
 @contextmanager
@@ -100,7 +100,8 @@ def test_values_of_frames(way: str) -> None:
     with serving(frame) as port, running(StreamDevice("box", settings(port, **changes))) as reader:
         wait_for_frames(reader)
         np.testing.assert_allclose(newest_values(reader), [1.0, -1.25], rtol=1e-12)
-        assert reader.state.values["frames_lost"] == 0
+        wait_for(lambda: reader.state.values["frames"] > MORE_FRAMES, "frames")  # a counter of 8 bits has wrapped
+        assert (reader.state.values["frames_lost"], reader.state.values["connections"]) == (0, 1)
 
 
 def test_a_number_out_of_range_is_invalid() -> None:
@@ -137,6 +138,7 @@ def test_lines_of_another_layout_are_named(frame: bytes, changes: dict[str, Any]
         ({"format": "<2d", "separator": ","}, "separator of binary frames; expected format: text"),
         ({"format": "<2d", "constants": {"gap1": "x"}}, "'x'; expected a whole number"),
         ({"without_counter": False}, "'counter' occurs 0 times; expected each counter, constant and channel once, or"),
+        ({"counter_bits": 16}, "counter_bits; expected a counter in the frames"),
         ({"format": "txt"}, "expected as of Python's struct, or text"),
     ],
 )
