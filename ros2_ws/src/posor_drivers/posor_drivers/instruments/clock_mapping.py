@@ -33,8 +33,8 @@ WINDOW_S = 10.0
 """Time whose arrivals decide; over it the drift of the device's clock is taken to be constant."""
 INTERVAL_S = 0.05
 """Of all arrivals of this time only the one with the least delay can touch the line."""
-LEAST_INTERVALS = 20
-"""Intervals with frames before there is a line: a second, where each interval has a frame."""
+LEAST_INTERVALS, LONGEST_START_S = 20, 5.0
+"""Intervals with frames before there is a line: a second, where each has a frame; of a slow device fewer, and time."""
 COMPARED_INTERVALS = 8
 """Intervals before two halves of the arrivals are compared, so that the first line rests on several comparisons."""
 STEP_INTERVALS = 2
@@ -71,7 +71,7 @@ class ClockMapping:
     """Follows the clock of a device by the arrivals of its frames.
 
     Attributes:
-        line: The present line; None before there have been arrivals for a second.
+        line: The present line; None before there have been enough arrivals.
 
     """
 
@@ -111,7 +111,7 @@ class ClockMapping:
         halves = [_lower_line(half) for half in (points[::2], points[1::2])]
         there = [offset_s + slope * least.elapsed_s for slope, offset_s in halves]
         self._differences.append(there[1] - there[0])
-        if len(arrivals) < LEAST_INTERVALS:
+        if len(arrivals) < LEAST_INTERVALS and least.elapsed_s < LONGEST_START_S:
             return
         spread_s = math.sqrt(sum(each * each for each in self._differences) / len(self._differences))
         first, start_ns = self._first

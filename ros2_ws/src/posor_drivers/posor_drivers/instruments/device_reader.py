@@ -414,7 +414,7 @@ class DeviceReader:
             # Other threads must not use this line before the error has passed to ``_run``.
             self._mapping, self._fault = ClockMapping(nominal), str(error)
             raise error
-        self._fault = "" if line else f"{self.device.name}: finding its clock, which takes a second"
+        self._fault = "" if line else f"{self.device.name}: finding its clock"
 
 
 _sharing = Lock()

@@ -96,6 +96,20 @@ def test_the_first_mapping_states_its_errors(rate: int) -> None:
     assert not np.concatenate(beyond_5_sigma).any()
 
 
+@pytest.mark.parametrize(("rate", "start_s"), [(1, 9.0), (4, 5.1), (100, 1.1)])
+def test_a_slow_device_is_mapped_by_fewer_frames(rate: int, start_s: float) -> None:
+    delays_s = exponential(1, 1e-3, 40 * rate)
+    mapping, first_s = ClockMapping(rate), None
+    for n in range(40 * rate):
+        mapping.add(n, START_NS + round(1e9 * (n / rate + delays_s[n])))
+        if mapping.line is not None:
+            first_s = n / rate if first_s is None else first_s
+            error_s = (int(mapping.line.times_ns(np.array([n]))[0]) - START_NS) * 1e-9 - n / rate
+            assert abs(error_s) <= mapping.line.limit_s + 5e-4
+    assert first_s is not None
+    assert first_s <= start_s
+
+
 def test_there_is_no_mapping_in_the_first_second() -> None:
     mapping = ClockMapping(100)
     for n in range(95):
