@@ -127,14 +127,18 @@ def stamp_ns(scan: Any) -> int:
 
 
 def _are_comparable(before: Any, scan: Any) -> bool:
-    """Return whether two successive scans may belong to one group, or be background of one another."""
+    """Return whether two successive scans may belong to one group, or be background of one another.
+
+    Where scans are missing between them, their mean would be that of no time.
+    """
 
     def layout(scan: Any) -> tuple[object, ...]:
         readings = (scan.gap_voltages, scan.ring_voltages, scan.diode_currents, scan.lit_sources, scan.exposure_offsets)
         return (scan.header.frame_id, *map(len, readings))
 
     earlier, later = stamp_ns(before), stamp_ns(scan)
-    return earlier <= later and (earlier == 0) == (later == 0) and layout(before) == layout(scan)
+    has_gap = scan.scan > before.scan + 1
+    return earlier <= later and (earlier == 0) == (later == 0) and not has_gap and layout(before) == layout(scan)
 
 
 def _source(scan: Any) -> tuple[object, ...]:

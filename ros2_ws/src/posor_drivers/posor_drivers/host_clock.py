@@ -2,7 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The largest error of the clock of this host, as its time service states it: ``chronyc`` (NTP) or ``pmc`` (PTP).
 
-chrony bounds the error of the clock by root dispersion plus half of the root delay (RFC 5905, section 4). ``pmc`` shows
+The bound of chrony is root dispersion plus half of the root delay (RFC 5905, section 4), and the system time's offset
+from the time that chrony estimates, which it removes slowly. ``pmc`` shows
 the offset from the master and the mean path delay of linuxptp; the sum of the offset and half of the delay is taken.
 Where a host has neither program, or is not synchronised, nothing is stated.
 """
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
 
 READ_EVERY_S, TIMEOUT_S = 10.0, 1.0
 NOT_SYNCHRONISED = "Not synchronised"
-DELAY, DISPERSION, LEAP = 10, 11, 13  # columns of ``chronyc -c tracking``; times in seconds
+OFFSET, DELAY, DISPERSION, LEAP = 4, 10, 11, 13  # columns of ``chronyc -c tracking``; times in seconds
 PMC_TIME = r"{}\s+(-?\d+(?:\.\d+)?)"  # a time of ``pmc`` [ns]
 
 
@@ -32,7 +33,7 @@ def read_chrony(answer: str) -> float | None:
     columns = answer.strip().split(",")
     if len(columns) <= LEAP or columns[LEAP] == NOT_SYNCHRONISED:
         return None
-    return float(columns[DISPERSION]) + 0.5 * float(columns[DELAY])
+    return abs(float(columns[OFFSET])) + float(columns[DISPERSION]) + 0.5 * float(columns[DELAY])
 
 
 def read_ptp(answer: str) -> float | None:

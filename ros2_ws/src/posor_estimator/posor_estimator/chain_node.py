@@ -64,6 +64,7 @@ from posor_estimator.alarm_rate import AlarmRate
 from posor_estimator.endpoint_prediction import EndpointPrediction, JointMessage
 from posor_estimator.endpoint_verdict import SOUND, degraded_verdict, unusable_verdict, with_beam_faults
 from posor_estimator.frame_publisher import FramePublisher
+from posor_estimator.home_pose import HomePose
 from posor_estimator.identity_check import IdentityCheck
 from posor_estimator.scan_rows import ScanRows
 
@@ -73,7 +74,6 @@ if TYPE_CHECKING:
     from posor.chain.endpoint_estimator import EndpointEstimator
     from posor.chain.robot_model import FreeJoint
     from posor.messages.arm_pass import ArmPass
-    from posor.numerics.array_types import FloatArray
     from posor_ros.delivery_round import Delivery
     from posor_ros.diagnostics import Status, Value
     from std_srvs.srv import Trigger
@@ -104,7 +104,8 @@ class ChainNode(PosorNode[ChainParameters]):
     _rows: ScanRows
     _transforms: dict[IntraProcessSubscription, int]  # with the number of the joint of each
     _joints: dict[str, tuple[int, FreeJoint]]  # number and joint of each topic of transforms
-    _home: FloatArray | None
+    _home: HomePose
+    _worst: int  # state of the joints at the last pose
     _frames: FramePublisher | None
     _identity: IdentityCheck
     _pose_stamp: bytes  # of the last complete scan; empty: it has no pose
@@ -144,7 +145,7 @@ class ChainNode(PosorNode[ChainParameters]):
         self._temperatures = BeamTemperatures(chain.beams, self._estimator, chain.plates)
         self._vibrations = BeamVibrations(chain.beams, self._estimator)
         self._rows, self._transforms, self._reads_effects = ScanRows(self._estimator), {}, True
-        self._home, self._pose_stamp, self._reported = None, b"", None
+        self._home, self._worst, self._pose_stamp, self._reported = HomePose(), OK, b"", None
         self._poses = self._scans_refused = self._scans_incomplete = self._transforms_refused = 0
         self._refusals.clear()
         self._last_stamp, self._has_alarm = bytes(8), False
@@ -228,7 +229,7 @@ class ChainNode(PosorNode[ChainParameters]):
         """Return the verdict on a pose, with what concerns the whole arm."""
         if self._identity.refuses:
             return self._identity.verdict
-        reasons = self._temperatures.reason, self._vibrations.reason
+        reasons = self._temperatures.reason, self._vibrations.reason, self._home.fault(self._identity.sha256)
         return with_beam_faults(self._identity.degraded(verdict), "; ".join(filter(None, reasons)))
 
     def _on_inputs_checked(self, is_new: bool) -> None:  # noqa: FBT001  a callback
@@ -458,10 +459,9 @@ class ChainNode(PosorNode[ChainParameters]):
         identity = self._identity
         if self._prediction is not None:
             self._prediction.use_scan(self._estimator, identity.sha256)
+        self._worst = worst
         self._publish_pose(stamp)
-        is_sound = worst == OK and identity.verdict is SOUND
-        is_sound = is_sound and not self._temperatures.reason and not self._vibrations.reason
-        verdict = SOUND if is_sound else self._verdict_of_pose(worst)
+        verdict = self._verdict_of_pose()
         self._publish_state(stamp, stamp_ns, verdict)
         self.timing.record(stamp_ns)
         self._poses += 1
@@ -475,8 +475,9 @@ class ChainNode(PosorNode[ChainParameters]):
     def _publish_pose(self, stamp: bytes) -> None:
         self._pose_stamp = stamp
         if self._is_relative:
-            self._home = self._estimator.pose.copy() if self._home is None else self._home
-            self._estimator.estimate_relative_to(self._home)
+            if self._home.pose is None:
+                self._take_home()
+            self._home.relate(self._estimator)
         writer = self._writer
         self._pose.publish(writer.pose.write(stamp))
         if self._pose_with_covariance.has_subscriptions:
@@ -486,9 +487,20 @@ class ChainNode(PosorNode[ChainParameters]):
         if self._frames is not None and self._frames.publisher.has_subscriptions:
             self._frames.publish(stamp)
 
-    def _verdict_of_pose(self, worst: int) -> EndpointVerdict:
-        """Return the verdict on a scan with a pose; ``worst``: state of its joints."""
-        return self._with_arm(SOUND if worst == OK else degraded_verdict(self._rows.statuses()))
+    def _take_home(self) -> EndpointVerdict:
+        """Take the last pose as home, and return the verdict on it."""
+        self._home.forget()
+        verdict = self._verdict_of_pose()
+        self._home.take(self._estimator.pose, verdict.reason, self._identity.sha256)
+        return verdict
+
+    def _verdict_of_pose(self) -> EndpointVerdict:
+        """Return the verdict on the last scan, which has a pose."""
+        identity, is_ok = self._identity, self._worst == OK
+        is_sound = is_ok and identity.verdict is SOUND and not self._home.fault(identity.sha256)
+        if is_sound and not self._temperatures.reason and not self._vibrations.reason:
+            return SOUND
+        return self._with_arm(SOUND if is_ok else degraded_verdict(self._rows.statuses()))
 
     def _refuse_scan(self, stamp: bytes, stamp_ns: int, verdict: EndpointVerdict) -> None:
         self._scans_refused += 1
@@ -526,8 +538,10 @@ class ChainNode(PosorNode[ChainParameters]):
             elif not self._pose_stamp:
                 response.message = "there is no pose now to take as home"
             else:
-                self._home = self._estimator.pose.copy()
+                reason = self._take_home().reason
                 response.success, response.message = True, "home is the endpoint's last pose"
+                if reason:
+                    response.message += f", which is not OK ({reason}): poses relative to it are DEGRADED"
         return response
 
 

@@ -197,6 +197,35 @@ def test_poses_are_relative_to_the_first_pose_or_to_the_last_set_home() -> None:
         assert call_set_home(graph) == (False, "there is no pose now to take as home")
 
 
+def test_poses_relative_to_a_degraded_home_or_one_of_other_calibrations_are_degraded() -> None:
+    with chain_node(urdf=str(URDF), reference="home", **LOSSLESS), Graph() as graph:
+        chain = ChainRig(graph)
+        joint = chain.joint_publisher("joint1")
+
+        def state_after(second: int, state: int = JointTransform.STATE_OK, calibration: int = 0) -> tuple[int, str]:
+            transform = transform_of(second)
+            transform.state, transform.calibration = state, calibration
+            joint.publish(transform)
+            graph.wait_until(lambda: bool(chain.states) and chain.states[-1].header.stamp.sec == second, "the state")
+            return chain.states[-1].state, chain.states[-1].reason
+
+        ok, degraded = EndpointState.STATE_OK, EndpointState.STATE_DEGRADED
+        assert state_after(1, JointTransform.STATE_DEGRADED)[0] == degraded
+        state, reason = state_after(2)
+        assert state == degraded
+        assert reason.startswith("degraded: home was taken from a pose that was not OK (degraded: joint1")
+        assert call_set_home(graph) == (True, "home is the endpoint's last pose")
+        assert state_after(3) == (ok, "")
+        sentence = "degraded: home was taken with other calibrations; expected ~/set_home"
+        assert state_after(4, calibration=7) == (degraded, sentence)
+        assert call_set_home(graph) == (True, "home is the endpoint's last pose")
+        assert state_after(5, calibration=7) == (ok, "")
+        state_after(6, JointTransform.STATE_DEGRADED, calibration=7)
+        success, message = call_set_home(graph)
+        assert success
+        assert message.endswith("): poses relative to it are DEGRADED")
+
+
 def test_set_home_is_refused_for_absolute_poses(rig: SingleJointRig) -> None:
     sentence = "reference is 'absolute'; start the node with reference:=home for relative poses"
     assert call_set_home(rig.graph) == (False, sentence)

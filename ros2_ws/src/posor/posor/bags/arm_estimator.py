@@ -189,6 +189,7 @@ class EndpointPipeline:
         self._terms = max(len(each.shared) for each in own)
         self._relative = parameters.reference == "home"
         self._home: FloatArray | None = None
+        self._home_is_degraded: bool | None = None
         self.frame = f"{parameters.endpoint_frame}_home" if self._relative else chain.base_frame
         self._effects = self._estimator.fault_effects.shape[1]
         self.synchroniser = BlockSynchroniser(self.joints, self._effects)
@@ -270,6 +271,11 @@ class EndpointPipeline:
         if reason := "; ".join(filter(None, (self.temperatures.reason, unread))):
             degraded[:] = True
             self.affected_by_beams[reason] += len(degraded)
+        if self._relative and degraded.size:
+            self._home_is_degraded = degraded[0] if self._home_is_degraded is None else self._home_is_degraded
+            if self._home_is_degraded:
+                degraded[:] = True
+                self.affected_by_beams["home was taken from a pose that was not OK"] += len(degraded)
         self.degraded += int(np.count_nonzero(degraded))
 
     def _endpoint_estimates(self, complete: Sequence[NDArray[np.void]], endpoints: Endpoints) -> EndpointEstimates:

@@ -56,6 +56,12 @@ class Cells:
     invalid: list[InvalidCell] = field(default_factory=list)
     incomplete: list[tuple[int, str, str]] = field(default_factory=list)  # rows not whole: place, what, expected
 
+    @property
+    def positions(self) -> IntArray:
+        """Position of each row in the table, that of the first is 0, (r,); rows that are not whole count."""
+        left_out = np.array([place for place, _, _ in self.incomplete], dtype=np.int64)
+        return np.arange(len(self.places)) + np.searchsorted(np.sort(left_out), self.places)
+
 
 class RawTable(ABC):
     """A file with a table."""

@@ -258,7 +258,7 @@ class _Reader:
         time = self.map.time
         first_ns = start_ns(time, self._place("time", "start")) if time.start else 0
         if time.rate is not None:
-            return times_at_rate(time, len(cells.places), first_ns)
+            return times_at_rate(time, cells.positions, first_ns)
         parts = [cells.values[n] for n in columns]
         if time.unit is not None:
             return times_of_numbers(parts[0], time, first_ns, self.map.file.decimal)
@@ -278,7 +278,7 @@ class _Reader:
     def _scan_numbers(self, cells: Cells, keep: BoolArray, columns: list[int]) -> IntArray:
         """Return the number of each scan: that of its row, or of a column; both ascend."""
         if not columns:
-            return np.flatnonzero(keep).astype(np.int64) + 1
+            return cells.positions[keep] + 1
         values = cells.numbers[columns[0]][keep]
         bad = (values < 0) | (values != np.floor(values)) | (values > 2.0**53)
         bad[1:] |= values[1:] <= values[:-1]

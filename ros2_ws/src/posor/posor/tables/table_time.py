@@ -75,11 +75,11 @@ def start_ns(time: TimeMap, where: str) -> int:
         raise DataFileError(f"start '{time.start}'", where=where, expected=f"a time with its zone, {EXAMPLE}") from None
 
 
-def times_at_rate(time: TimeMap, count: int, first_ns: int) -> IntArray:
-    """Return the times of rows at a rate (n,)."""
+def times_at_rate(time: TimeMap, positions: IntArray, first_ns: int) -> IntArray:
+    """Return the times of rows at a rate (n,), by their positions in the table."""
     assert time.rate is not None  # noqa: S101  validated
     period = NS / Decimal(repr(time.rate.number))
-    return np.array([first_ns + round(n * period) for n in range(count)], dtype=np.int64)
+    return np.array([first_ns + round(n * period) for n in positions.tolist()], dtype=np.int64)
 
 
 def times_of_numbers(values: NDArray[Any], time: TimeMap, first_ns: int, decimal: str) -> IntArray:

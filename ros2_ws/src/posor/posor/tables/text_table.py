@@ -7,6 +7,7 @@ from __future__ import annotations
 import codecs
 import csv
 import io
+import re
 from itertools import islice
 from typing import TYPE_CHECKING
 
@@ -32,6 +33,7 @@ _MARKS = (
     (codecs.BOM_UTF16_LE, "utf-16"),
     (codecs.BOM_UTF16_BE, "utf-16"),
 )
+_ERROR_CELL = re.compile(r"#(N/A|N/?V|[A-Z/0]+[!?])(?!\w)")  # of a spreadsheet, at the begin of a row
 LEFT_OUT = "Comment"  # last column of LabVIEW's files (.lvm), of which a row without comment has no cell
 _CHUNK = 20_000  # rows that are converted at a time
 _ENOUGH_ROWS = 3  # to judge the length of the last cell
@@ -124,7 +126,7 @@ class TextTable(RawTable):
             nonlocal number
             for line in io.StringIO(self._text, newline=None):
                 number += 1
-                is_comment = bool(layout.comment) and line.startswith(layout.comment)
+                is_comment = bool(layout.comment) and line.startswith(layout.comment) and not _ERROR_CELL.match(line)
                 is_comment |= number == 1 and line.startswith("sep=")  # of Excel
                 if number >= first_line and line.strip() and not is_comment:
                     yield " ".join(line.split()) if layout.separator == "space" else line

@@ -16,7 +16,7 @@ from posor.numerics.stamps import NS
 from posor_drivers.instruments.channel_exposures import Exposures
 from posor_drivers.instruments.clock_mapping import ClockMapping
 from posor_drivers.instruments.device import DeviceError
-from posor_drivers.instruments.interpolation import FrameWeights, frame_weights
+from posor_drivers.instruments.interpolation import MOST_WEIGHT, FrameWeights, frame_weights
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -178,7 +178,7 @@ class DeviceReader:
         delay_sigma_s = float(self.device.settings.delay.sigmas)
         if self._timed:
             uncertainty_s = self._time_uncertainty_s if rows is None else float(self._uncertainties_s[rows].max())
-            limit_s = UNIFORM * uncertainty_s
+            limit_s = UNIFORM * uncertainty_s * (1.0 if rows is None else MOST_WEIGHT)
         elif (line := self._mapping.line) is not None:
             uncertainty_s, limit_s = line.uncertainty_s, line.limit_s
         else:

@@ -13,6 +13,8 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+MOST_WEIGHT = 5.0 / 3.0
+"""Largest sum of the absolute values of the weights."""
 ERROR_FACTOR = 0.125
 """Largest error of an interpolated value, per acceleration of the value and square of the longer interval."""
 

@@ -102,7 +102,8 @@ class LabJackDevice(PolledDevice[LabJackSettings]):
         limit_s = min(timeout_s, settings.answer_time_s)
         self.connection = registers = LabJackRegisters(self.name, settings.host, settings.port, limit_s)
         identity = registers.identity()
-        self.channel_interval_s = 0.0 if identity.startswith(PRODUCTS[T8]) else math.nan
+        is_simultaneous = identity.startswith(PRODUCTS[T8]) and len(self._questions) == 1
+        self.channel_interval_s = 0.0 if is_simultaneous else math.nan
         for channel in settings.channels.values():
             registers.set_up(channel)
             if channel.resolution_index is not None:

@@ -48,7 +48,6 @@ if TYPE_CHECKING:
     from posor_drivers.instruments.device_reader import DeviceReader
 
 EntryT = TypeVar("EntryT", ReferenceEntry, ThermometerEntry)
-NOT_STATED = StampError(0.0, 0.0)
 LATEST_S = 0.1
 """Time by which a scan may be published too late by a busy host, because frames are kept; an older tick is missed."""
 
@@ -150,9 +149,12 @@ class InstrumentSource(LiveSource[InstrumentParameters]):
         exposures = Exposures(offsets_s, max(each.span_s for each in self._exposures))
         self._writer = ScanWriter(self._joint, self._columns, self.types, exposures)
 
-    def _stamp_error(self, stamp_ns: int) -> StampError:
-        """Return the error of a stamp of scans."""
-        errors = [reader.stamp_error_at(stamp_ns) or NOT_STATED for reader in self._scan_readers]
+    def _stamp_error(self, stamp_ns: int) -> StampError | None:
+        """Return the error of a stamp of scans; None: a device has lost its connection meanwhile."""
+        found = [reader.stamp_error_at(stamp_ns) for reader in self._scan_readers]
+        errors = [each for each in found if each is not None]
+        if len(errors) < len(found):
+            return None
         host_limit_s = 0.0 if self._host_clock is None else self._host_clock.limit_s
         return StampError(
             max(each.uncertainty_s for each in errors), max(each.limit_s for each in errors) + host_limit_s
@@ -196,13 +198,15 @@ class InstrumentSource(LiveSource[InstrumentParameters]):
 
     def _scan(self, tick: int, stamp_ns: int, values: Mapping[str, FloatArray | None]) -> Sequence[SourceMessage]:
         present = [part for device, part in values.items() if part is not None and device in self._of_scan]
-        if len(present) < len(self._of_scan):
-            names = ", ".join(device for device, part in values.items() if part is None and device in self._of_scan)
+        stamp_error = self._stamp_error(stamp_ns)
+        if stamp_error is None or len(present) < len(self._of_scan):
+            absent = [device for device, part in values.items() if part is None and device in self._of_scan]
+            names = ", ".join(absent or sorted(self._of_scan))
             return self._leave_out(f"no frames of {names} around the tick, or frames with different light sources")
         if any(reader.exposures is not used for reader, used in zip(self._scan_readers, self._exposures, strict=True)):
             self._prepare_writer()
         try:
-            scan = self._writer.scan(np.concatenate(present), stamp_ns, tick, self._stamp_error(stamp_ns))
+            scan = self._writer.scan(np.concatenate(present), stamp_ns, tick, stamp_error)
         except LitSourceError as error:
             return self._leave_out(str(error))
         self._no_scan = ""

@@ -205,7 +205,7 @@ def test_the_uncertainty_of_the_least_delay_is_part_of_the_error_of_the_stamps()
     for first, uncertainty_s in ((0, 4e-5), (3, 7e-5)):  # of the newest frames it is larger
         numbers = first + np.arange(3)
         reader._store(Frames(numbers, np.zeros((3, 2)), 1_000_000 * numbers, uncertainty_s), 0)
-    assert reader.stamp_error_at(800_000) == pytest.approx((5e-5, math.sqrt(3.0) * 7e-5))
+    assert reader.stamp_error_at(800_000) == pytest.approx((5e-5, math.sqrt(3.0) * (5.0 / 3.0 * 4e-5 + 3e-5)))
 
 
 @pytest.mark.parametrize("entry", [{}, "sometimes", {"interval": quantity(-1.0, "s")}])
