@@ -100,7 +100,7 @@ class Plan:
 
     def __init__(self, path: JointPath, begin_ns: int) -> None:
         """``begin_ns``: when it begins (ROS time)."""
-        self.begin_ns, self.speed, self.is_ending = begin_ns, 1.0, False
+        self.begin_ns, self.speed, self.has_begun, self.is_ending = begin_ns, 1.0, False, False
         self._sample, self._duration_s, self._elapsed_s = path.sampler(), path.duration_s, 0.0
 
     def advance(self, seconds: float, *, slowing_s: float = 0.0) -> None:
@@ -273,6 +273,9 @@ class CorrectionNode(PosorNode[CorrectionParameters]):
         begin_ns = time_ns(message.header.stamp.sec, message.header.stamp.nanosec) or now_ns
         if begin_ns < now_ns - NS * self.parameters.offsets.max_age:
             raise TopicError(f"begins {(now_ns - begin_ns) / NS:g} s ago", expected="a stamp of now or later, or zero")
+        ahead_s = (begin_ns - now_ns) / NS
+        if ahead_s > self.parameters.period and (plan := self._plan) and plan.has_begun and not plan.is_complete:
+            raise TopicError(f"begins in {ahead_s:g} s while the robot moves", expected="a stamp of now, or zero")
         return Plan(path, begin_ns)
 
     def _present_angles(self, now_ns: int) -> FloatArray | None:
@@ -367,9 +370,12 @@ class CorrectionNode(PosorNode[CorrectionParameters]):
             if plan is None or not self.may_publish:
                 return
             elapsed_s, self._step_s = now_s - self._step_s, now_s
-            if self.timing.now_ns() < plan.begin_ns:
-                self._law.wait(now_s)
-                return
+            if not plan.has_begun:  # later the clock may go back, but the robot moves
+                if self.timing.now_ns() < plan.begin_ns:
+                    self._law.wait(now_s)
+                    return
+                plan.has_begun = True
+                self._status.report(Level.OK, "following", self._counts())
             if elapsed_s > parameters.offsets.max_age:  # the robot stands; it must not jump to where it would be
                 self._law.stop(f"no command for {elapsed_s:.2f} s, the process was late")
                 elapsed_s = parameters.period

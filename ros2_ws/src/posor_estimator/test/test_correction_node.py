@@ -15,7 +15,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from action_msgs.msg import GoalStatus
-from builtin_interfaces.msg import Duration
+from builtin_interfaces.msg import Duration, Time
 from posor.chain.arm_file import load_arm_file
 from posor.correction.joint_path import JointPath
 from posor.correction.nominal_robot import NominalRobot
@@ -29,7 +29,9 @@ from posor_msgs.msg import EndpointState
 from posor_ros.qos import RELIABLE_QOS
 from posor_ros.ros_arguments import ros_arguments
 from rclpy.action.client import ActionClient
+from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
+from std_msgs.msg import Header
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 pytestmark = pytest.mark.usefixtures("ros_domain")
@@ -148,9 +150,9 @@ class Robot:
 
 
 @contextmanager
-def running_node(on_stop: str) -> Iterator[Robot]:
+def running_node(on_stop: str, **others: Any) -> Iterator[Robot]:
     """Run a correction_node and its robot."""
-    parameters = {"urdf": str(ARM.urdf), "endpoint_frame": ARM.endpoint_frame, "on_stop": on_stop}
+    parameters = {"urdf": str(ARM.urdf), "endpoint_frame": ARM.endpoint_frame, "on_stop": on_stop, **others}
     command = [*installed("posor_estimator", "correction_node"), *ros_arguments(parameters)]
     with Program(command) as node, Graph() as graph:
         yield Robot(graph)
@@ -246,6 +248,27 @@ def test_a_robot_that_may_go_on_keeps_its_offsets() -> None:
         assert robot.distance(robot.commands[-20][1]) == 0.0
 
 
+def test_a_clock_that_goes_back_stops_a_plan_that_has_begun() -> None:
+    with running_node("stop", use_sim_time=True) as robot:
+        clock = robot.graph.publisher(Clock, "/clock", RELIABLE_QOS)
+        back_ns, report = [0], robot.report
+        robot.stamp_ns = lambda now_ns: now_ns - back_ns[0]
+
+        def report_by_the_clock() -> None:
+            clock.publish(Clock(clock=Time(sec=(now_ns := time.time_ns() - back_ns[0]) // NS, nanosec=now_ns % NS)))
+            report()
+
+        robot.report = report_by_the_clock  # type: ignore[method-assign]
+        robot.follow(START, START + SPEED * SLOW_S)
+        robot.run_until(lambda: robot.distance(START) > FAR, "motion")
+        back_ns[0] = 3600 * NS
+        before = robot.angles
+        robot.reads = False  # an endpoint of before comes no more
+        assert robot.wait_for_level(b"\x02").message.startswith("stopped, the robot slows down and stands: ")
+        robot.wait_for_standstill()
+        assert robot.distance(before) > 0.0
+
+
 def test_trajectories_that_cannot_be_corrected_are_refused(robot: Robot) -> None:
     robot.reset()
     robot.follow(robot.angles, robot.angles)
@@ -259,6 +282,7 @@ def test_trajectories_that_cannot_be_corrected_are_refused(robot: Robot) -> None
         ((np.full(6, np.nan), here), {}),
         ((), {"points": [JointTrajectoryPoint(positions=here.tolist(), time_from_start=Duration(sec=-5))]}),
         ((here,), {"points": [JointTrajectoryPoint(positions=here.tolist(), velocities=[0.0] * 6)]}),
+        ((here, here), {"header": Header(stamp=Time(sec=int(time.time()) + 5))}),  # while the robot moves
     ):
         robot.plan(*rows, **fields)
 
@@ -266,7 +290,7 @@ def test_trajectories_that_cannot_be_corrected_are_refused(robot: Robot) -> None
         own = [values_of(each) for each in robot.graph.diagnostics if each.name == STATUS]
         return max((int(each.get("trajectories_refused", 0)) for each in own), default=0)
 
-    robot.run_until(lambda: refused() >= before + 7, "7 refused trajectories")
+    robot.run_until(lambda: refused() >= before + 8, "8 refused trajectories")
     count = len(robot.commands)
     robot.run_until(lambda: len(robot.commands) > count, "a command of the first trajectory")
     robot.planner.publish(JointTrajectory())
