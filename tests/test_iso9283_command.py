@@ -107,7 +107,7 @@ def test_stated_dwells_replace_those_that_are_found(made: Path, arm: Path, bag: 
     dwells = json.loads((made / "iso9283.json").read_text(encoding="utf-8"))["dwells"]
     table = tmp_path / "dwells.csv"
     table.write_text(
-        "begin_ns,end_ns\n" + "".join(f"{begin},{end}\n" for begin, end in (dwells[0], dwells[3])), encoding="utf-8"
+        "begin_ns,end_ns\n" + "".join(f"{begin},{end}\n" for begin, end in (dwells[0], dwells[3])), encoding="utf-8-sig"
     )
     options = [str(arm), "--bag", str(bag), "--reference", REFERENCE, "--dwells", str(table), "--output", str(tmp_path)]
     assert main(options) == 0

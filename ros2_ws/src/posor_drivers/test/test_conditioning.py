@@ -68,6 +68,10 @@ def test_the_times_of_a_mean_are_those_of_its_scans() -> None:
     assert (second.scan, list(second.exposure_offsets)) == (2, [])
 
 
+def test_a_group_ends_where_scans_are_missing() -> None:
+    assert numbers(item(n) for n in (0, 1, 2, 300, 301, 302, 303, 304)) == [(1, 3), (302, 5)]
+
+
 def test_five_scans_become_one() -> None:
     gaps = np.random.default_rng(1).normal(0.5, 0.01, (5, 3))
     currents = np.random.default_rng(2).normal(5e-5, 1e-6, (5, 8))

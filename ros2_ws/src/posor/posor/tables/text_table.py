@@ -33,7 +33,7 @@ _MARKS = (
     (codecs.BOM_UTF16_LE, "utf-16"),
     (codecs.BOM_UTF16_BE, "utf-16"),
 )
-_ERROR_CELL = re.compile(r"#(N/A|N/?V|[A-Z/0]+[!?])(?!\w)")  # of a spreadsheet, at the begin of a row
+_ERROR_CELL = re.compile(r"#(N/A|N/?V|[A-Z/0]+[!?])(?!\w)", re.IGNORECASE)  # of a spreadsheet, at the begin of a row
 LEFT_OUT = "Comment"  # last column of LabVIEW's files (.lvm), of which a row without comment has no cell
 _CHUNK = 20_000  # rows that are converted at a time
 _ENOUGH_ROWS = 3  # to judge the length of the last cell

@@ -7,6 +7,7 @@ from __future__ import annotations
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import pinocchio as pin
@@ -29,6 +30,7 @@ from posor.node_parameters import ChainParameters
 from posor.numerics.stamps import NS
 from posor_lab.harness.endpoint_effects import endpoint_effects
 
+ARMS = Path(__file__).resolve().parents[3] / "posor_bringup" / "arms"
 DESIGNS: tuple[DesignName, ...] = ("triad_diodes", "triad_bumpy_ring", "triad_diodes")
 
 
@@ -85,7 +87,7 @@ def test_each_joint_gets_the_poses_of_its_scans_one_by_one(settings: Settings) -
 
 def test_limits_of_the_stamps_reach_the_endpoint() -> None:
     """The endpoint's bound is the sum of the joints' effects, but for the sag of the beams."""
-    arm = load_arm(Path(__file__).resolve().parents[3] / "posor_bringup" / "arms" / "six_axis" / "arm.yaml")
+    arm = load_arm(ARMS / "six_axis" / "arm.yaml")
     chain, count = arm.chain(), 40
     numbers = np.arange(count)
     poses, thetas = np.zeros((count, 7)), 2e-3 * numbers
@@ -110,6 +112,26 @@ def test_limits_of_the_stamps_reach_the_endpoint() -> None:
     assert (found.stamp_shifts[-1] >= expected).all()
     np.testing.assert_allclose(found.stamp_shifts[-1], expected, rtol=0.1)  # with the turns on one another
     assert found.stamp_shifts[-1].min() > 0.0
+
+
+@pytest.mark.parametrize(("reference", "first", "degraded"), [("home", 1, 20), ("home", 0, 0), ("absolute", 1, 1)])
+def test_poses_relative_to_a_degraded_home_are_degraded(
+    reference: Literal["absolute", "home"], first: int, degraded: int
+) -> None:
+    arm, count = load_arm(ARMS / "test_rig" / "arm.yaml"), 20
+    (name,) = arm.calibrations
+    calibration, poses = arm.calibration(name), np.tile([0.0, 0.0, 0.735e-3, 0.0, 0.0, 0.0, 1.0], (count, 1))
+    found = Posor(calibration).estimate_all(simulate(calibration, poses, rate=100.0, seed=1))
+    found._records = found._records.copy()
+    found._records["state"] = np.where(np.arange(count) < first, int(State.DEGRADED), int(State.OK))
+    transforms = {name: TransformConstants(calibration.frames.parent, calibration.frames.child)}
+    parameters = ChainParameters(urdf=str(arm.urdf), endpoint_frame=arm.endpoint_frame, reference=reference)
+    pipeline = EndpointPipeline(arm.chain(), parameters, transforms)
+    for part in (slice(0, 5), slice(5, count)):
+        pipeline.estimate({name: found.select(part)}, {name: np.arange(count)[part]})
+    assert (pipeline.poses, pipeline.degraded) == (count, degraded)
+    homes = sum(n for reason, n in pipeline.affected_by_beams.items() if reason.startswith("home was taken"))
+    assert homes == (count if reference == "home" and first else 0)
 
 
 def test_scans_of_another_frame_or_without_a_stamp_are_lost_and_the_others_are_as_without_them() -> None:

@@ -33,7 +33,7 @@ def test_the_rows_after_one_that_is_left_out_keep_their_times_and_numbers(kind: 
     np.testing.assert_array_equal(scans.numbers, kept + 1)
 
 
-@pytest.mark.parametrize("cell", ["#N/A", "#REF!", "#DIV/0!", "#NV", "#WERT!", "#NAME?"])
+@pytest.mark.parametrize("cell", ["#N/A", "#n/a", "#REF!", "#DIV/0!", "#NV", "#WERT!", "#NAME?"])
 def test_a_row_that_begins_with_an_error_of_a_spreadsheet_is_no_comment(cell: str, tmp_path: Path) -> None:
     path = tmp_path / "daq.csv"
     path.write_text(f"a [V],b [V]\n# a comment\n1,2\n{cell},2\n3,4\n", encoding="utf-8")

@@ -200,6 +200,21 @@ def test_the_mark_of_an_invalid_value_is_no_voltage(labjack: LabJackServer) -> N
         np.testing.assert_array_equal(reader.newest_values(), [np.nan, 10.5])
 
 
+@pytest.mark.parametrize(
+    ("product", "inputs", "interval_s"), [(8.0, (0, 1), 0.0), (8.0, (0, 1, 5), np.nan), (7.0, (0, 1), np.nan)]
+)
+def test_only_the_inputs_of_one_question_to_a_t8_are_simultaneous(
+    product: float, inputs: tuple[int, ...], interval_s: float
+) -> None:
+    channels = {f"c{n}": {"input": n} for n in inputs}
+    with LabJackServer(ramp) as server:
+        server.registers.product = product
+        device = LabJackDevice("box", labjack_settings(server.port, channels=channels))
+        device.connect(1.0)
+        device.close()
+    np.testing.assert_array_equal(device.channel_interval_s, interval_s)
+
+
 def test_another_product_and_an_input_that_does_not_exist_are_refused(labjack: LabJackServer) -> None:
     channels = {"none": {"input": 60}}
     with running(LabJackDevice("box", labjack_settings(labjack.port, channels=channels))) as reader:

@@ -15,6 +15,7 @@ import pytest
 from posor.errors import ParameterError
 from posor.messages.message_definitions import MessageTypes
 from posor.model.scan import DARK_SUBTRACTED, HOME_BUMP, SATURATED
+from posor_drivers.instruments.device_reader import DeviceReader
 from posor_drivers.sources.instrument_source import InstrumentParameters, InstrumentSource
 from posor_lab.device_servers.stream_server import StreamServer
 from posor_lab.harness.message_conversion import stamp_ns
@@ -50,6 +51,15 @@ def opened(folder: Path, port: int, joint: str = "elbow", content: Any = None) -
         yield source
     finally:
         source.close()
+
+
+def test_a_scan_whose_stamp_has_no_error_yet_is_left_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A device may lose its connection between the reading of its values and that of their error."""
+    with StreamServer(lambda _: SOUND) as server, opened(tmp_path, server.port) as source:
+        scan_of(source)
+        monkeypatch.setattr(DeviceReader, "stamp_error_at", lambda *_: None)
+        assert not list(source.read_tick(source.newest_tick(time.time_ns())))
+        assert source.statuses()[0].fault.startswith("no scan: no frames of box around the tick")
 
 
 def scan_of(source: InstrumentSource, accepted: Callable[[Any], bool] = lambda _: True) -> Any:
