@@ -16,7 +16,7 @@ from textwrap import dedent
 import pytest
 from environment import THIS
 from posor_lab.harness.program import in_background
-from run_tests import PROCESSES, SLOW, find_test_files, make_test_jobs, shared_process, uses_ros
+from run_tests import PROCESSES, ROS_SHARED, SHARED, SLOW, find_test_files, make_test_jobs, shared_process, uses_ros
 
 RUNNER = [sys.executable, str(THIS.root / "tools" / "run_tests.py")]
 
@@ -148,6 +148,10 @@ def test_files_of_one_folder_are_divided_by_the_first_pattern_that_they_match(
         file.touch()
     shared = {job.name: [Path(word) for word in job.command if word.endswith(".py")] for job in make_test_jobs(files)}
     assert shared == {str(patterns[0]): files[3:], str(patterns[1]): files[:2], str(patterns[2]): files[2:3]}
+
+
+def test_files_that_may_use_ros_have_processes_of_their_own() -> None:
+    assert not set(SHARED) & set(ROS_SHARED)
 
 
 def test_slow_files_and_folders_come_first() -> None:

@@ -2,12 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Run the linters and the tests in parallel processes, and print one line for each.
 
-The files of an entry of SHARED have one pytest process, which saves seconds of imports for each file; a test file that
-may use ROS has a process of its own, or one with the others of an entry of ROS_SHARED. Two processes that may use ROS
-run at a time. The others and the linters run at low priority in the processor time that the nodes of these tests leave
-while they wait; a process that has no such job left runs tests that may use ROS, and the reverse. Those of SLOW come
-first, so that none of them is left for the end. The linters need no build and start before it. Every process uses one
-thread of linear algebra, because threads of small matrices wait for each other.
+The files of an entry of SHARED have one pytest process, which saves seconds of imports for each file; those that may
+use ROS share the processes of ROS_SHARED. Two of these run at a time. The others and the linters run at low
+priority in the processor time that the nodes of these tests leave while they wait; a process that has no such job left
+runs tests that may use ROS, and the reverse. Those of SLOW come first, so that none of them is left for the end. The
+linters need no build and start before it. Every process uses one thread of linear algebra, because threads of small
+matrices wait for each other.
 The output ends with every skipped or failed test and its reason, and ``N passed, N failed, N skipped``.
 Arguments: paths of tests; without paths, the linters and all tests run. Tests with the marker ``long`` are left out;
 with the option ``--long`` they alone run.
@@ -60,38 +60,45 @@ SHARED = tuple(  # folders, or files of a folder, that share a process, except t
     )
 )
 ROS_SHARED = tuple(  # the same for files that may use ROS: each test shuts its contexts down
-    THIS.root / "ros2_ws/src" / pattern
-    for pattern in ("posor_ros/test", "posor_bringup/test/test_*.py", "posor_drivers/test/sources")
+    THIS.root / pattern
+    for pattern in (
+        *(f"ros2_ws/src/{part}" for part in ("posor_ros/test", "posor_bringup/test/test_*.py", "posor_drivers/test/*")),
+        *(f"ros2_ws/src/posor_estimator/test/test_[{letters}]*.py" for letters in ("a-c", "d-e", "f-o", "p-z")),
+        *(f"tests/test_[{letters}]*.py" for letters in ("a-c", "d-f", "g-k", "l-q", "r-s", "t-z")),
+        *("lab/posor_lab/test/*/test_[a-n]*.py", "lab/posor_lab/test/*/test_[o-z]*.py"),
+    )
 )
 
 SLOW = (
+    "ros2_ws/src/posor_drivers/test",
     "lab/posor_lab/test",
+    "tests/test_[r-s]*.py",
     "tests/test_[d-e]*.py",
     "ros2_ws/src/posor/test",
     "ros2_ws/src/posor_design/test",
     "lab/posor_lab/test/arm_study",
+    "tests/test_[t-z]*.py",
+    "tests/test_[a-c]*.py",
+    "lab/posor_lab/test/*/test_[a-n]*.py",
     "ros2_ws/src/posor_bringup/test",
     "ros2_ws/src/posor_calibration/test",
+    "tests/test_[l-q]*.py",
+    "ros2_ws/src/posor_estimator/test/test_[p-z]*.py",
     "ros2_ws/src/posor/test/estimation",
-    "lab/posor_lab/test/faults/test_faults_command.py",
+    "tests/test_[g-k]*.py",
+    "tests/test_[d-f]*.py",
     "tests/test_[c]*.py",
     "tests/test_[r]*.py",
+    "ros2_ws/src/posor_estimator/test/test_[f-o]*.py",
+    "ros2_ws/src/posor_estimator/test/test_[a-c]*.py",
     "lab/posor_lab/test/commissioning",
     "ros2_ws/src/posor_drivers/test/simulator",
-    "tests/test_view.py",
-    "tests/test_soak_arm.py",
-    "tests/test_instruments.py",
-    "tests/test_bag_order.py",
-    "ros2_ws/src/posor_drivers/test",
+    "ros2_ws/src/posor_drivers/test/*",
+    "ros2_ws/src/posor_ros/test",
+    "ros2_ws/src/posor_estimator/test/test_[d-e]*.py",
     "lab/posor_lab/test/health",
     "lab/posor_lab/test/mutations",
-    "tests/test_setup.py",
-    "tests/test_tutorials.py",
-    "ros2_ws/src/posor_drivers/test/test_driver_node.py",
-    "tests/test_example_plain_controller.py",
-    "ros2_ws/src/posor_ros/test",
     "lab/posor_lab/test/accuracy",
-    "ros2_ws/src/posor_estimator/test/test_time_offset_nodes.py",
 )
 """Files and entries of SHARED and ROS_SHARED that take longest, the longest first."""
 
