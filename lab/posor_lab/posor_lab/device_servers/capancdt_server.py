@@ -124,6 +124,8 @@ class CapaNcdtServer(DeviceServer):
         known = {"VER": "DT6200;V1.2a;8010079", "CHS": ",".join(str(state) for state in self.states) + "OK"}
         if name in known and not parameter:
             return known[name]
+        if name == "AVT" and parameter == "?":
+            return "0OK"
         if name == "TRG" and parameter in {"0", "1", "2", "3"}:
             self.trigger_mode = int(parameter)
             return "OK"

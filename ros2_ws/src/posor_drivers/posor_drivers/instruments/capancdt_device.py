@@ -13,7 +13,7 @@
 
 ``range`` is the measuring range of the sensor at the channel; the controller sends only shares of it. ``connect`` sets
 continuous transmission (``$TRG0``) and the sample time (``$STI``); all other settings of the controller are left as
-they are. An averaging that outputs only each n-th value is not detected here, but as a wrong frame rate.
+they are. A controller that averages (``$AVT``) is refused: its readings are older than their stamps.
 
 Source: operating instructions capaNCDT 6200, chapter 6, Ethernet interface. A packet is, little endian: preamble
 ``MEAS``, order number, serial number, two bits of each channel (``01``: available) in 64 bits, unused status, number of
@@ -64,6 +64,7 @@ _COUNTER_RANGE = 1 << 32
 _VALUE_BYTES = 4
 _MAX_CHANNELS = 32
 MOST_SENSORS = 4
+_NO_AVERAGING = "0"
 _SENSOR = "1"
 """State of a channel in the answer to ``$CHS``: 0: no module, 2: a math function."""
 
@@ -135,13 +136,17 @@ class CapaNcdtDevice(PacketDevice[CapaNcdtSettings]):
         return f"{self.settings.host}:{self.settings.data_port}"
 
     def connect(self, timeout_s: float) -> str:
-        """Check model and channels, set the sample time, and open the data port."""
+        """Check model, channels and averaging, set the sample time, and open the data port."""
         deadline_s = time.monotonic() + timeout_s
         settings, sample_time_us = self.settings, self.settings.sample_time_us
         with closing(TcpConnection(self.name, settings.host, settings.command_port, timeout_s)) as port:
             version = self._ask(port, "VER", r"VER(DT62.*?)(OK)?", "'$VERDT62' and the version", deadline_s)
             status = self._ask(port, "CHS", r"CHS(\d(,\d)*)OK", "'$CHS', the state of each channel, 'OK'", deadline_s)
             self._check_channels(status.split(","))
+            averaging = self._ask(port, "AVT?", r"AVT\?(\d)OK", "'$AVT?', the kind of averaging, 'OK'", deadline_s)
+            if averaging != _NO_AVERAGING:
+                what = f"the controller averages ('$AVT{averaging}'): its readings are older than their stamps"
+                raise self.error(what, "no averaging ('$AVT0'), or that of a driver, conditioning.samples")
             self._ask(port, "TRG0", "(TRG0)OK", "'$TRG0OK'", deadline_s)
             command = f"STI{sample_time_us}"
             actual = self._ask(port, command, rf"{command},(\d+)OK", f"'${command},', a sample time, 'OK'", deadline_s)

@@ -22,7 +22,7 @@ read in ascending order of their numbers, at an interval of the sum of the three
 
 With the key ``light`` the device switches the light sources by a digital output, and has a further channel ``light``: 1
 while they are lit, 0 in the dark frames at the interval. Three dark frames follow one another, because a scan is
-interpolated between three; the first frames are dark::
+interpolated between three; the first frames are dark. A second process of the host that would switch it is refused::
 
       light: {output: 204, lit: 1, dark: 0, interval: {value: 60, unit: s}}
 
@@ -38,8 +38,10 @@ Versions of dialect files:
 
 from __future__ import annotations
 
+import hashlib
 import math
 import re
+import socket
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
@@ -182,6 +184,7 @@ class ScpiDevice(PolledDevice[ScpiSettings]):
             self._numbers_of.setdefault(self._function_of(channel_name, channel), []).append(channel.number)
         self._checked_s = 0.0
         self._dark_left, self._next_dark_s = 0, 0.0
+        self._claim: socket.socket | None = None
         apertures = [self._dialect.functions[function].aperture for function in self._numbers_of]
         for key, command, found in (
             ("channel_delay", "channel_delay", self._dialect.channel_delay),
@@ -260,6 +263,8 @@ class ScpiDevice(PolledDevice[ScpiSettings]):
         identity = self._query(dialect.identify)
         if re.search(dialect.model, identity) is None:
             raise self.error(f"the instrument is '{identity}'", f"a model that matches '{dialect.model}'")
+        if self.settings.light is not None:
+            self._claim_light(self.settings.light)
         every = sorted(self._numbers)
         self._set_up(dialect.setup, every)
         for name, numbers in self._numbers_of.items():
@@ -274,6 +279,23 @@ class ScpiDevice(PolledDevice[ScpiSettings]):
             self._switch_light(self.settings.light)
         self._check_errors()
         return identity
+
+    def close(self) -> None:
+        """Close the connection; another process may switch the light."""
+        super().close()
+        if self._claim is not None:
+            self._claim.close()
+            self._claim = None
+
+    def _claim_light(self, light: LightSwitch) -> None:
+        """Bind a name that no other process of this host can bind meanwhile. Raises DeviceError: another one has it."""
+        named = hashlib.sha256(f"{self.address} {light.output}".encode()).hexdigest()
+        self._claim = socket.socket(socket.AF_UNIX)
+        try:
+            self._claim.bind(f"\0posor/light/{named}")
+        except OSError:
+            what = f"another process switches the light, output {light.output} of {self.address}"
+            raise self.error(what, "all drivers of such a device in one process, as with --layout composed") from None
 
     def _set_up(self, commands: Sequence[str], numbers: Sequence[int], *times: Quantity | None) -> None:
         """Write commands for some channels, and those that set a time only if the time is stated."""
@@ -310,6 +332,7 @@ class ScpiDevice(PolledDevice[ScpiSettings]):
     def ask(self) -> Sequence[float]:
         """Return the reading of each channel."""
         dialect = self._dialect
+        self._refuse_unasked()
         answer = self._query(dialect.read)
         try:
             readings = [float(number) for number in answer.split(dialect.separator)]
@@ -347,6 +370,28 @@ class ScpiDevice(PolledDevice[ScpiSettings]):
         self._checked_s = time.monotonic()
         if errors:
             raise self.error(f"the instrument reports {'; '.join(errors)}", "an empty error queue")
+
+    def _refuse_unasked(self) -> None:
+        """Raise DeviceError: a line came without a question, so that each answer would be taken for the next one.
+
+        Only on a plain socket: the other interfaces return an answer to its own question.
+        """
+        from pyvisa.constants import StatusCode  # noqa: PLC0415  see connect
+        from pyvisa.errors import VisaIOError  # noqa: PLC0415
+
+        if not self.address.upper().endswith("::SOCKET"):
+            return
+        instrument, answer_time_ms = self.connection, self.connection.timeout
+        instrument.timeout = 0
+        try:
+            line = instrument.read()
+        except (VisaIOError, OSError, UnicodeDecodeError) as error:
+            if getattr(error, "error_code", None) != StatusCode.error_timeout:
+                raise self.error(f"connection lost, {error}", "a connection") from None
+        else:
+            raise self.error(f"the instrument sent '{line}' without a question", "one line for each question")
+        finally:
+            instrument.timeout = answer_time_ms
 
     def _query(self, command: str) -> str:
         answer: str = self._transfer("query", command)

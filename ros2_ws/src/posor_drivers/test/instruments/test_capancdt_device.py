@@ -267,6 +267,7 @@ def test_reading_needs_a_connection(server: CapaNcdtServer) -> None:
 
 VERSION = "expected '$VERDT62' and the version."
 STATES = "expected '$CHS', the state of each channel, 'OK'."
+AVERAGING = "expected no averaging ('$AVT0'), or that of a driver, conditioning.samples."
 ANSWER = "expected '$STI256,', a sample time, 'OK'."
 SAMPLE_TIME = "expected a rate that the controller has; in Hz, 1e6 divided by the sample time."
 
@@ -276,6 +277,12 @@ CONTROLLERS: list[tuple[dict[str, str], list[int], float, str]] = [
     ({"VER": "$UNKNOWN COMMAND"}, [], 3906.25, f"the answer to '$VER' is '$UNKNOWN COMMAND'; {VERSION}"),
     ({"CHS": "OK"}, [], 3906.25, f"the answer to '$CHS' is '$CHSOK'; {STATES}"),
     ({"TRG": "$WRONG PARAMETER"}, [], 3906.25, "the answer to '$TRG0' is '$WRONG PARAMETER'; expected '$TRG0OK'."),
+    (
+        {"AVT": "1OK"},
+        [],
+        3906.25,
+        f"the controller averages ('$AVT1'): its readings are older than their stamps; {AVERAGING}",
+    ),
     ({"STI": ",xOK"}, [], 3906.25, f"the answer to '$STI256' is '$STI256,xOK'; {ANSWER}"),
     ({}, [1, 0, 0, 1], 3906.25, "channel 3, 'wide', has no module; expected one of 1, 4."),
     ({}, [1, 1], 3906.25, "channel 3, 'wide', has no module; expected one of 1, 2."),

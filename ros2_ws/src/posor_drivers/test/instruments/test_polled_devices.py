@@ -250,6 +250,16 @@ def test_faults_of_a_scanner_are_named(scanner: ScpiServer) -> None:
         wait_for_fault(reader, "expected a model that matches 'DAQ97[03]A'.")
 
 
+def test_a_line_without_a_question_is_named_before_it_is_taken_for_an_answer(scanner: ScpiServer) -> None:
+    meter = ScpiDevice("meter", scpi_settings(scanner.port))
+    meter.connect(5.0)
+    scanner.answer = "1.0,2.0\n3.0,4.0"
+    assert meter.ask() == [2.0, 1.0]
+    with pytest.raises(DeviceError, match=r"the instrument sent '3\.0,4\.0' without a question; expected one line"):
+        meter.ask()
+    meter.close()
+
+
 LIGHT = {"output": 204, "interval": {"value": 0.5, "unit": "s"}}
 
 
@@ -279,6 +289,19 @@ def test_a_scanner_switches_the_light_sources_and_states_it(scanner: ScpiServer,
         source.close()
     assert set(pairwise(seen)) == {(3, 255), (255, 3)}
     assert scanner.outputs[:3] == [(0, 204), (1, 204), (0, 204)]
+
+
+def test_only_one_process_switches_a_light(scanner: ScpiServer) -> None:
+    settings = scpi_settings(scanner.port, light=LIGHT)
+    first, second = ScpiDevice("meter", settings), ScpiDevice("meter", settings)
+    first.connect(5.0)
+    with pytest.raises(DeviceError, match="meter: another process switches the light, output 204 of TCPIP"):
+        second.connect(5.0)
+    second.close()
+    first.close()
+    assert len(scanner.outputs) == 1
+    second.connect(5.0)
+    second.close()
 
 
 def test_invalid_settings_are_refused(tmp_path: Path) -> None:
