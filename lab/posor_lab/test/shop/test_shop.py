@@ -99,6 +99,7 @@ def test_a_recording_is_estimated_at_the_recorded_temperatures(path: Path, tmp_p
         sigma = np.sqrt(np.trace(found.covariances()[:, :3, :3], axis1=1, axis2=2))
         cold = found.stamps_ns // NS < 100_001 if thermometers else np.ones(len(found), dtype=bool)
         assert (len(found), summary.degraded) == (known.sum(), cold.sum())
+        np.testing.assert_array_equal(found.degraded, cold)
         assert len(found) > 190
         assert error[cold].min() > 200e-6
         assert np.all(error < 4.0 * sigma)

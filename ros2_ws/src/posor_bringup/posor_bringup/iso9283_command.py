@@ -12,6 +12,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 from posor.arm_names import describe_argument
 from posor.bags.calibration_recording import Reference, bag_sha256, load_recording
 from posor.bags.offline_pipeline import load_arm, topics_of
@@ -128,6 +129,8 @@ def _read(options: argparse.Namespace) -> tuple[Motion, Track, list[str]]:
         )
     missing = len(end) - len(motion.stamps_ns)
     notes = [f"{missing} of {len(end)} endpoints have no reference and are left out."] if missing else []
+    if end.degraded.any():
+        notes.append(f"{np.count_nonzero(end.degraded)} of {len(end)} endpoints are DEGRADED.")
     return motion, track, notes
 
 

@@ -245,8 +245,9 @@ class EndpointPipeline:
             of_joints("stamp_shift"),
         )
         usable[:, all_usable] &= endpoints.faults.T == 0
-        self._count(states, usable)
-        return self._endpoint_estimates(complete, endpoints)
+        degraded: BoolArray = np.zeros(len(endpoints.poses), dtype=bool)
+        degraded[endpoints.usable] = self._count(states, usable)
+        return self._endpoint_estimates(complete, endpoints, degraded)
 
     def _with_stamp(self, joint: str, rows: NDArray[np.void]) -> NDArray[np.void]:
         """Return the transforms with a valid stamp; an invalid one (0) would count as time that goes back."""
@@ -259,14 +260,17 @@ class EndpointPipeline:
         usable: NDArray[np.void] = rows[stamped]
         return usable
 
-    def _count(self, states: IntArray, usable: BoolArray) -> None:
-        """Count complete stamps by the joints' states and by whether their transforms are usable, (joints, n)."""
+    def _count(self, states: IntArray, usable: BoolArray) -> BoolArray:
+        """Count complete stamps; return which of the poses are degraded.
+
+        ``states`` of the joints, and whether their transforms are ``usable``, (joints, n).
+        """
         for name, count in zip(self.joints, np.count_nonzero(~usable, axis=1).tolist(), strict=True):
             self.refused[name] += count
         sound = usable.all(axis=0)
         self.poses += int(np.count_nonzero(sound))
         self.unusable += int(np.count_nonzero(~sound))
-        degraded = np.any(states[:, sound] == int(State.DEGRADED), axis=0)
+        degraded: BoolArray = np.any(states[:, sound] == int(State.DEGRADED), axis=0)
         unread = UNREAD if self._estimator.vibrations.size else ""
         if reason := "; ".join(filter(None, (self.temperatures.reason, unread))):
             degraded[:] = True
@@ -277,8 +281,11 @@ class EndpointPipeline:
                 degraded[:] = True
                 self.affected_by_beams["home was taken from a pose that was not OK"] += len(degraded)
         self.degraded += int(np.count_nonzero(degraded))
+        return degraded
 
-    def _endpoint_estimates(self, complete: Sequence[NDArray[np.void]], endpoints: Endpoints) -> EndpointEstimates:
+    def _endpoint_estimates(
+        self, complete: Sequence[NDArray[np.void]], endpoints: Endpoints, degraded: BoolArray
+    ) -> EndpointEstimates:
         """Return the valid endpoints, relative to the first one if requested."""
         sound = endpoints.usable
         if self._relative and sound.any():
@@ -298,6 +305,7 @@ class EndpointPipeline:
             endpoints.angles,
             endpoints.stamp_shifts,
             bounds.levels,
+            degraded,
         )
         return found if sound.all() else found.select(sound)
 

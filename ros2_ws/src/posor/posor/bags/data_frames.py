@@ -56,7 +56,7 @@ def endpoint_columns(estimates: EndpointEstimates, joints: Sequence[str] = ()) -
     """Return the columns of the endpoint's table by name; ``joints``: names of the chain's joints, else numbers."""
     joints = joints or [str(n) for n in range(estimates.angles.shape[1])]
     columns: dict[str, Any] = {"log_time_ns": estimates.log_times_ns, "stamp_ns": estimates.stamps_ns}
-    columns |= _split(POSE, estimates.poses)
+    columns |= _split(POSE, estimates.poses) | {"degraded": estimates.degraded}
     columns |= _covariance_columns(estimates) | _split(STAMP_SHIFT, estimates.stamp_shifts)
     columns |= _split(PROTECTION_LEVEL, estimates.protection_levels)
     columns |= _split([f"angle_{joint}" for joint in joints], estimates.angles)

@@ -20,7 +20,6 @@ from posor.correction.joint_path import YAML_SUFFIXES, read_path
 from posor.correction.nominal_robot import LeastSquares, NominalRobot
 from posor.correction.program_correction import MeasuredRun, begin_of_program, correct_path
 from posor.errors import BagError, OutputError, ParameterError
-from posor.model.fault import State
 from posor.numerics.stamps import NS
 from posor.parameter_model import parameter_specs
 from posor.reporting.command_line_parser import CommandLineParser
@@ -97,8 +96,7 @@ def measured_run(options: argparse.Namespace, robot: NominalRobot, ran: JointPat
     where = str(options.bag)
     estimates = load_arm(options.arm).estimate(options.bag)
     end = estimates.endpoint
-    not_ok = [joint.stamps_ns[joint.states != State.OK] for joint in estimates.joints.values()]
-    usable = np.isfinite(end.poses).all(axis=1) & ~np.isin(end.stamps_ns, np.concatenate(not_ok))
+    usable = np.isfinite(end.poses).all(axis=1) & ~end.degraded
     columns = [estimates.chain.index(name) for name in robot.joints]
     stamps_ns, poses, angles = end.stamps_ns[usable], end.poses[usable], end.angles[usable][:, columns]
     if options.encoders:

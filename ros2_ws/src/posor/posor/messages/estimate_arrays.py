@@ -38,6 +38,8 @@ class EndpointEstimates:
             axes of the same frame, shape (n, 6): a part of the protection level; zero: no limit is stated.
         protection_levels: Bounds of the errors along and about the axes of the same frame, shape (n, 6) [m], [rad];
             infinite: not bounded; NaN: not known.
+        degraded: Whether the pose depends on a DEGRADED joint, on a thermometer that cannot be used, or on a home that
+            was not OK, shape (n,).
 
     """
 
@@ -49,6 +51,7 @@ class EndpointEstimates:
     angles: FloatArray
     stamp_shifts: FloatArray
     protection_levels: FloatArray
+    degraded: BoolArray
 
     def __post_init__(self) -> None:
         freeze_arrays(self)
@@ -83,8 +86,8 @@ class EndpointEstimates:
         """Return no estimates, of an arm without a chain."""
         integers, matrices = np.empty(0, dtype=np.int64), np.empty((0, 6, 6))
         vectors = np.empty((0, 6))
-        poses, angles = np.empty((0, 7)), np.empty((0, 0))
-        return EndpointEstimates(integers, integers, poses, matrices, matrices, angles, vectors, vectors)
+        poses, angles, degraded = np.empty((0, 7)), np.empty((0, 0)), np.empty(0, dtype=bool)
+        return EndpointEstimates(integers, integers, poses, matrices, matrices, angles, vectors, vectors, degraded)
 
 
 @dataclass(frozen=True, repr=False)

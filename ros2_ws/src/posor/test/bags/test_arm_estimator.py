@@ -127,8 +127,10 @@ def test_poses_relative_to_a_degraded_home_are_degraded(
     transforms = {name: TransformConstants(calibration.frames.parent, calibration.frames.child)}
     parameters = ChainParameters(urdf=str(arm.urdf), endpoint_frame=arm.endpoint_frame, reference=reference)
     pipeline = EndpointPipeline(arm.chain(), parameters, transforms)
+    marked: list[bool] = []
     for part in (slice(0, 5), slice(5, count)):
-        pipeline.estimate({name: found.select(part)}, {name: np.arange(count)[part]})
+        marked += pipeline.estimate({name: found.select(part)}, {name: np.arange(count)[part]}).degraded.tolist()
+    assert marked == [n < degraded for n in range(count)]
     assert (pipeline.poses, pipeline.degraded) == (count, degraded)
     homes = sum(n for reason, n in pipeline.affected_by_beams.items() if reason.startswith("home was taken"))
     assert homes == (count if reference == "home" and first else 0)
