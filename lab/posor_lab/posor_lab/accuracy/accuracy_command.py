@@ -30,7 +30,7 @@ from rich.table import Table
 from posor_lab.accuracy.consistency import FALSE_ALARM, DrawnPosors, Nees, closure, monte_carlo, nees, normalised
 from posor_lab.accuracy.fault_detection import FAULTS, detectable_shifts, detection, ring_observability
 from posor_lab.harness.random_poses import STACKS, errors_in_parent
-from posor_lab.output_files import check_writable, write_json
+from posor_lab.lab_output import check_writable, write_json
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

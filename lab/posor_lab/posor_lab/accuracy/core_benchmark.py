@@ -29,7 +29,7 @@ from rich.console import Console
 from rich.table import Table
 
 from posor_lab.harness.random_poses import STACKS, TICK_NS
-from posor_lab.output_files import check_writable, write_json
+from posor_lab.lab_output import check_writable, write_json
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -26,7 +26,7 @@ from rich.console import Console
 from rich.table import Table
 from scipy.constants import inch
 
-from posor_lab.output_files import check_writable, write_json
+from posor_lab.lab_output import check_writable, write_json
 from posor_lab.thesis_budgets.chapter5 import root_sum_square
 from posor_lab.thesis_data import MICROINCH, URAD, data_path, parse_number, read_numbers, read_table
 

@@ -32,7 +32,7 @@ from posor_lab.arm_study.arm_report import ArmOutcome, arm_figures, arm_findings
 from posor_lab.arm_study.arm_run import ArmLiveTable, ArmRun
 from posor_lab.arm_study.shared_arm import write_shared_arm
 from posor_lab.harness.ros_domain import isolated_network
-from posor_lab.output_files import write_files, write_json
+from posor_lab.lab_output import write_files, write_json
 from posor_lab.reports.console_progress import InterruptedRunError, StageProgress
 from posor_lab.reports.findings import COMPARISON_HEADINGS, exit_code_of_findings, print_findings, print_verdict
 

@@ -15,7 +15,7 @@ from posor.reporting.html_page import Section, bullet_list, definition_list, par
 from posor_lab.accuracy.consistency import REGION
 from posor_lab.arm_study.arm_plots import plot_axes, plot_controller, plot_coverage, plot_path
 from posor_lab.arm_study.arm_record import rms
-from posor_lab.output_files import figures_of, page_notes
+from posor_lab.lab_output import figures_of, page_notes
 from posor_lab.reports.findings import COMPARISON_HEADINGS, Finding, Findings, findings_table, judge
 from posor_lab.thesis_data import MICROINCH
 

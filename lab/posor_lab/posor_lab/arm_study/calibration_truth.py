@@ -24,7 +24,7 @@ from scipy.special import chdtri
 
 from posor_lab.arm_study.shared_arm import write_shared_arm
 from posor_lab.arm_study.statement_truth import DrawnArm, StatementTruth
-from posor_lab.output_files import write_files
+from posor_lab.lab_output import write_files
 
 if TYPE_CHECKING:
     from pathlib import Path

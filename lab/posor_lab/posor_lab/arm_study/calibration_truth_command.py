@@ -21,7 +21,7 @@ from posor.reporting.report_table import ReportTable
 
 from posor_lab.arm_study.calibration_truth import CalibrationTruth, Consistency, Outcome, write_assembled_arm
 from posor_lab.arm_study.tracker_recording import write_calibration_recording
-from posor_lab.output_files import check_writable, write_json
+from posor_lab.lab_output import check_writable, write_json
 from posor_lab.reports.process_pool import ordered_map
 
 if TYPE_CHECKING:

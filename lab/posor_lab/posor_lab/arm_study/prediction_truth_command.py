@@ -22,7 +22,7 @@ from posor.reporting.report_table import ReportTable
 
 from posor_lab.accuracy.consistency import REGION_LIMIT, MeanEstimate
 from posor_lab.arm_study.prediction_truth import AHEAD, BETWEEN, GAPS, SCANS, PredictionTruth
-from posor_lab.output_files import check_writable, write_json
+from posor_lab.lab_output import check_writable, write_json
 from posor_lab.reports.process_pool import ordered_map
 
 if TYPE_CHECKING:

@@ -13,7 +13,7 @@ from posor.calibration.yaml_document import read_text
 from posor.chain.beams_file import load_beams
 from posor.uncertainty.common_errors import CommonErrors
 
-from posor_lab.output_files import write_files
+from posor_lab.lab_output import write_files
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -22,7 +22,7 @@ from posor.reporting.report_console import report_console
 from posor.reporting.report_table import ReportTable
 
 from posor_lab.arm_study.statement_truth import Drawn, StatementTruth, write_four_joint_arm
-from posor_lab.output_files import check_writable, write_json
+from posor_lab.lab_output import check_writable, write_json
 from posor_lab.reports.process_pool import ordered_map
 
 if TYPE_CHECKING:

@@ -30,7 +30,7 @@ from posor_lab.arm_study.calibration_truth import (
     TRACKER,
     write_assembled_arm,
 )
-from posor_lab.output_files import write_files
+from posor_lab.lab_output import write_files
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -30,7 +30,7 @@ from posor_lab.benchmark.pass_through_nodes import register_nodes
 from posor_lab.benchmark.tick_statistics import host_description
 from posor_lab.harness.browser import missing_for_pages
 from posor_lab.harness.ros_domain import isolated_network
-from posor_lab.output_files import check_writable, write_json
+from posor_lab.lab_output import check_writable, write_json
 from posor_lab.reports.console_progress import InterruptedRunError
 from posor_lab.reports.trial_program import Option
 from posor_lab.reports.trial_program import parse_options as parse

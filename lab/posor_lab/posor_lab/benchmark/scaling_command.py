@@ -27,7 +27,7 @@ from posor_lab.benchmark.scaling_measurement import PROGRAM, measure_cluster, me
 from posor_lab.benchmark.scaling_tables import scaling_tables
 from posor_lab.benchmark.tick_statistics import host_description
 from posor_lab.harness.ros_domain import isolated_network
-from posor_lab.output_files import check_writable, write_json
+from posor_lab.lab_output import check_writable, write_json
 from posor_lab.reports.console_progress import InterruptedRunError
 from posor_lab.reports.trial_program import Option, parse_options
 

@@ -27,7 +27,7 @@ from posor_lab.campaign.campaign_run import calibrate_from_bags, record_bags
 from posor_lab.campaign.campaign_series import coverage_of_series, run_campaigns
 from posor_lab.campaign.campaign_steps import campaign_steps
 from posor_lab.campaign.ground_truth import POSORS, GroundTruth, PosorName
-from posor_lab.output_files import write_files
+from posor_lab.lab_output import write_files
 from posor_lab.reports.console_progress import InterruptedRunError, StageProgress
 from posor_lab.reports.findings import COMPARISON_HEADINGS, exit_code_of_findings, print_findings, print_verdict
 from posor_lab.reports.trial_program import Option, parse_options

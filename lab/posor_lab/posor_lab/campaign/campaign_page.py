@@ -21,7 +21,7 @@ from posor_lab.campaign.campaign_report import all_findings
 from posor_lab.campaign.campaign_series import CLAIM
 from posor_lab.campaign.parameter_coverage import QUANTILE_95, measuring_steps
 from posor_lab.campaign.validation_set import FREEDOMS
-from posor_lab.output_files import page_notes
+from posor_lab.lab_output import page_notes
 from posor_lab.reports.findings import COMPARISON_HEADINGS, findings_table
 
 if TYPE_CHECKING:

@@ -19,7 +19,7 @@ from posor_lab.accuracy.consistency import REGION_LIMIT
 from posor_lab.campaign.campaign_series import CLAIM, VALIDATION_POSES, chance_margin, share_interval
 from posor_lab.campaign.parameter_coverage import compare_with_truth, measuring_steps
 from posor_lab.campaign.validation_set import FREEDOMS, validate_calibration
-from posor_lab.output_files import figures_of, page_notes
+from posor_lab.lab_output import figures_of, page_notes
 from posor_lab.reports.findings import Finding, Findings, judge
 
 if TYPE_CHECKING:

@@ -24,7 +24,7 @@ from posor.reporting.report_table import ReportTable
 
 from posor_lab.correction.correction_study import CorrectionStudy, PathErrors, failures, stop_after
 from posor_lab.correction.simulated_robot import SimulatedRobot
-from posor_lab.output_files import check_writable, write_json
+from posor_lab.lab_output import check_writable, write_json
 from posor_lab.reports.process_pool import ordered_map
 
 if TYPE_CHECKING:

@@ -23,7 +23,7 @@ from posor_calibration.health.health_chart import REFERENCE_TESTS, chart_tests
 from posor_calibration.health.health_history import write_history
 
 from posor_lab.health.ageing_arm import Ageing, AgeingArm
-from posor_lab.output_files import check_writable, write_json
+from posor_lab.lab_output import check_writable, write_json
 from posor_lab.reports.process_pool import ordered_map
 
 if TYPE_CHECKING:

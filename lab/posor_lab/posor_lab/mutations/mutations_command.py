@@ -22,9 +22,9 @@ from typing import TYPE_CHECKING, Any
 from posor.errors import ParameterError, PosorError
 from rich.console import Console
 
+from posor_lab.lab_output import check_writable, write_json
 from posor_lab.mutations.model_checks import CheckResult, run_checks
 from posor_lab.mutations.mutated_model import Mutation, load_mutations
-from posor_lab.output_files import check_writable, write_json
 from posor_lab.reports.findings import (
     FIGURE_HEADINGS,
     Finding,

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Literal, cast
 import numpy as np
 from posor_calibration.attitude_fit import deviation_from_first
 
-from posor_lab.output_files import page_notes
+from posor_lab.lab_output import page_notes
 from posor_lab.replay_1985.motion_test import ANGLES, Angle, MotionTest
 from posor_lab.reports.findings import Finding, Findings, judge
 from posor_lab.thesis_data import URAD, data_path, parse_number, read_table

@@ -19,7 +19,7 @@ from posor_ros.node_program import non_ros_arguments, ros_context
 from rich.console import Console
 
 from posor_lab.harness.ros_domain import isolated_network
-from posor_lab.output_files import write_files
+from posor_lab.lab_output import write_files
 from posor_lab.replay_1985.comparison import compare_with_thesis, reasons
 from posor_lab.replay_1985.motion_test import MotionTest
 from posor_lab.replay_1985.printed_results import (

@@ -14,7 +14,7 @@ from posor.reporting.figure_style import BLUE, GREY, LIGHT_BLUE, MICRON, ORANGE
 from posor.reporting.html_page import Section, bullet_list, definition_list, paragraph, render_page, table
 from posor.reporting.plot import Plot
 
-from posor_lab.output_files import page_notes
+from posor_lab.lab_output import page_notes
 from posor_lab.replay_1985.motion_test import ANGLES, Angle, MotionTest
 from posor_lab.replay_1985.step_table import HEADER, LEGEND, step_row
 from posor_lab.reports.findings import findings_table

@@ -23,7 +23,7 @@ from posor_calibration.procedures.zero_drift import NAME, ZeroDriftOptions, find
 from rich.console import Console
 from scipy.constants import inch
 
-from posor_lab.output_files import page_notes
+from posor_lab.lab_output import page_notes
 from posor_lab.replay_1985.motion_test import TRUTH_LEVER
 from posor_lab.reports.findings import Finding, Findings, exit_code_of_findings, judge, print_findings
 from posor_lab.thesis_data import URAD

@@ -17,7 +17,7 @@ from posor_ros.node_program import non_ros_arguments, ros_context
 from rich.console import Console
 
 from posor_lab.harness.ros_domain import isolated_network
-from posor_lab.output_files import check_writable, write_json
+from posor_lab.lab_output import check_writable, write_json
 from posor_lab.reports.console_progress import InterruptedRunError, StageProgress
 from posor_lab.reports.findings import FIGURE_HEADINGS, exit_code_of_findings, print_findings, print_verdict
 

@@ -13,7 +13,7 @@ from posor.chain.beams_file import VERSION, BeamsFile, load_beams
 from posor.errors import ParameterError
 from posor_drivers.simulator.scenario import load_scenario
 
-from posor_lab.output_files import write_files
+from posor_lab.lab_output import write_files
 
 if TYPE_CHECKING:
     from pathlib import Path

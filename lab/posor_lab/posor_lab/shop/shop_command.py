@@ -20,7 +20,7 @@ from posor.reporting.program_errors import reports_errors
 from posor.reporting.report_console import report_console
 from posor.reporting.report_table import ReportTable
 
-from posor_lab.output_files import check_writable, write_json
+from posor_lab.lab_output import check_writable, write_json
 from posor_lab.shop.shop_arm import write_shop_arm
 from posor_lab.shop.shop_study import SWING_K, WITH, WITHOUT, WRONG_SIGN, sample_shop
 

@@ -32,7 +32,7 @@ from rclpy.serialization import deserialize_message
 from posor_lab.benchmark.tick_statistics import TickWindow
 from posor_lab.faults.fault_table import CYCLE_S, IMPERFECTION_PARAMETERS, RATES, write_fault_arm
 from posor_lab.harness.message_conversion import is_usable
-from posor_lab.output_files import page_notes
+from posor_lab.lab_output import page_notes
 from posor_lab.reports.findings import Finding, Findings, judge
 from posor_lab.reports.graph_receiver import GraphReceiver, running_graph
 from posor_lab.reports.trial_program import Option, TrialProgram

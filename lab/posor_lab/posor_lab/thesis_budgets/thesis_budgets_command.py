@@ -20,7 +20,7 @@ from posor.reporting.program_errors import reports_errors
 from posor.reporting.report_console import report_console
 from rich.table import Table
 
-from posor_lab.output_files import check_writable, write_json
+from posor_lab.lab_output import check_writable, write_json
 from posor_lab.thesis_budgets.budget_tables import DIODE_TOTAL, budget_tables, fits_of_linearisation, rig_theta
 from posor_lab.thesis_table.thesis_row import Agreement
 

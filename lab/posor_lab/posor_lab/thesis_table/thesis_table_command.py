@@ -23,7 +23,7 @@ from rich.box import SIMPLE_HEAD
 from rich.markup import escape
 from rich.table import Table
 
-from posor_lab.output_files import check_writable, write_json
+from posor_lab.lab_output import check_writable, write_json
 from posor_lab.thesis_data import data_path
 from posor_lab.thesis_table.figure_data import draw_figures
 from posor_lab.thesis_table.row_file import RowFile

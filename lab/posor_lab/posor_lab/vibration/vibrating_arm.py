@@ -14,7 +14,7 @@ from posor.chain.beams_file import VERSION, BeamsFile, load_beams
 from posor.errors import ParameterError
 from posor_design import beam_frequencies
 
-from posor_lab.output_files import write_files
+from posor_lab.lab_output import write_files
 from posor_lab.shop.shop_arm import quantity
 
 if TYPE_CHECKING:

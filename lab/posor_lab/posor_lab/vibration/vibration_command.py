@@ -22,7 +22,7 @@ from posor.reporting.program_errors import reports_errors
 from posor.reporting.report_console import report_console
 from posor.reporting.report_table import ReportTable
 
-from posor_lab.output_files import check_writable, write_json
+from posor_lab.lab_output import check_writable, write_json
 from posor_lab.vibration.vibrating_arm import write_vibrating_arm
 from posor_lab.vibration.vibration_study import AMPLITUDE_M, DYNAMIC, STATIC, VibrationStudy, sample_vibration
 
