@@ -14,7 +14,7 @@ from posor_bringup.arms import load_checked_arm
 from posor_design.layout_evaluation import evaluate, extreme_poses
 from posor_design.layout_geometry import LayoutKind, Shares, arrange
 from posor_design.layout_search import SearchResult
-from posor_design.posor_output import output_files, write_files
+from posor_design.posor_output import output_files, write_design
 from posor_design.requirement import load_requirement
 from posor_lab.harness.graph import Graph
 from posor_lab.harness.program import Program, installed
@@ -41,7 +41,7 @@ def test_a_designed_posor_runs(tmp_path: Path, kind: LayoutKind, rotation: float
     assert layout is not None
     chosen = evaluate(requirement, kind, layout, extreme_poses(requirement, layout.gap))
     result = SearchResult(requirement, chosen, (chosen,), (chosen,), chosen, 1, "electronics")
-    write_files(tmp_path / "design", output_files(result, chosen))
+    write_design(tmp_path / "design", output_files(result, chosen))
     arm = load_checked_arm(str(tmp_path / "design"))
     command = [*installed("posor_bringup", "bringup"), str(arm.path), "--layout", "composed"]
     with Graph() as graph:

@@ -17,6 +17,7 @@ from posor.errors import ParameterError
 from posor.numerics.array_types import FloatArray, IntArray
 from posor_bringup.encoders_command import HEADER, find_errors, main, parse_options
 from posor_drivers.simulator.scenario import load_scenario
+from posor_lab.harness.full_disk import full_disk_changes_nothing
 
 BAG = Path(__file__).resolve().parents[1] / "bags" / "five_axis"
 OPTIONS = ["five_axis", "--bag", str(BAG), "--topic", "/five_axis/encoders"]
@@ -37,6 +38,14 @@ def test_the_backlash_of_the_recorded_arm_is_found(tmp_path: Path, capsys: pytes
         assert joint.gear is not None
         assert found[name].backlash == pytest.approx(joint.gear.backlash.number, rel=0.02)
         assert found[name].rest < 1e-5
+
+
+def test_a_full_disk_keeps_the_former_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    output = tmp_path / "encoders.csv"
+    output.write_text("former", encoding="utf-8")
+    with full_disk_changes_nothing(tmp_path, 1000):
+        assert main([*OPTIONS, "--output", str(output)]) == 1
+    assert capsys.readouterr().err == f"{output}: cannot be written, File too large.\n"
 
 
 @pytest.mark.parametrize(

@@ -18,6 +18,7 @@ from posor.chain.arm_file import load_arm_file
 from posor.messages.message_definitions import MessageTypes
 from posor.ros_names import POSE_STAMPED
 from posor_bringup.iso9283_command import OUTPUT_FILES, main
+from posor_lab.harness.full_disk import full_disk_changes_nothing
 from posor_lab.harness.iso9283_by_hand import figures_of
 from posor_ros.qos import RELIABLE_QOS
 
@@ -99,6 +100,16 @@ def test_poses_distances_and_paths_are_found_with_all_their_cycles(made: Path) -
     for figures in (*found["poses"].values(), *found["paths"].values()):
         accuracy = figures.get("AP_p", figures.get("AT_p"))
         assert 0.0 < accuracy < 300e-6
+
+
+def test_a_full_disk_keeps_all_former_files(
+    arm: Path, bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in OUTPUT_FILES:
+        (tmp_path / name).write_text("former", encoding="utf-8")
+    with full_disk_changes_nothing(tmp_path, 20_000):  # the table of points is larger
+        assert main([str(arm), "--bag", str(bag), "--reference", REFERENCE, "--output", str(tmp_path)]) == 1
+    assert capsys.readouterr().err == f"{tmp_path / 'points.csv'}: cannot be written, File too large.\n"
 
 
 def test_stated_dwells_replace_those_that_are_found(made: Path, arm: Path, bag: Path, tmp_path: Path) -> None:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+    from pathlib import Path
 
 
 @contextmanager
@@ -21,3 +22,18 @@ def file_size_limit(size: int) -> Iterator[None]:
         yield
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+
+
+@contextmanager
+def full_disk_changes_nothing(folder: Path, size: int) -> Iterator[None]:
+    """Limit files as ``file_size_limit`` does. Raises AssertionError: the block has changed the files of a folder."""
+    former = contents_of(folder)
+    with file_size_limit(size):
+        yield
+    if contents_of(folder) != former:
+        raise AssertionError(f"the files of {folder} have changed")
+
+
+def contents_of(folder: Path) -> dict[str, bytes]:
+    """Return the contents of all files in a folder by their paths in it."""
+    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}

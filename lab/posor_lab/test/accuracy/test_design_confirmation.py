@@ -15,7 +15,7 @@ import pytest
 from posor_design.layout_evaluation import evaluate, extreme_poses
 from posor_design.layout_geometry import LayoutKind, Shares, arrange
 from posor_design.layout_search import SearchResult
-from posor_design.posor_output import REQUIREMENT, output_files, requirement_text, write_files
+from posor_design.posor_output import REQUIREMENT, output_files, requirement_text, write_design
 from posor_design.requirement import Requirement, requirement_content
 from posor_lab.accuracy.accuracy_command import confirm_design, main
 
@@ -38,7 +38,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory, requirement: Requirement) -
     chosen = evaluate(requirement, KIND, layout, extreme_poses(requirement, layout.gap))
     result = SearchResult(requirement, chosen, (chosen,), (chosen,), chosen, 1, "electronics")
     folder = tmp_path_factory.mktemp("design")
-    write_files(folder, output_files(result, chosen))
+    write_design(folder, output_files(result, chosen))
     return folder
 
 

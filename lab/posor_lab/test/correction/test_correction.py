@@ -17,6 +17,7 @@ from posor_drivers.simulator.arm_simulation import ArmSimulation
 from posor_lab.correction.correction_command import STOP_S, findings, least_gains, stop_times, study_robot
 from posor_lab.correction.correction_study import PathErrors
 from posor_lab.correction.simulated_robot import SimulatedRobot
+from posor_lab.harness.full_disk import full_disk_changes_nothing
 
 BAG = Path(__file__).resolve().parents[4] / "bags" / "five_axis"
 ROWS, ROWS_OF_STOPS = 750, 550
@@ -72,6 +73,9 @@ def test_a_recorded_program_is_corrected_by_the_errors_of_the_true_arm(
 
     assert main(arguments) == 2
     assert "exists; expected a new file, or --force" in capsys.readouterr().err
+    with full_disk_changes_nothing(tmp_path, 1000):
+        assert main([*arguments, "--force"]) == 1
+    assert capsys.readouterr().err == f"{output}: cannot be written, File too large.\n"
     assert main([*arguments, "--force", "--max-offset", "1e-5"]) == 1
     assert "expected at most 1e-05 rad" in capsys.readouterr().err
     assert main([*arguments, "--force", "--max-rate", "-1"]) == 2

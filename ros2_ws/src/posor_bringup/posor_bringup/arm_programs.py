@@ -9,11 +9,11 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Literal, get_args
 
 import yaml
-from posor.bags.result_folder import writing
 from posor.chain.arm_file import CHAIN_NODE, POSOR_NODE, node_errors, posor_parameters
 from posor.chain.arm_file import chain_parameters as chain_parameters_of
 from posor.errors import ErrorCollector, ParameterError, PosorError, similar_name
 from posor.node_parameters import RECORDING, ChainParameters, PosorParameters
+from posor.output_files import write_files
 from posor.parameter_model import validate_parameters
 from posor.ros_names import ROS_OWN_PARAMETERS, TEMPERATURE_TOPIC
 from posor_drivers.driver_parameters import driver_parameters_for
@@ -195,7 +195,6 @@ def _compose(name: str, programs: Sequence[ProgramCommand], enclave: str, folder
     ]
     path = folder / f"{name}.yaml"
     content = {"format": "posor_composition", "version": 1, "nodes": nodes}
-    with writing(path):
-        path.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
+    write_files({path: yaml.safe_dump(content, sort_keys=False)})
     ends = all(program.ends for program in programs)
     return ProgramCommand(name, "posor_estimator", "compose", (str(path),), ends=ends, enclave=enclave)

@@ -7,9 +7,10 @@ from __future__ import annotations
 from argparse import ArgumentParser, ArgumentTypeError
 from typing import TYPE_CHECKING, cast
 
-from posor.bags.result_folder import prepare_outputs, writing
+from posor.bags.result_folder import prepare_outputs
 from posor.calibration.yaml_document import parse_yaml
 from posor.errors import CalibrationError, ParameterError
+from posor.output_files import writing
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

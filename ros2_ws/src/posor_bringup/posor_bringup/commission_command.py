@@ -18,10 +18,11 @@ from typing import TYPE_CHECKING, NamedTuple
 from posor.arm_names import describe_argument
 from posor.bags.provenance import provenance_of
 from posor.bags.reprocess_task import Settings
-from posor.bags.result_folder import prepare_outputs, writing
+from posor.bags.result_folder import prepare_outputs
 from posor.calibration.save import save_calibration
 from posor.chain.commissioning_record import load_record
 from posor.errors import ParameterError
+from posor.output_files import write_files
 from posor.reporting.command_line_parser import CommandLineParser
 from posor.reporting.program_errors import reports_errors
 from posor.ros_names import COMMISSIONING_TOPIC, RAW_TOPIC
@@ -148,9 +149,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     date = dt.datetime.now(tz=dt.UTC).isoformat(timespec="seconds")
     data = load_commissioning(bag, topics_of(arm, options.reference_topic))
     report = check_commissioning(arm, arm.chain(), calibrations, data, settings, date=date, before=before)
-    with writing(options.output):
-        (options.output / PAGE).write_text(report.to_page(), encoding="utf-8")
-        (options.output / NUMBERS).write_text(report.to_json(), encoding="utf-8")
+    write_files({options.output / PAGE: report.to_page(), options.output / NUMBERS: report.to_json()})
     _print_report(report, options.output)
     if report.failed:
         return NOT_PASSED

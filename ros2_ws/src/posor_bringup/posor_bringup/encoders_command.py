@@ -7,6 +7,7 @@ from __future__ import annotations
 import csv
 import math
 import sys
+from io import StringIO
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,10 +15,10 @@ import numpy as np
 from posor.arm_names import describe_argument
 from posor.bags.offline_pipeline import load_arm
 from posor.bags.recorded_encoders import read_encoders
-from posor.bags.result_folder import writing
 from posor.chain.endpoint_predictor import describe_disagreement, describe_jump, is_same_motion
 from posor.errors import ParameterError
 from posor.numerics.vector import wrapped_angles
+from posor.output_files import write_files, writing
 from posor.reporting.command_line_parser import CommandLineParser
 from posor.reporting.program_errors import reports_errors
 from posor.reporting.report_console import report_console
@@ -113,13 +114,14 @@ def _gravity_in_plates(chain: Chain, angles: FloatArray) -> list[FloatArray]:
 
 def write_table(path: Path, found: Mapping[str, EncoderErrors]) -> None:
     """Write all bins. Raises OutputError: the file cannot be written."""
+    text = StringIO()
+    writer = csv.writer(text)
+    writer.writerow(HEADER)
+    for joint, each in found.items():
+        writer.writerows((joint, *row) for row in each.table)
     with writing(path):
         path.parent.mkdir(parents=True, exist_ok=True)
-        with path.open("w", encoding="utf-8", newline="") as file:
-            writer = csv.writer(file)
-            writer.writerow(HEADER)
-            for joint, each in found.items():
-                writer.writerows((joint, *row) for row in each.table)
+    write_files({path: text.getvalue()})
 
 
 def _cell(value: float, factor: float = 1e6) -> str:

@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from posor.arm_names import describe_argument
 from posor.bags.offline_pipeline import load_arm
-from posor.bags.result_folder import prepare_outputs, writing
+from posor.bags.result_folder import prepare_outputs
 from posor.errors import DataFileError, OutputError, ParameterError
+from posor.output_files import write_files
 from posor.reporting.command_line_parser import CommandLineParser
 from posor.reporting.program_errors import reports_errors
 from posor.tables.table_readings import load_readings
@@ -120,9 +121,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     balls = {name: np.array(place) for name, place in history.balls.items()}
     model = HealthModel(HealthArm(chain, calibrations, balls), history.tests[0], history.T_artefact_base)
     report = HealthReport(arm.name, chart_tests(model, history.tests, options.reference_tests, options.false_alarm))
-    with writing(folder):
-        (folder / PAGE).write_text(report.to_page(), encoding="utf-8")
-        (folder / NUMBERS).write_text(report.to_json(), encoding="utf-8")
+    write_files({folder / PAGE: report.to_page(), folder / NUMBERS: report.to_json()})
     print(report.sentence)
     print(f"advice: {report.advice}")
     print(f"page {folder / PAGE}, numbers {folder / NUMBERS}")

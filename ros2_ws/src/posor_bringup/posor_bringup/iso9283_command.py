@@ -9,6 +9,7 @@ import csv
 import json
 import math
 import sys
+from io import StringIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,8 +19,9 @@ from posor.bags.calibration_recording import Reference, bag_sha256, load_recordi
 from posor.bags.offline_pipeline import load_arm, topics_of
 from posor.bags.recording import POINT, POSE
 from posor.bags.reprocess_task import Settings
-from posor.errors import BagError, DataFileError, ParameterError
+from posor.errors import BagError, DataFileError
 from posor.numerics.stamps import NS
+from posor.output_files import write_files, writing
 from posor.reporting.command_line_parser import CommandLineParser
 from posor.reporting.program_errors import reports_errors
 from posor.reporting.report_console import report_console
@@ -160,18 +162,19 @@ def _json(figures: Figures) -> dict[str, float | None]:
     return {name: number if math.isfinite(number) else None for name, number in figures.items()}
 
 
-def _write_points(path: Path, poses: Iterable[PoseCycles], paths: Iterable[PathCycles]) -> None:
-    """Write all points with all digits: cycle 0 is the commanded one."""
-    with path.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file)
-        writer.writerow(("what", "name", "point", "cycle", *COMPONENTS))
-        for pose in poses:
-            for cycle, row in enumerate([pose.commanded, *pose.attained]):
-                writer.writerow(("pose", pose.name, 0, cycle, *map(repr, map(float, row))))
-        for each in paths:
-            for point, (commanded, attained) in enumerate(zip(each.commanded, each.attained, strict=True)):
-                for cycle, row in enumerate([commanded, *attained]):
-                    writer.writerow(("path", each.name, point, cycle, *map(repr, map(float, row))))
+def _points_csv(poses: Iterable[PoseCycles], paths: Iterable[PathCycles]) -> str:
+    """Return all points with all digits: cycle 0 is the commanded one."""
+    text = StringIO()
+    writer = csv.writer(text)
+    writer.writerow(("what", "name", "point", "cycle", *COMPONENTS))
+    for pose in poses:
+        for cycle, row in enumerate([pose.commanded, *pose.attained]):
+            writer.writerow(("pose", pose.name, 0, cycle, *map(repr, map(float, row))))
+    for each in paths:
+        for point, (commanded, attained) in enumerate(zip(each.commanded, each.attained, strict=True)):
+            for cycle, row in enumerate([commanded, *attained]):
+                writer.writerow(("path", each.name, point, cycle, *map(repr, map(float, row))))
+    return text.getvalue()
 
 
 def _print(console: Console, tables: Iterable[tuple[str, Mapping[str, Figures]]], notes: Iterable[str]) -> None:
@@ -215,16 +218,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "paths": {name: _json(figures) for name, figures in of_paths.items()},
         "notes": notes,
     }
-    try:
+    with writing(options.output):
         options.output.mkdir(parents=True, exist_ok=True)
-        json_file, points_file = (options.output / name for name in OUTPUT_FILES)
-        json_file.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
-        _write_points(points_file, usable, paths)
-    except OSError as error:
-        what = f"cannot be written: {error.strerror}"
-        raise ParameterError(
-            what, where=f"iso9283, --output, {options.output}", expected="a writable folder"
-        ) from error
+    json_file, points_file = (options.output / name for name in OUTPUT_FILES)
+    write_files({json_file: json.dumps(content, indent=2) + "\n", points_file: _points_csv(usable, paths)})
     console = report_console(WIDTH)
     tables = ("Poses", of_poses), ("Distances", of_distances), ("Paths", of_paths)
     _print(console, tables, notes)

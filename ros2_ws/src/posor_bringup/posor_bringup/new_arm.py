@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING, Literal, get_args
 import numpy as np
 import pinocchio as pin
 from jinja2 import Environment, PackageLoader, StrictUndefined
-from posor.bags.result_folder import writing
 from posor.calibration.designs import CONVERTER_BITS, LIGHT_RING_BITS, STANDOFF, converter_steps, design, sized_design
 from posor.calibration.document_text import document_text
 from posor.errors import OutputError
+from posor.output_files import writing
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -7,7 +7,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
-from posor.bags.result_folder import writing
+from posor.output_files import write_files
 
 from posor_bringup.view_charts import distinct_colours
 
@@ -41,7 +41,5 @@ def write_views(arm: ArmFile, folder: Path, frame_prefix: str = "") -> dict[str,
         "joints": list(arm.calibrations),
     }
     files = {tool: folder / name for tool, name in VIEWS.items()}
-    with writing(folder):
-        for path in files.values():
-            path.write_text(templates.get_template(f"{path.name}.j2").render(names), encoding="utf-8")
+    write_files({path: templates.get_template(f"{path.name}.j2").render(names) for path in files.values()})
     return files

@@ -19,6 +19,7 @@ from posor_bringup.arm_files_command import main as new_arm
 from posor_bringup.statement_command import compute_statement, main, parse_options
 from posor_design.statement_map import COLOURS, draw_map
 from posor_design.statement_report import OUTPUT_FILES, micro_bound, render_sheet, verdict
+from posor_lab.harness.full_disk import full_disk_changes_nothing
 from posor_lab.harness.report_page import ReportPage
 from scipy.stats import t
 
@@ -92,6 +93,14 @@ def test_page_and_pdf_hold_the_sentences(made: Path) -> None:
     for record in content["records"]:
         assert record["sha256"] in page
     assert (made / "statement.pdf").read_bytes().startswith(b"%PDF")
+
+
+def test_a_full_disk_keeps_all_former_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for name in OUTPUT_FILES:
+        (tmp_path / name).write_text("former", encoding="utf-8")
+    with full_disk_changes_nothing(tmp_path, 80_000):  # the page is larger
+        assert main(["five_axis", "--angles=0,0,0,0,0", "--output", str(tmp_path)]) == 1
+    assert capsys.readouterr().err == f"{tmp_path / 'statement.html'}: cannot be written, File too large.\n"
 
 
 def test_the_map_of_a_workspace_marks_the_worst_pose_and_colours_the_others() -> None:

@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from posor.bags.recording import POSE
-from posor.bags.result_folder import writing
 from posor.calibration.calibration_file import FILE_KIND, load_calibration, parse_calibration
 from posor.calibration.save import refuse_existing
 from posor.calibration.yaml_document import read_text
 from posor.certificates.dcc_document import write_dcc
 from posor.certificates.dcc_options import add_dcc_options, read_dcc_options
 from posor.errors import OutputError, ParameterError
+from posor.output_files import writing
 from posor.reporting.command_line_parser import CommandLineParser
 from posor.reporting.program_errors import reports_errors
 from posor.reporting.progress import progress_display

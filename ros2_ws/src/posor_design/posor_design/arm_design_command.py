@@ -21,7 +21,7 @@ from posor_design.arm_design_page import allotment_tables, render_arm_page
 from posor_design.arm_output import BEAMS, allotment_json, allotted_beams, arm_files, joint_requirements
 from posor_design.endpoint_budget import configurations
 from posor_design.nearest_requirement import search_layouts
-from posor_design.posor_output import ARM_FILE, add_output_options, output_folder, requirement_text, write_files
+from posor_design.posor_output import ARM_FILE, add_output_options, output_folder, requirement_text, write_design
 from posor_design.quantity_text import parse_quantity, split_list
 
 if TYPE_CHECKING:
@@ -113,7 +113,7 @@ def main(arguments: Sequence[str]) -> int:
         **({} if beams is None else {BEAMS: beams}),
         **(arm_files(arm, allotment, requirements, layouts) if layouts else {}),
     }
-    write_files(folder, files, force=options.force)
+    write_design(folder, files, force=options.force)
     console = report_console(160)
     for table in allotment_tables(allotment, layouts).values():
         table.print(console)

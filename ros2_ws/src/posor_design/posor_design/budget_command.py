@@ -12,11 +12,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from posor.arm_names import describe_argument
-from posor.bags.result_folder import writing
 from posor.calibration.calibration_file import load_calibration
 from posor.chain.arm_file import load_arm_file
 from posor.errors import ParameterError
 from posor.estimation.posor import Posor
+from posor.output_files import write_files, writing
 from posor.reporting.command_line_parser import CommandLineParser
 from posor.reporting.program_errors import reports_errors
 from posor.reporting.progress import progress_display
@@ -138,12 +138,8 @@ def compute_budget(options: argparse.Namespace, progress: Callable[[int], None] 
     budget = error_budget(posor, scan, pose, points)
     reliability = joint_reliability(posor, scan, pose)
     arm = None if options.arm is None else _arm_reliability(options.arm, options.angles)
-    try:
+    with writing(options.output):
         options.output.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        where = f"budget, --output, {options.output}"
-        what = f"cannot be created: {error.strerror}"
-        raise ParameterError(what, where=where, expected="a writable folder") from error
     drawn = monte_carlo(posor, scan, pose, points, seed=options.seed, max_draws=options.draws, progress=progress)
     return BudgetReport(
         calibration=calibration.name,
@@ -159,12 +155,9 @@ def compute_budget(options: argparse.Namespace, progress: Callable[[int], None] 
 
 
 def write_budget(report: BudgetReport, folder: Path) -> None:
-    """Write table, figures and page into an existing folder. Raises OutputError: they cannot be written."""
-    csv_file, json_file, page_file = (folder / name for name in OUTPUT_FILES)
-    with writing(folder):
-        report.write_csv(csv_file)
-        json_file.write_text(json.dumps(report.as_json(), indent=2) + "\n", encoding="utf-8")
-        page_file.write_text(render_budget_page(report), encoding="utf-8")
+    """Write table, figures and page into an existing folder. Raises OutputError: one cannot be written."""
+    texts = report.as_csv(), json.dumps(report.as_json(), indent=2) + "\n", render_budget_page(report)
+    write_files({folder / name: text for name, text in zip(OUTPUT_FILES, texts, strict=True)})
 
 
 def print_budget(report: BudgetReport, console: Console) -> None:

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import csv
 from dataclasses import dataclass
+from io import StringIO
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -23,7 +24,6 @@ from posor_design.reliability_report import arm_json, arm_table, causes_table, r
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
-    from pathlib import Path
 
     from posor.numerics.array_types import FloatArray
     from posor.uncertainty.budget_quantities import Output
@@ -170,16 +170,17 @@ class BudgetReport:
         tables = [reliability_table(self.reliability), causes_table(self.reliability)]
         return [*tables, arm_table(self.arm)] if self.arm else tables
 
-    def write_csv(self, path: Path) -> None:
-        """Write the contributions in order of rank, SI units."""
-        with path.open("w", encoding="utf-8", newline="") as file:
-            writer = csv.writer(file)
-            writer.writerow(CSV_COLUMNS)
-            parts = zip(self.budget.contributions, self.budget.shares(), strict=True)
-            for rank, (part, shares) in enumerate(parts, start=1):
-                for output, effect, share in zip(self.budget.outputs, part.effects, shares, strict=True):
-                    row = (rank, part.name, part.kind, output.name, output.unit, f"{effect:.9g}", f"{share:.9g}")
-                    writer.writerow(row)
+    def as_csv(self) -> str:
+        """Return the contributions in order of rank, SI units."""
+        text = StringIO()
+        writer = csv.writer(text)
+        writer.writerow(CSV_COLUMNS)
+        parts = zip(self.budget.contributions, self.budget.shares(), strict=True)
+        for rank, (part, shares) in enumerate(parts, start=1):
+            for output, effect, share in zip(self.budget.outputs, part.effects, shares, strict=True):
+                row = (rank, part.name, part.kind, output.name, output.unit, f"{effect:.9g}", f"{share:.9g}")
+                writer.writerow(row)
+        return text.getvalue()
 
     def as_json(self) -> dict[str, Any]:
         """Return everything by name, SI units."""

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from posor.errors import OutputError, ParameterError, similar_name
+from posor.output_files import write_files
 from posor.reporting.command_line_parser import CommandLineParser
 from posor.reporting.program_errors import reports_errors
 
@@ -90,15 +91,21 @@ def run_calculator(signature: CalculatorSignature, arguments: Sequence[str]) -> 
     result = signature.function(**values)
     results = {each.name: getattr(result, each.name) for each in signature.results}
     _print_values(signature.results, results)
+    texts: dict[Path, str] = {}
     if options["json"]:
         content = {
             "calculator": signature.name,
             "arguments": _json_values(signature.arguments, values),
             "result": _json_values(signature.results, results),
         }
-        _write(options["json"], json.dumps(content, indent=2) + "\n")
+        texts[options["json"]] = json.dumps(content, indent=2) + "\n"
     if options["html"]:
-        _write(options["html"], render_design_page(signature, values, results))
+        texts[options["html"]] = render_design_page(signature, values, results)
+    for path in texts:
+        if not path.parent.exists():
+            what = f"the folder {path.parent} does not exist"
+            raise OutputError(what, where=str(path), expected="an existing folder")
+    write_files(texts)
 
 
 def build_parser(signature: CalculatorSignature) -> CalculatorParser:
@@ -142,15 +149,6 @@ def _print_values(fields: Sequence[Value], values: dict[str, Any]) -> None:
 
 def _json_values(fields: Sequence[Value], values: dict[str, Any]) -> dict[str, Any]:
     return {each.name: {"value": values[each.name], "unit": unit_of(each.kind)} for each in fields}
-
-
-def _write(path: Path, text: str) -> None:
-    if not path.parent.exists():
-        raise OutputError(f"the folder {path.parent} does not exist", where=str(path), expected="an existing folder")
-    try:
-        path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise OutputError(f"cannot be written: {error.strerror}", where=str(path)) from error
 
 
 if __name__ == "__main__":

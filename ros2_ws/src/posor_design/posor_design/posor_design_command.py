@@ -26,7 +26,7 @@ from posor_design.posor_output import (
     add_output_options,
     output_files,
     output_folder,
-    write_files,
+    write_design,
 )
 from posor_design.quantity_text import parse_quantity
 from posor_design.requirement import FREEDOMS, OPTIONS, Requirement, load_requirement, requirement_content
@@ -125,7 +125,7 @@ def main(arguments: Sequence[str]) -> int:
     requirement = requirement_of(options)
     folder = output_folder(options.output, requirement.name, ARM_FILE, force=options.force)
     ((result, chosen),) = search_layouts({"layouts": requirement}, options.prefer).values()
-    write_files(folder, output_files(result, chosen), force=options.force)
+    write_design(folder, output_files(result, chosen), force=options.force)
     pose = f"--pose=0,0,{chosen.layout.gap!r},0,0,0"  # the middle of the range
     budget = ["--output", str(folder / "budget"), "--draws", str(BUDGET_DRAWS)]
     budget_options = parse_budget_options([str(folder / CALIBRATION), pose, *budget])

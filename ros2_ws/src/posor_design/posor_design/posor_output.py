@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from posor.calibration.document_text import document_text
 from posor.errors import OutputError, ParameterError
+from posor.output_files import write_files, writing
 
 from posor_design.layout_search import objectives
 from posor_design.posor_design_page import render_posor_page
@@ -95,28 +96,27 @@ def output_folder(text: str | None, name: str, first: str, *, force: bool) -> Pa
     if text is not None and not text.strip():
         raise ParameterError(f"'{text}'", where="--output", expected="a folder")
     folder = Path("build/design") / name if text is None else Path(text)
-    try:
+    with writing(folder):
         nearest = next(each for each in (folder, *folder.absolute().parents) if each.exists())
         if not nearest.is_dir() or not os.access(nearest, os.W_OK | os.X_OK):
             raise OutputError(f"cannot be written below {nearest}", where=str(folder), expected="a writable folder")
         if (folder / first).exists() and not force:
             raise OutputError(f"{first} exists already", where=str(folder), expected="another folder, or --force")
-    except OSError as error:
-        raise OutputError(f"cannot be written: {error.strerror}", where=str(folder)) from error
     return folder
 
 
-def write_files(folder: Path, texts: Mapping[str, str], *, force: bool = False) -> None:
-    """Write files into a folder. Raises OutputError: a file exists and ``force`` is false, or it cannot be written."""
+def write_design(folder: Path, texts: Mapping[str, str], *, force: bool = False) -> None:
+    """Write files into a folder, all or none.
+
+    Raises OutputError: a file exists and ``force`` is false, or it cannot be written.
+    """
     existing = [name for name in texts if (folder / name).exists()]
     if existing and not force:
         raise OutputError(f"{existing[0]} exists already", where=str(folder), expected="another folder, or --force")
-    try:
-        for name, text in texts.items():
+    with writing(folder):
+        for name in texts:
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
-            (folder / name).write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise OutputError(f"cannot be written: {error.strerror}", where=str(folder)) from error
+    write_files({folder / name: text for name, text in texts.items()})
 
 
 def requirement_text(requirement: Requirement) -> str:

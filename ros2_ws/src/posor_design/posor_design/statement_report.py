@@ -15,6 +15,7 @@ import pinocchio as pin
 import typst
 from markupsafe import Markup
 from posor.chain.fault_bounds import INTEGRITY_RISK
+from posor.output_files import write_files
 from posor.reporting.html_page import Cell, Section, bullet_list, paragraph, render_page, table
 from posor.reporting.number_columns import align_numbers, decimals
 from posor.reporting.report_table import ReportTable
@@ -456,11 +457,10 @@ def _sheet_table(statement: Statement, shown: StatementTable) -> dict[str, Any]:
 
 
 def write_statement(statement: Statement, folder: Path) -> None:
-    """Write JSON, page and PDF into an existing folder."""
+    """Write JSON, page and PDF into an existing folder. Raises OutputError: one cannot be written."""
     json_file, page_file, pdf_file = (folder / name for name in OUTPUT_FILES)
-    json_file.write_text(json.dumps(as_json(statement), indent=2) + "\n", encoding="utf-8")
-    page_file.write_text(render_statement_page(statement), encoding="utf-8")
-    pdf_file.write_bytes(render_sheet(statement)[0])
+    texts = {json_file: json.dumps(as_json(statement), indent=2) + "\n", page_file: render_statement_page(statement)}
+    write_files({**texts, pdf_file: render_sheet(statement)[0]})
 
 
 def print_statement(statement: Statement, console: Console) -> None:

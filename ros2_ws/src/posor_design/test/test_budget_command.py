@@ -15,7 +15,7 @@ from posor.calibration.causes import FALSE_ALARM
 from posor.calibration.designs import design
 from posor_design.budget_command import OUTPUT_FILES, main
 from posor_design.budget_report import CSV_COLUMNS
-from posor_lab.harness.full_disk import file_size_limit
+from posor_lab.harness.full_disk import full_disk_changes_nothing
 from posor_lab.harness.report_page import ReportPage
 
 POSE = "--pose=0.00001,0,0.00075,0.0005,-0.001,0.02"
@@ -39,10 +39,15 @@ def made(calibration: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.usefixtures("few_draws")
-def test_a_full_disk_names_the_folder(calibration: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    with file_size_limit(1000):
+def test_a_full_disk_keeps_all_former_files(
+    calibration: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in OUTPUT_FILES:
+        (tmp_path / name).write_text("former", encoding="utf-8")
+    with full_disk_changes_nothing(tmp_path, 100_000):  # the page is larger
         assert main([str(calibration), POSE, "--draws", "1000", "--output", str(tmp_path)]) == 1
-    assert capsys.readouterr().err.splitlines()[-1] == f"{tmp_path}: cannot be written, File too large."
+    sentence = f"{tmp_path / 'budget.html'}: cannot be written, File too large."
+    assert capsys.readouterr().err.splitlines()[-1] == sentence
 
 
 def test_all_files_agree(made: Path) -> None:
@@ -183,5 +188,5 @@ def test_a_missing_file_and_an_unwritable_folder_are_named(
     assert not list(tmp_path.iterdir())
     (tmp_path / "file").write_text("", encoding="utf-8")
     monkeypatch.delattr("posor_design.budget_command.monte_carlo")  # refused before anything is drawn
-    assert main([str(calibration), "--output", str(tmp_path / "file" / "x")]) == 2
-    assert f"budget, --output, {tmp_path / 'file' / 'x'}: cannot be created: Not a directory" in capsys.readouterr().err
+    assert main([str(calibration), "--output", str(tmp_path / "file" / "x")]) == 1
+    assert capsys.readouterr().err == f"{tmp_path / 'file' / 'x'}: cannot be written, Not a directory.\n"

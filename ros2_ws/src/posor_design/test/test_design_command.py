@@ -146,7 +146,7 @@ def test_a_file_that_cannot_be_written_is_one_sentence_and_no_folder_is_created(
 ) -> None:
     (tmp_path / "file").touch()
     folder = tmp_path / "new"
-    for path, reason in ((tmp_path / "file" / "x", "cannot be written: "), (folder / "x", f"the folder {folder} does")):
+    for path, reason in ((tmp_path / "file" / "x", "cannot be written, "), (folder / "x", f"the folder {folder} does")):
         assert main([*example_of("abbe-error"), option, str(path)]) == 1
         assert capsys.readouterr().err.startswith(f"{path}: {reason}")
     assert not folder.exists()

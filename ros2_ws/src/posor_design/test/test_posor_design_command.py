@@ -19,7 +19,7 @@ from posor.estimation.posor import Posor
 from posor_design.design_command import main
 from posor_design.layout_geometry import LayoutKind
 from posor_design.posor_design_page import verdict
-from posor_design.posor_output import ARM_FILE, CALIBRATION, JOINT, output_files, write_files
+from posor_design.posor_output import ARM_FILE, CALIBRATION, JOINT, output_files, write_design
 from posor_design.requirement import load_requirement
 
 from .layout_examples import BUMPS, RING_OF_LIGHTS, candidate, example, result_of
@@ -40,7 +40,7 @@ def one_kind(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.parametrize("kind", [RING_OF_LIGHTS, BUMPS], ids=lambda kind: kind.name)
 def test_written_files_load_and_agree(tmp_path: Path, kind: LayoutKind) -> None:
-    write_files(tmp_path, output_files(result_of(example(), candidate(kind)), candidate(kind)))
+    write_design(tmp_path, output_files(result_of(example(), candidate(kind)), candidate(kind)))
     arm, layout = load_arm_file(tmp_path / ARM_FILE), candidate(kind).layout
     (joint,) = arm.chain().joints
     calibration = arm.calibration(JOINT)
@@ -58,11 +58,11 @@ def test_written_files_load_and_agree(tmp_path: Path, kind: LayoutKind) -> None:
 
 def test_an_earlier_design_is_kept_without_force(tmp_path: Path) -> None:
     texts = {"a.txt": "one", "folder/b.txt": "two"}
-    write_files(tmp_path, texts)
+    write_design(tmp_path, texts)
     with pytest.raises(OutputError, match=r"a\.txt exists already; expected another folder, or --force"):
-        write_files(tmp_path, {**texts, "a.txt": "three"})
+        write_design(tmp_path, {**texts, "a.txt": "three"})
     assert (tmp_path / "a.txt").read_text(encoding="utf-8") == "one"
-    write_files(tmp_path, {"a.txt": "three"}, force=True)
+    write_design(tmp_path, {"a.txt": "three"}, force=True)
     assert (tmp_path / "a.txt").read_text(encoding="utf-8") == "three"
 
 

@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING
 from posor.arm_names import describe_argument
 from posor.bags.bag_writer import file_name_of, replace_bag
 from posor.bags.provenance import provenance_of
-from posor.bags.result_folder import writing
 from posor.chain.arm_file import load_arm_file
 from posor.chain.identity import file_sha256
 from posor.errors import BagError, ParameterError
 from posor.messages.message_definitions import MessageTypes
+from posor.output_files import writing
 from posor.reporting.command_line_parser import CommandLineParser
 from posor.reporting.program_errors import reports_errors
 from posor.ros_names import RAW_TOPIC

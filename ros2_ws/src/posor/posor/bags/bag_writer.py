@@ -39,10 +39,10 @@ from mcap.records import (
 
 from posor.bags.mcap_file import INDEX_HEAD, MAGIC, RECORD_HEAD
 from posor.bags.provenance import PENDING
-from posor.bags.result_folder import writing
 from posor.errors import BagError
 from posor.messages.byte_kernels import write_records
 from posor.numerics.stamps import NS
+from posor.output_files import writing
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence

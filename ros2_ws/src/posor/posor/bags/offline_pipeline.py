@@ -19,7 +19,7 @@ from posor.bags.block_reader import read_blocks
 from posor.bags.message_block import TopicReader
 from posor.bags.provenance import custom_data, differences, provenance_of
 from posor.bags.reprocess_task import BagTopics, Settings, Summary, Task
-from posor.bags.result_folder import new_result_folder, writing
+from posor.bags.result_folder import new_result_folder
 from posor.bags.result_output import BagOutput, TableOutput
 from posor.chain.arm_file import ArmFile, load_arm_file
 from posor.errors import BagError, checked_path
@@ -28,6 +28,7 @@ from posor.messages.estimate_arrays import ArmEstimates, EndpointEstimates
 from posor.messages.message_definitions import installed_schema
 from posor.messages.raw_scan import RecordedScans
 from posor.numerics.stamps import times_ns
+from posor.output_files import writing
 from posor.ros_names import RAW_SCAN, RAW_TOPIC, TEMPERATURE
 
 if TYPE_CHECKING:

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from posor.errors import OutputError
+from posor.output_files import writing
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -116,15 +117,6 @@ def check_outside_of_bags(output: Path, bags: Sequence[Path]) -> None:
         else:
             continue
         raise OutputError(f"{how} bag {bag}, which is to be read", where=str(output), expected="a place outside of it")
-
-
-@contextmanager
-def writing(output: Path) -> Iterator[None]:
-    """Turn errors of the operating system into an OutputError that names the output."""
-    try:
-        yield
-    except OSError as error:
-        raise OutputError(f"cannot be written, {error.strerror}", where=str(output)) from error
 
 
 def _discard(unfinished: Path) -> None:

@@ -8,10 +8,10 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from posor.bags.result_folder import writing
 from posor.certificates.certificate_file import TEMPLATE
 from posor.certificates.dcc_check import check_dcc
 from posor.certificates.dcc_document import check_new
+from posor.output_files import write_files
 from posor.reporting.command_line_parser import CommandLineParser
 from posor.reporting.program_errors import reports_errors
 
@@ -39,8 +39,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parse_options(arguments)
     if options.action == "new":
         check_new(options.file)
-        with writing(options.file):
-            options.file.write_text(TEMPLATE.read_text(encoding="utf-8"), encoding="utf-8")
+        write_files({options.file: TEMPLATE.read_text(encoding="utf-8")})
         sys.stdout.write(f"{options.file}: fill in the blanks\n")
     else:
         check_dcc(options.file, options.schema)

@@ -11,9 +11,9 @@ from decimal import Decimal
 from typing import TYPE_CHECKING
 from xml.etree import ElementTree as ET
 
-from posor.bags.result_folder import writing
 from posor.certificates.dsi_units import to_dsi
 from posor.errors import OutputError
+from posor.output_files import write_files, writing
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -102,7 +102,7 @@ def write_dcc(path: Path, certificate: Certificate, stated: CertificateFile) -> 
     content = dcc_xml(certificate, stated)
     with writing(path):
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(content + b"\n")
+    write_files({path: content + b"\n"})
 
 
 def check_new(path: Path) -> None:

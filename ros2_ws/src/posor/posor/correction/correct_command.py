@@ -19,8 +19,9 @@ from posor.correction.joint_correction import CorrectionLimits
 from posor.correction.joint_path import YAML_SUFFIXES, read_path
 from posor.correction.nominal_robot import LeastSquares, NominalRobot
 from posor.correction.program_correction import MeasuredRun, begin_of_program, correct_path
-from posor.errors import BagError, OutputError, ParameterError
+from posor.errors import BagError, ParameterError
 from posor.numerics.stamps import NS
+from posor.output_files import write_files
 from posor.parameter_model import parameter_specs
 from posor.reporting.command_line_parser import CommandLineParser
 from posor.reporting.program_errors import reports_errors
@@ -132,10 +133,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     run, scans, used = measured_run(options, robot, ran)
     path = planned if options.period is None else planned.at_period(options.period)
     corrected = correct_path(path, run, robot, limits, options.smoothing)
-    try:
-        options.output.write_text(corrected.text(as_yaml=options.output.suffix in YAML_SUFFIXES), encoding="utf-8")
-    except OSError as error:
-        raise OutputError(f"cannot be written: {error.strerror}", where=str(options.output)) from error
+    write_files({options.output: corrected.text(as_yaml=options.output.suffix in YAML_SUFFIXES)})
     offsets = np.abs(corrected.angles - path.angles).max(axis=0)
     print(f"{used} of {scans} endpoints used; the first one {run.times_s[0]:.4f} s after the program began")
     for name, largest in zip(robot.joints, offsets, strict=True):

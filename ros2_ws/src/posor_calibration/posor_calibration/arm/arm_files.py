@@ -17,7 +17,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
-from posor.bags.result_folder import writing
 from posor.calibration.edit import edit_document
 from posor.calibration.save import refuse_existing, save_calibration
 from posor.calibration.yaml_document import parse_document, read_text
@@ -26,6 +25,7 @@ from posor.chain.kinematic_chain import Chain
 from posor.chain.urdf_file import read_urdf
 from posor.chain.urdf_plates import links_are_plates, rotation_to, rpy_text
 from posor.errors import ChainError
+from posor.output_files import writing
 from scipy.linalg import eigh
 
 from posor_calibration.arm.arm_fit import NAME
