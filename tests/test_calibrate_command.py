@@ -28,6 +28,7 @@ from posor_drivers.calibration_bag import TYPES, entries, write_bag
 from posor_lab.harness.case_tables import cases
 from posor_lab.harness.certificates import CERTIFICATE, SCHEMA, needs_schema, numbers, quantities, read_dcc, texts
 from posor_lab.harness.drawn_posor import ABOUT, ALONG, DrawnPosor
+from posor_lab.harness.full_disk import full_disk_changes_nothing
 from posor_lab.harness.program import installed
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -165,7 +166,15 @@ def test_nothing_is_overwritten_without_force_and_the_old_file_is_kept(bench: Be
     assert fitted.read_text(encoding="utf-8") == before
     copy = bench.folder / "copy.yaml"
     copy.write_text(before, encoding="utf-8")
-    assert bench.fit(copy, "--force", "--loss", "huber").returncode == 0
+    for page in (copy.with_suffix(".html"), copy.with_suffix(".json")):
+        page.write_text("former", encoding="utf-8")
+    with full_disk_changes_nothing(bench.folder, 18_000):  # the figures are larger
+        done = bench.fit(copy, "--force")
+    assert (done.returncode, done.stderr) == (1, f"{copy.with_suffix('.json')}: cannot be written, File too large.\n")
+    done = bench.fit(copy, "--force", "--loss", "huber")
+    assert done.returncode == 0
+    assert f"the old file is now {copy}.1\n" in done.stdout
+    assert "copy.json; replaced: copy.html and copy.json\n" in done.stdout
     assert (bench.folder / "copy.yaml.1").read_text(encoding="utf-8") == before
     assert load_calibration(copy).fits[0].options["loss"] == "huber"
 

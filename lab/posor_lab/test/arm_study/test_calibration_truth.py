@@ -35,6 +35,7 @@ from posor_lab.arm_study.calibration_truth_command import main
 from posor_lab.arm_study.statement_truth import DrawnArm
 from posor_lab.arm_study.tracker_recording import write_calibration_recording
 from posor_lab.harness.certificates import CERTIFICATE, numbers, quantities, read_dcc
+from posor_lab.harness.full_disk import contents_of, full_disk_changes_nothing
 from scipy.optimize import least_squares
 
 USED, TESTED, ARMS = 40, 6, 4
@@ -211,11 +212,18 @@ def test_the_program_writes_an_arm_that_can_be_used_and_replaces_nothing(
         assert numbers(found[f"change: {each['name']}"]) == stated
     arm = load_arm_file(tmp_path / "new" / "arm.yaml")
     assert arm.chain().links[1].T_nominal != load_arm_file(recorded / "arm.yaml").chain().links[1].T_nominal
-    before = {path.name: path.read_bytes() for path in (tmp_path / "new").iterdir()}
+    before = contents_of(tmp_path / "new")
     for place in (output, ["--output", str(recorded)]):
         assert calibrate([*options(recorded), *place]) == 1
         assert "exists already; expected another name, or --force" in capsys.readouterr().err
-    assert before == {path.name: path.read_bytes() for path in (tmp_path / "new").iterdir()}
+    assert before == contents_of(tmp_path / "new")
+    with full_disk_changes_nothing(tmp_path / "new", len(before["arm_calibration.json"]) // 2):
+        assert calibrate([*options(recorded), *output, "--force"]) == 1
+    assert "arm_calibration.json: cannot be written: File too large" in capsys.readouterr().err
+    assert calibrate([*options(recorded), *output, "--force"]) == 0
+    after = contents_of(tmp_path / "new")
+    assert {name: after[f"{name}.1"] for name in before} == before
+    assert len(after) == 2 * len(before)
 
 
 @pytest.mark.parametrize(

@@ -24,14 +24,7 @@ from posor.reporting.program_errors import reports_errors
 from posor.reporting.report_console import report_console
 from posor.reporting.report_table import ReportTable
 from posor.tables.table_readings import load_readings
-from posor_calibration.arm.arm_files import (
-    JSON_FILE,
-    Provenance,
-    calibration_json,
-    check_output,
-    make_files,
-    write_files,
-)
+from posor_calibration.arm.arm_files import JSON_FILE, Provenance, calibration_json, check_output, make_files, save_arm
 from posor_calibration.arm.arm_fit import ArmProblem, Tool, calibrate_arm
 from posor_calibration.arm.arm_model import AXES, ArmModel
 from posor_calibration.arm.arm_poses import poses_at, recorded_poses, select_poses
@@ -160,7 +153,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     origin = Provenance(dt.datetime.now(dt.UTC).isoformat(timespec="seconds"), sources)
     files = make_files(arm, problem, found, poses, origin)
     texts = {**files.texts, JSON_FILE: calibration_json(found, files, origin)}
-    kept = write_files(folder, texts, force=options.force)
+    kept = save_arm(folder, texts, force=options.force)
     for line in _left_out(table):
         console.print(line, soft_wrap=True, markup=False)
     _print(found, files, console)

@@ -17,7 +17,7 @@ from posor.calibration.yaml_document import read_text
 from posor.certificates.dcc_document import write_dcc
 from posor.certificates.dcc_options import add_dcc_options, read_dcc_options
 from posor.errors import OutputError, ParameterError
-from posor.output_files import writing
+from posor.output_files import prepared_files
 from posor.reporting.command_line_parser import CommandLineParser
 from posor.reporting.program_errors import reports_errors
 from posor.reporting.progress import progress_display
@@ -173,15 +173,15 @@ def write_result(result: FitResult, options: argparse.Namespace, console: Consol
     ending = ["No --output: nothing is written."]
     if options.output is not None:
         ending = []
-        if result.text:
-            backup = result.save(options.output, force=options.force)
-            kept = f"; the old file is now {backup}" if backup else ""
-            ending = [f"written to {options.output}{kept}", f"content hash {result.calibration.content_hash}"]
         page, figures = _report_files(options.output)
-        with writing(page):
-            page.write_text(render_outcome_page(f"{name}, {result.source}", verdict, outcome), encoding="utf-8")
-            figures.write_text(outcome_json(name, verdict, outcome), encoding="utf-8")
-        ending.append(f"all tables: {page} and {figures.name}")
+        replaced = " and ".join(each.name for each in (page, figures) if each.exists())
+        texts = render_outcome_page(f"{name}, {result.source}", verdict, outcome), outcome_json(name, verdict, outcome)
+        with prepared_files(dict(zip((page, figures), texts, strict=True))):
+            if result.text:
+                backup = result.save(options.output, force=options.force)
+                kept = f"; the old file is now {backup}" if backup else ""
+                ending = [f"written to {options.output}{kept}", f"content hash {result.calibration.content_hash}"]
+        ending.append(f"all tables: {page} and {figures.name}" + (f"; replaced: {replaced}" if replaced else ""))
     if options.all:
         print_outcome(outcome, console)
     elsewhere = "with --all" if options.output is None else f"in {page.name}"

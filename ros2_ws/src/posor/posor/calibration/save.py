@@ -1,16 +1,19 @@
 # Copyright 2026 POSOR maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Write a file atomically and keep the file that it replaces."""
+"""Write files atomically and keep the files that they replace."""
 
 from __future__ import annotations
 
-import os
-import tempfile
-from contextlib import suppress
+from contextlib import ExitStack, contextmanager, suppress
 from itertools import count
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 from posor.errors import CalibrationError
+from posor.output_files import unfinished_file
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+    from pathlib import Path
 
 
 def save_calibration(path: Path, text: str, *, force: bool = False) -> Path | None:
@@ -22,26 +25,32 @@ def save_calibration(path: Path, text: str, *, force: bool = False) -> Path | No
     ``force``: whether an existing file may be replaced. Returns the path of the replaced file; None if there was none.
     Raises CalibrationError: the file exists and ``force`` is false, or it cannot be written.
     """
-    where = f"calibration file {path}"
-    # The target of a symbolic link is replaced, not the link.
-    target = path.resolve()
-    try:
-        with tempfile.NamedTemporaryFile(
-            "w", encoding="utf-8", dir=target.parent, prefix=f".{target.name}.", delete=False
-        ) as file:
-            written = Path(file.name)
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
-        try:
-            return _publish_file(written, target, force=force)
-        finally:
-            with suppress(FileNotFoundError):
-                written.unlink()
-    except FileExistsError as error:
-        raise CalibrationError("exists already", where=where, expected="another name, or --force") from error
-    except OSError as error:
-        raise CalibrationError(f"cannot be written: {error.strerror}", where=where) from error
+    return next(iter(save_files({path: text}, force=force)), None)
+
+
+def save_files(texts: Mapping[Path, str], *, force: bool = False) -> list[Path]:
+    """Write files as ``save_calibration`` does, all or none; return the paths of the replaced files.
+
+    Raises CalibrationError: one exists and ``force`` is false, or cannot be written.
+    """
+    kept: list[Path] = []
+    with ExitStack() as unfinished, ExitStack() as undo:
+        written: dict[Path, tuple[Path, Path]] = {}
+        for path, text in texts.items():
+            with _saving(path):
+                target = path.resolve()  # the target of a symbolic link is replaced, not the link
+                written[path] = target, unfinished.enter_context(unfinished_file(target, text.encode("utf-8")))
+        for path, (target, new) in written.items():
+            with _saving(path):
+                if force and target.exists():
+                    kept.append(_back_up(target))
+                    new.replace(target)
+                    undo.callback(kept[-1].replace, target)
+                else:
+                    target.hardlink_to(new)  # unlike a rename it fails if the file has been created meanwhile
+                    undo.callback(target.unlink)
+        undo.pop_all()
+    return kept
 
 
 def refuse_existing(path: Path, *, force: bool) -> None:
@@ -56,18 +65,16 @@ def refuse_existing(path: Path, *, force: bool) -> None:
         raise CalibrationError("its folder does not exist", where=where, expected="an existing folder")
 
 
-def _publish_file(written: Path, target: Path, *, force: bool) -> Path | None:
-    """Rename a complete file to its final name."""
-    if force and target.exists():
-        written.chmod(target.stat().st_mode & 0o777)
-        backup = _back_up(target)
-        written.replace(target)
-        return backup
-    mask = os.umask(0)
-    os.umask(mask)
-    written.chmod(0o666 & ~mask)
-    target.hardlink_to(written)  # unlike a rename it fails if the file has been created meanwhile
-    return None
+@contextmanager
+def _saving(path: Path) -> Iterator[None]:
+    """Turn errors of the operating system into a CalibrationError that names the file."""
+    where = f"calibration file {path}"
+    try:
+        yield
+    except FileExistsError as error:
+        raise CalibrationError("exists already", where=where, expected="another name, or --force") from error
+    except OSError as error:
+        raise CalibrationError(f"cannot be written: {error.strerror}", where=where) from error
 
 
 def _back_up(target: Path) -> Path:

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,10 +14,11 @@ import numpy as np
 import pytest
 import yaml
 from posor.calibration.edit import edit_document, parse_key_path
-from posor.calibration.save import refuse_existing, save_calibration
+from posor.calibration.save import refuse_existing, save_calibration, save_files
 from posor.calibration.yaml_document import FastLoader, StrictLoader, parse_yaml
 from posor.errors import CalibrationError
 from posor_lab.harness.case_tables import refusal
+from posor_lab.harness.full_disk import contents_of, full_disk_changes_nothing
 
 TEXT = """\
 # a file of its owner's own hand
@@ -180,6 +182,38 @@ def test_a_replaced_file_is_kept_under_the_next_free_number(tmp_path: Path) -> N
         "rig.yaml.2": "two\n",
     }
     assert path.stat().st_mode & 0o777 == 0o640
+
+
+def test_of_several_files_all_are_replaced_or_none(tmp_path: Path) -> None:
+    old, other, new = (tmp_path / name for name in ("old.yaml", "other.yaml", "new.yaml"))
+    for path in (old, other):
+        save_calibration(path, "one\n")
+    before = contents_of(tmp_path)
+    assert refusal(CalibrationError, save_files, {new: "two\n", old: "two\n"}).where == f"calibration file {old}"
+    assert contents_of(tmp_path) == before
+    with full_disk_changes_nothing(tmp_path, 1000):
+        refusal(CalibrationError, save_files, {old: "two\n", other: 2000 * "x"}, force=True)
+    assert save_files({old: "two\n", new: "two\n", other: "two\n"}, force=True) == [
+        tmp_path / "old.yaml.1",
+        tmp_path / "other.yaml.1",
+    ]
+    assert contents_of(tmp_path).keys() == {"old.yaml", "old.yaml.1", "other.yaml", "other.yaml.1", "new.yaml"}
+
+
+def test_a_replacement_that_fails_restores_the_files_before_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def without_space(link: Path, target: Path) -> None:
+        if target.name == "other.yaml":
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        os.link(target, link)
+
+    paths = [tmp_path / name for name in ("old.yaml", "other.yaml")]
+    for path in paths:
+        save_calibration(path, "one\n")
+    before = contents_of(tmp_path)
+    monkeypatch.setattr(Path, "hardlink_to", without_space)
+    error = refusal(CalibrationError, save_files, dict.fromkeys(paths, "two\n"), force=True)
+    assert error.what == "cannot be written: No space left on device"
+    assert contents_of(tmp_path) == before
 
 
 def test_the_target_of_a_symbolic_link_is_replaced(tmp_path: Path) -> None:

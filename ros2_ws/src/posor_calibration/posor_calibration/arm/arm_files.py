@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import pinocchio as pin
 from posor.calibration.edit import edit_document
-from posor.calibration.save import refuse_existing, save_calibration
+from posor.calibration.save import refuse_existing, save_files
 from posor.calibration.yaml_document import parse_document, read_text
 from posor.chain.beams_file import FILE_KIND, FORMER_VERSIONS, VERSION, BeamsFile, load_beams
 from posor.chain.kinematic_chain import Chain
@@ -368,9 +368,8 @@ def check_output(folder: Path, arm: ArmFile, *, force: bool) -> None:
             refuse_existing(folder / name, force=force)
 
 
-def write_files(folder: Path, texts: Mapping[str, str], *, force: bool) -> list[Path]:
-    """Write files; return the names of those that were replaced and are kept. Raises CalibrationError, OutputError."""
+def save_arm(folder: Path, texts: Mapping[str, str], *, force: bool) -> list[Path]:
+    """Write files, all or none; return where the replaced ones are kept. Raises CalibrationError, OutputError."""
     with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
-    kept = [save_calibration(folder / name, text, force=force) for name, text in texts.items()]
-    return [path for path in kept if path is not None]
+    return save_files({folder / name: text for name, text in texts.items()}, force=force)
