@@ -7,22 +7,23 @@ from __future__ import annotations
 import fcntl
 import json
 import os
-import tempfile
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from importlib import import_module
-from pathlib import Path
+from io import BytesIO
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pinocchio as pin
 from posor.chain.identity import ArmIdentity
 from posor.errors import DataFileError, OutputError, ParameterError
+from posor.output_files import write_files, writing
 
 from posor_calibration.health.health_test import HealthTest, Number, date_text
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
+    from pathlib import Path
 
 FORMAT, VERSION = "posor_health", 1
 UNIT = 1e-6  # by which the norm of a quaternion may differ from 1
@@ -123,25 +124,13 @@ def write_history(path: Path, history: HealthHistory, replaces: bytes | None = N
     rows = [(test.stamp_ns, *number) for test in history.tests for number in test.numbers]
     columns = dict(zip(COLUMNS, map(list, zip(*rows, strict=True)), strict=True))
     table = pyarrow.table(columns).replace_schema_metadata({FORMAT: json.dumps(about)})
-    target = path.resolve()
-    try:
-        with _locked(target.parent):
-            if replaces is not None and content_of(target) != replaces:
-                what = "has been changed by another program since it was read"
-                raise OutputError(what, where=str(path), expected="one program at a time: run this test again")
-            with tempfile.NamedTemporaryFile(dir=target.parent, prefix=f".{target.name}.", delete=False) as file:
-                written = Path(file.name)
-                try:
-                    parquet.write_table(table, file, compression="zstd")
-                    file.flush()
-                    os.fsync(file.fileno())
-                    written.chmod(target.stat().st_mode & 0o777 if target.exists() else 0o644)
-                    written.replace(target)
-                finally:
-                    with suppress(FileNotFoundError):
-                        written.unlink()
-    except OSError as error:
-        raise OutputError(f"cannot be written: {error.strerror}", where=str(path)) from error
+    file = BytesIO()
+    parquet.write_table(table, file, compression="zstd")
+    with writing(path), _locked(path.resolve().parent):
+        if replaces is not None and content_of(path) != replaces:
+            what = "has been changed by another program since it was read"
+            raise OutputError(what, where=str(path), expected="one program at a time: run this test again")
+        write_files({path: file.getvalue()})
 
 
 def content_of(path: Path) -> bytes:
