@@ -13,6 +13,7 @@ from typing import Any
 
 import yaml
 from posor.errors import ParameterError
+from posor.output_files import write_files
 
 
 def check_writable(path: Path) -> Path:
@@ -31,18 +32,9 @@ def check_writable(path: Path) -> Path:
 
 
 def write_json(path: Path, content: Any) -> None:
-    """Write figures as JSON and print the path."""
-    path.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+    """Write figures as JSON and print the path. Raises OutputError: the file cannot be written."""
+    write_files({path: json.dumps(content, indent=2) + "\n"})
     print(f"figures written to {path}")
-
-
-def write_files(folder: Path, contents: Mapping[str, str | bytes]) -> None:
-    """Write texts and binary files into a folder, by name. Raises ParameterError: one cannot be written."""
-    try:
-        for name, content in contents.items():
-            (folder / name).write_bytes(content.encode("utf-8") if isinstance(content, str) else content)
-    except OSError as error:
-        raise ParameterError(f"cannot be written: {error.strerror}", where=str(folder)) from error
 
 
 @cache

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from posor.errors import ParameterError
+from posor.output_files import write_files
 from posor.reporting.command_line_parser import CommandLineParser
 from posor_bringup.arms import load_checked_arm
 from posor_bringup.bringup_options import LOGS, add_driver_parameters, prepare_output_folder
@@ -32,7 +33,7 @@ from posor_lab.arm_study.arm_report import ArmOutcome, arm_figures, arm_findings
 from posor_lab.arm_study.arm_run import ArmLiveTable, ArmRun
 from posor_lab.arm_study.shared_arm import write_shared_arm
 from posor_lab.harness.ros_domain import isolated_network
-from posor_lab.lab_output import write_files, write_json
+from posor_lab.lab_output import write_json
 from posor_lab.reports.console_progress import InterruptedRunError, StageProgress
 from posor_lab.reports.findings import COMPARISON_HEADINGS, exit_code_of_findings, print_findings, print_verdict
 
@@ -105,7 +106,7 @@ def _study_arm(options: Namespace, argv: Sequence[str]) -> Findings:
     console.print(f"{arm.name}: evaluating", soft_wrap=True, markup=False)
     outcome = replace(outcome, coverage=coverage, budget=arm_budget(arm, BUDGET_DRAWS))
     findings = arm_findings(outcome)
-    write_files(folder, {"report.html": arm_page(arm, simulation.scenario, outcome, findings)})
+    write_files({folder / "report.html": arm_page(arm, simulation.scenario, outcome, findings)})
     print_findings(findings, console, f"{arm.name}: findings", COMPARISON_HEADINGS)
     write_json(options.output.with_name(f"{options.output.name}.json"), arm_figures(outcome))
     console.print(f"report: {folder / 'report.html'}", soft_wrap=True, markup=False)

@@ -16,6 +16,7 @@ import pinocchio as pin
 from posor.calibration.edit import edit_document
 from posor.calibration.yaml_document import read_text
 from posor.chain.beams_file import FILE_KIND, load_beams
+from posor.output_files import write_files
 from posor_calibration.arm.arm_fit import ArmProblem, Tool, calibrate_arm
 from posor_calibration.arm.arm_model import ArmModel, ArmPoses
 from posor_calibration.arm.arm_poses import poses_at
@@ -24,7 +25,6 @@ from scipy.special import chdtri
 
 from posor_lab.arm_study.shared_arm import write_shared_arm
 from posor_lab.arm_study.statement_truth import DrawnArm, StatementTruth
-from posor_lab.lab_output import write_files
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -51,7 +51,7 @@ def write_assembled_arm(arm: ArmFile, folder: Path, sigma: float = ASSEMBLED) ->
         for n in range(len(load_beams(beams).beams))
         for name, unit in (("position", "m"), ("orientation", "rad"))
     }
-    write_files(folder, {"beams.yaml": edit_document(read_text(beams, FILE_KIND), str(beams), changes)})
+    write_files({folder / "beams.yaml": edit_document(read_text(beams, FILE_KIND), str(beams), changes)})
     return path
 
 

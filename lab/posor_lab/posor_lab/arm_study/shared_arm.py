@@ -11,9 +11,8 @@ from posor.calibration.document_text import document_text
 from posor.calibration.edit import edit_document
 from posor.calibration.yaml_document import read_text
 from posor.chain.beams_file import load_beams
+from posor.output_files import write_files
 from posor.uncertainty.common_errors import CommonErrors
-
-from posor_lab.lab_output import write_files
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -42,5 +41,5 @@ def write_shared_arm(arm: ArmFile, folder: Path, errors: CommonErrors = LABORATO
         changes["beams"] = str((folder / "beams.yaml").absolute())
     files["arm.yaml"] = edit_document(read_text(arm.path, "arm file"), str(arm.path), changes)
     folder.mkdir(parents=True, exist_ok=True)
-    write_files(folder, files)
+    write_files({folder / name: text for name, text in files.items()})
     return folder / "arm.yaml"

@@ -16,6 +16,7 @@ from posor.calibration.edit import edit_document
 from posor.calibration.yaml_document import read_text
 from posor.chain.arm_file import load_arm_file
 from posor.messages.message_definitions import MessageTypes
+from posor.output_files import write_files
 from posor.ros_names import RAW_SCAN, RAW_TOPIC
 from posor_drivers.message_builder import SimulatedMessages
 from posor_drivers.simulator.arm_simulation import ArmSimulation
@@ -30,7 +31,6 @@ from posor_lab.arm_study.calibration_truth import (
     TRACKER,
     write_assembled_arm,
 )
-from posor_lab.lab_output import write_files
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -69,9 +69,8 @@ def write_calibration_recording(arm: ArmFile, folder: Path, poses: int, seed: in
         "seed": seed,
     }
     scenario = edit_document(read_text(arm.scenario, "scenario"), str(arm.scenario), changes)
-    write_files(folder, {"scenario.yaml": scenario})
     text = edit_document(read_text(path, "arm file"), str(path), {"scenario": "scenario.yaml"})
-    write_files(folder, {"arm.yaml": text})
+    write_files({folder / "scenario.yaml": scenario, folder / "arm.yaml": text})
     simulation = ArmSimulation(load_arm_file(path), Imperfections.only(*SWITCHES))
     cycle = round(duration * RATE)
     first = -(-START_S * RATE // cycle) * cycle  # of the cycle that begins next
@@ -88,7 +87,8 @@ def write_calibration_recording(arm: ArmFile, folder: Path, poses: int, seed: in
             sigma = TRACKER + PER_METRE * float(np.linalg.norm(point))
             row += [f"{1e3 * x:.4f}" for x in point + sigma * random.normal(size=3)]
         lines.append(";".join(row))
-    write_files(folder, {"tracker.csv": "\n".join(lines) + "\n", "map.yaml": yaml.safe_dump(_map(), sort_keys=False)})
+    columns = yaml.safe_dump(_map(), sort_keys=False)
+    write_files({folder / "tracker.csv": "\n".join(lines) + "\n", folder / "map.yaml": columns})
     return path
 
 

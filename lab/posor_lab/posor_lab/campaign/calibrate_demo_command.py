@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, get_args
 
 from posor.errors import ParameterError
 from posor.lazy_program import interrupts_handled
+from posor.output_files import write_files
 from posor.reporting.report_console import report_console
 from posor_bringup.bringup_options import prepare_output_folder
 
@@ -27,7 +28,6 @@ from posor_lab.campaign.campaign_run import calibrate_from_bags, record_bags
 from posor_lab.campaign.campaign_series import coverage_of_series, run_campaigns
 from posor_lab.campaign.campaign_steps import campaign_steps
 from posor_lab.campaign.ground_truth import POSORS, GroundTruth, PosorName
-from posor_lab.lab_output import write_files
 from posor_lab.reports.console_progress import InterruptedRunError, StageProgress
 from posor_lab.reports.findings import COMPARISON_HEADINGS, exit_code_of_findings, print_findings, print_verdict
 from posor_lab.reports.trial_program import Option, parse_options
@@ -90,9 +90,9 @@ def _write_report(options: Namespace, reports: Sequence[CampaignReport]) -> None
     for report in reports:
         result = f"{report.steps[-1].step.name}.yaml, content hash {report.calibration.content_hash}"
         provenance[f"{report.truth.name}, result"] = result
-    write_files(options.output, {"report.html": campaign_page(reports, provenance)})
-    figures = json.dumps(campaigns_as_json(reports), indent=2) + "\n"
-    write_files(options.output.parent, {f"{options.output.name}.json": figures})
+    figures, json_file = campaigns_as_json(reports), options.output.with_name(f"{options.output.name}.json")
+    page = campaign_page(reports, provenance)
+    write_files({options.output / "report.html": page, json_file: json.dumps(figures, indent=2) + "\n"})
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

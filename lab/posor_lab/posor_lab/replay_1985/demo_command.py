@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from posor.calibration.calibration_file import load_calibration
+from posor.output_files import write_files
 from posor_bringup.bringup_options import LOGS, prepare_output_folder
 from posor_bringup.installed import BAGS, CALIBRATIONS, JOINT, bag_path, calibration_path, urdf_path
 from posor_bringup.supervisor import Supervisor
@@ -19,7 +20,6 @@ from posor_ros.node_program import non_ros_arguments, ros_context
 from rich.console import Console
 
 from posor_lab.harness.ros_domain import isolated_network
-from posor_lab.lab_output import write_files
 from posor_lab.replay_1985.comparison import compare_with_thesis, reasons
 from posor_lab.replay_1985.motion_test import MotionTest
 from posor_lab.replay_1985.printed_results import (
@@ -135,7 +135,7 @@ def _write_report(
         calibration=calibration,
         provenance=replay_provenance(plan.bag, calibration, plan.calibration, identity),
     )
-    write_files(plan.output, {"report.html": page, "steps.csv": steps_as_csv(test)})
+    write_files({plan.output / "report.html": page, plan.output / "steps.csv": steps_as_csv(test)})
     return comparison
 
 

@@ -11,9 +11,8 @@ from posor.calibration.edit import edit_document
 from posor.calibration.yaml_document import read_text
 from posor.chain.beams_file import VERSION, BeamsFile, load_beams
 from posor.errors import ParameterError
+from posor.output_files import write_files
 from posor_drivers.simulator.scenario import load_scenario
-
-from posor_lab.lab_output import write_files
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -86,11 +85,10 @@ def write_shop_arm(arm: ArmFile, folder: Path) -> Path:
     changes |= {"urdf": str(arm.urdf.absolute()), "beams": "beams.yaml", "scenario": "scenario.yaml"}
     folder.mkdir(parents=True, exist_ok=True)
     write_files(
-        folder,
         {
-            "beams.yaml": document_text(beams.model_dump(mode="json", exclude_none=True), COMMENT),
-            "scenario.yaml": document_text(scenario, COMMENT),
-            "arm.yaml": edit_document(read_text(arm.path, "arm file"), str(arm.path), changes),
-        },
+            folder / "beams.yaml": document_text(beams.model_dump(mode="json", exclude_none=True), COMMENT),
+            folder / "scenario.yaml": document_text(scenario, COMMENT),
+            folder / "arm.yaml": edit_document(read_text(arm.path, "arm file"), str(arm.path), changes),
+        }
     )
     return folder / "arm.yaml"

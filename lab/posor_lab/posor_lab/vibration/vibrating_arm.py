@@ -12,9 +12,9 @@ from posor.calibration.edit import edit_document
 from posor.calibration.yaml_document import read_text
 from posor.chain.beams_file import VERSION, BeamsFile, load_beams
 from posor.errors import ParameterError
+from posor.output_files import write_files
 from posor_design import beam_frequencies
 
-from posor_lab.lab_output import write_files
 from posor_lab.shop.shop_arm import quantity
 
 if TYPE_CHECKING:
@@ -91,5 +91,5 @@ def write_vibrating_arm(arm: ArmFile, folder: Path, *, frequency_error: float = 
     content = document_text(vibrating_beams(arm, frequency_error).model_dump(mode="json", exclude_none=True), COMMENT)
     folder.mkdir(parents=True, exist_ok=True)
     text = edit_document(read_text(arm.path, "arm file"), str(arm.path), changes)
-    write_files(folder, {"beams.yaml": content, "arm.yaml": text})
+    write_files({folder / "beams.yaml": content, folder / "arm.yaml": text})
     return folder / "arm.yaml"
