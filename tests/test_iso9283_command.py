@@ -13,19 +13,23 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from geometry_msgs.msg import PoseStamped
 from posor.bags.bag_writer import replace_bag
 from posor.chain.arm_file import load_arm_file
 from posor.messages.message_definitions import MessageTypes
+from posor.numerics.stamps import NS
 from posor.ros_names import POSE_STAMPED
 from posor_bringup.iso9283_command import OUTPUT_FILES, main
 from posor_lab.harness.full_disk import full_disk_changes_nothing
 from posor_lab.harness.iso9283_by_hand import figures_of
 from posor_ros.qos import RELIABLE_QOS
+from rclpy.serialization import deserialize_message, serialize_message
 
 from bags.make_arm_bag import ArmBag
 
 RIG = Path(__file__).resolve().parents[1] / "ros2_ws" / "src" / "posor_bringup" / "arms" / "test_rig"
 REFERENCE = "/test_rig/truth/endpoint"
+LATER = (4 * 10**18, 4 * 10**18 + NS)  # a dwell after the recording
 CYCLES, ANGLES = 3, (0.02, -0.01, 0.0)
 REST_S, MOVE_S, RATE_HZ = 0.3, 0.25, 100
 
@@ -60,17 +64,30 @@ def arm(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-@pytest.fixture(scope="module")
-def bag(arm: Path) -> Path:
-    types, folder = MessageTypes(), arm.parent / "bag"
+def write_bag(arm: Path, folder: Path, unit: float = 1.0, lead_ns: int = 0) -> Path:
+    """Write a recording whose reference is in a unit [m], and ahead of the arm, as a command is."""
+    types = MessageTypes()
     made = ArmBag(load_arm_file(arm), types)
     with replace_bag(folder) as writer:
         for topic in made.topics():
             writer.add_topic(topic.name, topic.type_name, types.definition(topic.type_name), [RELIABLE_QOS])
         for message in made.messages():
-            writer.write(message.topic, message.time_ns, message.data)
+            data = message.data
+            if message.topic == REFERENCE:
+                pose: PoseStamped = deserialize_message(data, PoseStamped)
+                at = pose.pose.position
+                at.x, at.y, at.z = at.x / unit, at.y / unit, at.z / unit
+                stamp_ns = pose.header.stamp.sec * NS + pose.header.stamp.nanosec - lead_ns
+                pose.header.stamp.sec, pose.header.stamp.nanosec = divmod(stamp_ns, NS)
+                data = serialize_message(pose)
+            writer.write(message.topic, message.time_ns, data)
         assert (REFERENCE, POSE_STAMPED) in [(topic.name, topic.type_name) for topic in made.topics()]
     return folder
+
+
+@pytest.fixture(scope="module")
+def bag(arm: Path) -> Path:
+    return write_bag(arm, arm.parent / "bag")
 
 
 @pytest.fixture(scope="module")
@@ -115,15 +132,19 @@ def test_a_full_disk_keeps_all_former_files(
 def test_stated_dwells_replace_those_that_are_found(made: Path, arm: Path, bag: Path, tmp_path: Path) -> None:
     with (made / "points.csv").open(encoding="utf-8", newline="") as file:
         first = next(row for row in csv.DictReader(file) if row["cycle"] == "1")
-    dwells = json.loads((made / "iso9283.json").read_text(encoding="utf-8"))["dwells"]
+    content = json.loads((made / "iso9283.json").read_text(encoding="utf-8"))
+    dwells = content["dwells"]
+    assert not [note for note in content["notes"] if "dwells" in note]
     table = tmp_path / "dwells.csv"
     table.write_text(
-        "begin_ns,end_ns\n" + "".join(f"{begin},{end}\n" for begin, end in (dwells[0], dwells[3])), encoding="utf-8-sig"
+        "begin_ns,end_ns\n" + "".join(f"{begin},{end}\n" for begin, end in (dwells[0], dwells[3], LATER)),
+        encoding="utf-8-sig",
     )
     options = [str(arm), "--bag", str(bag), "--reference", REFERENCE, "--dwells", str(table), "--output", str(tmp_path)]
     assert main(options) == 0
     found = json.loads((tmp_path / "iso9283.json").read_text(encoding="utf-8"))
     assert list(found["poses"]) == ["P1, 2 cycles"]
+    assert "1 dwells have no endpoint with a reference and are left out." in found["notes"]
     with (tmp_path / "points.csv").open(encoding="utf-8", newline="") as file:
         again = next(row for row in csv.DictReader(file) if row["cycle"] == "1")
     np.testing.assert_allclose([float(again[k]) for k in "xyz"], [float(first[k]) for k in "xyz"], atol=1e-6)
@@ -159,3 +180,22 @@ def test_refusals(
     for name, text in names.items():
         message = message.replace(name, text)
     assert capsys.readouterr().err.startswith(message)
+
+
+def test_an_arm_that_follows_its_command_late_is_named_until_it_may_settle(arm: Path, tmp_path: Path) -> None:
+    bag, figures = write_bag(arm, tmp_path / "bag", lead_ns=60_000_000), []
+    for settle in ([], ["--settle", "0.12"]):
+        folder = tmp_path / f"out{len(settle)}"
+        options = ["--bag", str(bag), "--reference", REFERENCE, "--least", "0.25", "--output", str(folder)]
+        assert main([str(arm), *options, *settle]) == 0
+        content = json.loads((folder / "iso9283.json").read_text(encoding="utf-8"))
+        assert any("moves against the reference" in note for note in content["notes"]) is not bool(settle)
+        figures.append(content["poses"]["P2, 3 cycles"]["AP_p"])
+    assert figures[0] > 2.0 * figures[1]
+
+
+def test_a_reference_in_millimetres_is_refused(arm: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    bag = write_bag(arm, tmp_path / "bag", unit=1e-3)
+    assert main([str(arm), "--bag", str(bag), "--reference", REFERENCE, "--output", str(tmp_path / "out")]) == 1
+    assert " m from the endpoint; expected the same point in metres" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()

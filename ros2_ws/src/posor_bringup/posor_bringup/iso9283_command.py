@@ -28,17 +28,19 @@ from posor.reporting.report_console import report_console
 from posor.reporting.report_table import ReportTable
 from posor_calibration.dwells import find_dwells
 from posor_design.iso9283 import COMPONENTS, LEAST_CYCLES, PATH_CYCLES, POSE_CYCLES
-from posor_design.iso9283_cycles import distance_pairs, motion_of, path_cycles, pose_cycles
+from posor_design.iso9283_cycles import distance_pairs, motion_of, path_cycles, pose_cycles, settling_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
 
     from posor.bags.recording import Track
+    from posor.numerics.array_types import FloatArray
     from posor_design.iso9283 import Figures
     from posor_design.iso9283_cycles import Motion, PathCycles, PoseCycles
     from rich.console import Console
 
 WIDTH = 160
+MOST_DEVIATION = 0.1  # of the endpoint from the reference, median [m]: more is another unit, frame or point
 LONGEST_GAP_S = 0.1  # between two readings of the reference, for a value between them
 OUTPUT_FILES = ("iso9283.json", "points.csv")
 
@@ -69,6 +71,10 @@ def parse_options(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--still", type=_positive("m"), default=1e-5, metavar="M", help=text)
     text = "shortest time that it stands still [s] (default: %(default)g)"
     parser.add_argument("--least", type=_positive("s"), default=0.2, metavar="S", help=text)
+    text = (
+        "time left out at the begin of each dwell that is found, while a robot still follows a command [s] (default: 0)"
+    )
+    parser.add_argument("--settle", type=_positive("s"), default=0.0, metavar="S", help=text)
     text = "dwells whose references differ by less are cycles of one pose [m] (default: %(default)g)"
     parser.add_argument("--same", type=_positive("m"), default=1e-3, metavar="M", help=text)
     text = "dwells, in place of those that are found: a table with the columns begin_ns and end_ns"
@@ -129,6 +135,10 @@ def _read(options: argparse.Namespace) -> tuple[Motion, Track, list[str]]:
         raise BagError(
             "no endpoint at a time of the reference", where=str(options.bag), expected="both at the same time"
         )
+    off = float(np.median(np.linalg.norm(motion.positions - motion.references, axis=1)))
+    if off > MOST_DEVIATION:
+        what = f"topic {options.reference} is {off:.3g} m from the endpoint"
+        raise BagError(what, where=str(options.bag), expected=f"the same point in metres, in '{base}', within 0.1 m")
     missing = len(end) - len(motion.stamps_ns)
     notes = [f"{missing} of {len(end)} endpoints have no reference and are left out."] if missing else []
     if end.degraded.any():
@@ -136,8 +146,13 @@ def _read(options: argparse.Namespace) -> tuple[Motion, Track, list[str]]:
     return motion, track, notes
 
 
-def _notes(poses: Sequence[PoseCycles], paths: Sequence[PathCycles]) -> list[str]:
+def _notes(poses: Sequence[PoseCycles], paths: Sequence[PathCycles], unused: int, settling: FloatArray) -> list[str]:
     notes = []
+    if unused:
+        notes.append(f"{unused} dwells have no endpoint with a reference and are left out.")
+    if settling.any():
+        moved = f"{np.count_nonzero(settling)} dwells, by up to {1e6 * settling.max():.2f} µm"
+        notes.append(f"The endpoint moves against the reference within {moved}; --settle S leaves out their begin.")
     single = [each.name for each in poses if len(each.attained) < LEAST_CYCLES]
     if single:
         notes.append(f"One cycle only, so without figures: {', '.join(single)}.")
@@ -192,7 +207,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     stated = None if options.dwells is None else _stated_dwells(options.dwells)
     motion, track, notes = _read(options)
     dwells = stated or [
-        (each.begin_ns, each.end_ns) for each in find_dwells(track, options.still, int(options.least * NS))
+        (each.begin_ns, each.end_ns)
+        for each in find_dwells(track, options.still, int(options.least * NS), settle_ns=int(options.settle * NS))
     ]
     poses, numbers = pose_cycles(motion, dwells, options.same)
     paths = path_cycles(motion, dwells, numbers)
@@ -207,7 +223,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     of_poses = {f"{each.name}, {len(each.attained)} cycles": each.figures() for each in usable}
     of_distances = {f"{first} to {second}": figures for (first, second), figures in distance_pairs(usable).items()}
     of_paths = {f"{each.name}, {each.attained.shape[1]} cycles": each.figures() for each in paths}
-    notes += _notes(poses, paths)
+    notes += _notes(poses, paths, numbers.count(-1), settling_of(motion, dwells))
     content: dict[str, Any] = {
         "format": "posor_iso9283",
         "version": 1,

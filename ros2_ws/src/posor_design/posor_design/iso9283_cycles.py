@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from posor.numerics.array_types import BoolArray, FloatArray, IntArray
 
 PATH_POINTS = 50  # of a path
+SETTLING_SIGMAS, LEAST_SCANS = 5.0, 3  # of a motion within a dwell, and scans in a third of it
 PATH_ENDS = 0.05  # part of the length of a path that is left out at either end, where the arm starts and stops
 
 
@@ -119,6 +120,25 @@ def pose_cycles(motion: Motion, dwells: Sequence[tuple[int, int]], same: float) 
         commanded = np.concatenate([np.mean([reference for reference, _ in own], axis=0), np.zeros(3)])
         found.append(PoseCycles(f"P{number + 1}", commanded, commanded + np.array([deviation for _, deviation in own])))
     return found, numbers
+
+
+def settling_of(motion: Motion, dwells: Sequence[tuple[int, int]]) -> FloatArray:
+    """Return how far the endpoint moves against the reference within each dwell [m]: from the first to the last third.
+
+    0: less than SETTLING_SIGMAS standard errors of the difference, or too few scans to tell.
+    """
+    found = np.zeros(len(dwells))
+    for number, (begin, end) in enumerate(dwells):
+        during = _between(motion, begin, end)
+        deviations = (motion.positions - motion.references)[during]
+        third = len(deviations) // 3
+        if third < LEAST_SCANS:
+            continue
+        first, last = deviations[:third], deviations[-third:]
+        moved = np.abs(last.mean(axis=0) - first.mean(axis=0))
+        errors = last.std(axis=0, ddof=1) * np.sqrt(2.0 / third)  # of the difference, when it has settled
+        found[number] = np.linalg.norm(np.where(moved > SETTLING_SIGMAS * errors, moved, 0.0))
+    return found
 
 
 def distance_pairs(poses: Sequence[PoseCycles]) -> dict[tuple[str, str], Figures]:
