@@ -37,6 +37,7 @@ _ERROR_CELL = re.compile(r"#(N/A|N/?V|[A-Z/0]+[!?])(?!\w)", re.IGNORECASE)  # of
 LEFT_OUT = "Comment"  # last column of LabVIEW's files (.lvm), of which a row without comment has no cell
 _CHUNK = 20_000  # rows that are converted at a time
 _ENOUGH_ROWS = 3  # to judge the length of the last cell
+_LONG = 1 << 30  # length of what is not there
 _FEWEST_CELLS = 3  # of a row that a quoted cell of several lines may contain
 _BEGIN = 4096  # number of bytes that show whether a file is text
 _MOST = 0.8  # share of the upper bytes of UTF-16 that are zero, at least
@@ -172,7 +173,7 @@ class TextTable(RawTable):
 
     def _whole_rows(self, cells: Cells) -> Iterator[tuple[int, list[str]]]:
         """Yield the rows with a cell for each column; others are added to ``cells`` or refused."""
-        count, shortest, rows = len(self.columns), 1 << 30, 0
+        count, rows, least, least_exponent = len(self.columns), 0, _LONG, _LONG
         ended = self._text.endswith(("\n", "\r"))
         held: tuple[int, list[str]] | None = None
         for number, row in self._rows(self._data_line):
@@ -182,18 +183,27 @@ class TextTable(RawTable):
                     expected += "; numbers with decimal commas need another separator"
                 raise DataFileError(f"there are {len(row)} cells", where=self.place(number), expected=expected)
             if held:
-                shortest, rows = min(shortest, len(held[1][-1])), rows + 1
+                length, exponent = _lengths(held[1][-1])
+                rows, least, least_exponent = rows + 1, min(least, length), min(least_exponent, exponent)
                 yield held[0], held[1] + [""] * (count - len(held[1]))
             held = None
             if len(row) < (count - 1 if self.columns[-1].name == LEFT_OUT else count):
                 cells.incomplete.append((number, f"there are {len(row)} cells", f"{count}, as in the header"))
             else:
                 held = number, row[:count]
-        if held and not ended and rows >= _ENOUGH_ROWS and len(held[1][-1]) < shortest:
-            what = f"'{held[1][-1]}' at the end of the file is shorter than all cells above it"
+        length, exponent = (_LONG, _LONG) if held is None else _lengths(held[1][-1])
+        is_short = length < least or exponent < least_exponent < _LONG
+        if held and not ended and rows >= _ENOUGH_ROWS and is_short:
+            what = f"'{held[1][-1]}' at the end of the file is shorter than all cells above it, or its exponent is"
             cells.incomplete.append((held[0], what, "a whole line"))
         elif held:
             yield held[0], held[1] + [""] * (count - len(held[1]))
+
+
+def _lengths(cell: str) -> tuple[int, int]:
+    """Return the length of a cell, and the number of digits of its exponent, if it has one."""
+    _, mark, exponent = cell.lower().rpartition("e")
+    return len(cell), len(exponent.lstrip("+-")) if mark else _LONG
 
 
 def _unit_below(rows: list[list[str]], column: int) -> Unit | None:

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 import pytest
 from posor import CalibrationError, DataFileError, ParameterError, PosorError, Scans, read_table
-from posor.tables.table_map import load_table_map
+from posor.tables.table_map import FileLayout, load_table_map
 from posor.tables.table_readings import load_readings
 from posor.tables.table_units import UNITS, unit_in_name
-from posor.tables.text_table import decode
+from posor.tables.text_table import TextTable, decode
 
 from .sample_files import CELSIUS, COUNT, NAMES, READINGS, START, START_NS, TIMES, VOLTS, rows, write_csv, write_map
 
@@ -341,6 +341,15 @@ def test_a_comment_that_labview_leaves_out_is_empty(tmp_path: Path) -> None:
     path.write_text(text.removesuffix("0\n"), encoding="utf-8")
     with pytest.raises(DataFileError, match="at the end of the file is shorter than all cells above it"):
         read_table(path, table_map)
+
+
+@pytest.mark.parametrize(("last", "whole"), [("3.25e-05", 5), ("3.25e-0", 4), ("1e-05", 5), ("12.5", 5)])
+@pytest.mark.parametrize("end", ["", "\n"])
+def test_a_cut_exponent_at_the_end_of_a_file_is_no_number(last: str, whole: int, end: str, tmp_path: Path) -> None:
+    text = "t,gap\n0,1.5e-04\n1,-2e-05\n2,3e-12\n3,17\n4," + last + end
+    cells = TextTable(tmp_path / "daq.csv", text, FileLayout()).read([1], [])
+    assert len(cells.places) == (5 if end else whole)
+    assert len(cells.incomplete) == 5 - len(cells.places)
 
 
 @pytest.mark.parametrize("kind", BAD)
