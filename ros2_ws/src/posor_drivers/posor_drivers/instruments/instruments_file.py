@@ -44,6 +44,7 @@ from posor.ros_names import ROS_NAME_RULE, is_ros_name
 from pydantic import Field, model_validator
 
 from posor_drivers.instruments.device import Device, DeviceSettings, device_classes
+from posor_drivers.instruments.device_reader import CAPACITY
 from posor_drivers.instruments.reference_entry import ChannelEntry, ReferenceEntry
 from posor_drivers.quantity_limits import NOT_NEGATIVE, Delay, TickRate
 
@@ -66,6 +67,7 @@ READINGS = {
 """Readings of a joint and their units."""
 WHOLE_NUMBERS = ("lit_sources", "home_mark", "light")
 """Readings that are never interpolated."""
+MOST_FRAMES_LATE = CAPACITY * 9 // 10  # frames of a device within a latency
 OWN_CHANNELS = ("gap_voltages", "ring_voltages", "diode_currents")
 """Readings that share no channel with others."""
 NotNegative = Annotated[Quantity, NOT_NEGATIVE]
@@ -145,11 +147,9 @@ class InstrumentsFile(FrozenModel):
 
     @model_validator(mode="after")
     def _check(self) -> Self:
-        units = {
-            f"{name}/{channel.name}": channel.unit
-            for name, device in self.new_devices().items()
-            for channel in device.channels
-        }
+        devices = self.new_devices()
+        self._check_latency(devices)
+        units = {f"{name}/{each.name}": each.unit for name, device in devices.items() for each in device.channels}
         used: dict[str, str] = {}
         for joint, readings in self.joints.items():
             for name, location, entry in readings.entries():
@@ -170,6 +170,14 @@ class InstrumentsFile(FrozenModel):
                 _check_units(unit, measured_by, units, ("references", name, *path))
         self._check_thermometers(units)
         return self
+
+    def _check_latency(self, devices: dict[str, Device[Any]]) -> None:
+        """Check that the frames of a tick are still there when it is published."""
+        for name, device in devices.items():
+            frames = self.latency.number * device.frame_rate
+            if frames > MOST_FRAMES_LATE:
+                what = f"{self.latency.number:g} s, {frames:.0f} frames of device '{name}'"
+                raise EntryError(what, key=("latency", "value"), expected=f"at most {MOST_FRAMES_LATE} frames")
 
     def _check_thermometers(self, units: dict[str, str]) -> None:
         """Check names and units; that each has a channel of its own: they are compared with one another.

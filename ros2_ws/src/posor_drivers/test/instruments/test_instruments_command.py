@@ -21,6 +21,16 @@ def content(port: int) -> dict[str, Any]:
     return stream_rig(port, {"gap1": "m", "plate": "degC"}, {"gap_voltages": [gap]}, rate_hz=500, latency_s=0.02)
 
 
+def test_a_latency_beyond_the_frames_that_are_kept_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = content(1)
+    file["latency"]["value"], file["devices"]["box"]["rate"]["value"] = 2, 4000
+    assert main(["list", write_rig(tmp_path, file)]) == 1
+    sentence = "key latency.value: 2 s, 8000 frames of device 'box'; expected at most 7372 frames."
+    assert sentence in capsys.readouterr().err
+
+
 def test_devices_are_listed_without_a_connection(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = content(1)
     file["devices"]["box"]["exposures"] = {"offsets": {"gap1": quantity(2e-5, "s"), "plate": "unknown"}}
