@@ -19,7 +19,7 @@ WITHOUT_ROS = {"posor", "posor_calibration", "posor_design"}
 ROS_LIBRARIES = {"posor_msgs", "rclpy", "ament_index_python", "launch", "rosidl_parser", "tf2_msgs"}
 LAYERS_OF_POSOR = (  # lowest first; parts of one line may import each other
     (
-        *("arm_names", "errors", "input_text", "lazy_program", "library_programs", "optional_library"),
+        *("arm_names", "claim", "errors", "input_text", "lazy_program", "library_programs", "optional_library"),
         *("output_files", "reporting", "ros_names"),
     ),
     ("numerics",),

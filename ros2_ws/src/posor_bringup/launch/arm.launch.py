@@ -21,7 +21,7 @@ from launch.actions import DeclareLaunchArgument, LogInfo, OpaqueFunction, Regis
 from launch.event_handlers import OnShutdown
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
-from posor_bringup.arm_programs import frame_prefix_of, full_name
+from posor_bringup.arm_programs import endpoint_frame_of, frame_prefix_of, full_name
 from posor_bringup.arms import check_arm
 from posor_bringup.bringup_options import parse_driver_parameters
 from posor_bringup.graph_observer import GraphObserver
@@ -73,7 +73,7 @@ def arm_nodes(context: LaunchContext) -> list[LaunchDescriptionEntity]:
             parameter_files=files,
         )
         arm, programs = checked.arm, checked.programs
-        claim = graph.claim(arm.namespace)
+        claim = graph.claim(arm.namespace, endpoint_frame_of(programs))
         graph.refuse_running([full_name(program) for program in programs])
     tools: list[LaunchDescriptionEntity] = [
         RegisterEventHandler(OnShutdown(on_shutdown=lambda _event, _context: claim.close()))

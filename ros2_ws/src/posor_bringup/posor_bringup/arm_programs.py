@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import math
 from contextlib import suppress
 from dataclasses import replace
 from typing import TYPE_CHECKING, Literal, get_args
@@ -112,6 +113,14 @@ def full_name(program: ProgramCommand) -> str:
 def frame_prefix_of(programs: Sequence[ProgramCommand]) -> str:
     """Return the prefix of the frames that chain_node of these programs publishes."""
     return "".join(str(each.parameters.get("frame_prefix", "")) for each in programs if each.executable == CHAIN_NODE)
+
+
+def endpoint_frame_of(programs: Sequence[ProgramCommand]) -> str:
+    """Return the frame of the endpoint that chain_node of these programs publishes on ``/tf``; empty: it does not."""
+    for each in programs:
+        if each.executable == CHAIN_NODE and each.parameters.get("tf_rate", math.inf):
+            return f"{frame_prefix_of(programs)}{each.parameters.get('endpoint_frame', '')}"
+    return ""
 
 
 def own_parameters(program: ProgramCommand) -> dict[str, Parameter]:

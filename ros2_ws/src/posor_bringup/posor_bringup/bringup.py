@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 from posor.arm_names import describe_argument
 from posor.chain.arm_file import CHAIN_NODE, load_arm_file
+from posor.claim import claim
 from posor.errors import ParameterError, PosorError
 from posor.node_parameters import RECORDING
 from posor.reporting.command_line_parser import CommandLineParser
@@ -22,10 +23,9 @@ from posor_ros.parameter_files import OPTION, parameter_files_of
 from posor_ros.ros_arguments import split_ros_arguments
 from rich.console import Console
 
-from posor_bringup.arm_programs import LAYOUTS, frame_prefix_of, full_name, group_programs
+from posor_bringup.arm_programs import LAYOUTS, endpoint_frame_of, frame_prefix_of, full_name, group_programs
 from posor_bringup.arms import check_arm
 from posor_bringup.bringup_options import LOGS, add_driver_parameters, add_namespace, prepare_output_folder
-from posor_bringup.claim import claim
 from posor_bringup.graph_observer import GraphObserver
 from posor_bringup.supervisor import Supervisor
 from posor_bringup.tool_views import VIEWS, write_views
@@ -106,7 +106,7 @@ def _enclave(options: Namespace) -> str:
 def _claim_of_folder(folder: Path) -> socket:
     """Return the claim of an output folder, whose logs another bringup, such as one of another domain, would delete."""
     what, expected = "another bringup writes there", "another folder, with --output"
-    return claim(str(folder.resolve()), where=str(folder), what=what, expected=expected)
+    return claim(str(folder.resolve()), PosorError(what, where=str(folder), expected=expected))
 
 
 def _run_arm(options: Namespace) -> None:
@@ -127,7 +127,7 @@ def _run_arm(options: Namespace) -> None:
         arm, nodes = checked.arm, checked.programs
         names = [full_name(node) for node in nodes]
         folder = options.output / arm.namespace.lstrip("/")
-        with graph.claim(arm.namespace), _claim_of_folder(folder):
+        with graph.claim(arm.namespace, endpoint_frame_of(nodes)), _claim_of_folder(folder):
             graph.refuse_running(names)
             prepare_output_folder(folder, tuple(VIEWS.values()))
             write_views(arm, folder, frame_prefix_of(nodes))

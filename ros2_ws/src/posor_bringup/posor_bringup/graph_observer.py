@@ -10,19 +10,18 @@ from __future__ import annotations
 import os
 import time
 from collections import Counter
+from contextlib import ExitStack
 from typing import TYPE_CHECKING, Self
 
 import rclpy
+from posor.claim import claim
 from posor.errors import PosorError
 from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
-from posor_bringup.claim import claim
-
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
-    from socket import socket
     from types import TracebackType
 
 DISCOVERY_S = 2.0
@@ -64,14 +63,23 @@ class GraphObserver:
     def _names(self) -> Iterable[str]:
         return (f"{namespace.rstrip('/')}/{name}" for name, namespace in self._node.get_node_names_and_namespaces())
 
-    def claim(self, namespace: str) -> socket:
-        """Return the claim of an arm's namespace in this domain: its nodes are listed only seconds later.
+    def claim(self, namespace: str, frame: str = "") -> ExitStack:
+        """Return the claims of an arm's namespace in this domain, and of the frame of its endpoint on ``/tf``, if any.
 
-        Raises PosorError: another process of this host has claimed the namespace.
+        The nodes of another arm are listed only seconds later. Raises PosorError: another process of this host has
+        claimed one of them.
         """
         domain = self._context.get_domain_id()
         what = f"another bringup starts, runs or ends it in ROS domain {domain}"
-        return claim(f"{domain}:{namespace}", where=f"arm {namespace}", what=what, expected=ONE_ARM)
+        refusals = {f"{domain}:{namespace}": PosorError(what, where=f"arm {namespace}", expected=ONE_ARM)}
+        if frame:
+            what = f"another bringup publishes it on /tf in ROS domain {domain}"
+            expected = "one arm with this frame: give each a frame_prefix"
+            refusals[f"{domain}:/tf:{frame}"] = PosorError(what, where=f"frame {frame}", expected=expected)
+        with ExitStack() as stack:
+            for name, refusal in refusals.items():
+                stack.enter_context(claim(name, refusal))
+            return stack.pop_all()
 
     def refuse_running(self, names: Sequence[str]) -> None:
         """Raise a PosorError if a node with one of the full names runs and does not end within ``END_S``.

@@ -60,3 +60,12 @@ def test_a_namespace_is_claimed_by_one_bringup_of_a_domain(ros_domain: int) -> N
             )
             graph.claim("/arm/b").close()
         graph.claim("/arm").close()
+
+
+def test_a_frame_is_published_by_one_bringup_of_a_domain(ros_domain: int) -> None:
+    with GraphObserver() as graph, graph.claim("/cell1/arm", "endpoint"):
+        assert str(refusal(PosorError, graph.claim, "/cell2/arm", "endpoint")) == (
+            f"frame endpoint: another bringup publishes it on /tf in ROS domain {ros_domain}; expected one arm with "
+            "this frame: give each a frame_prefix."
+        )
+        graph.claim("/cell2/arm", "cell2/endpoint").close()  # the refusal has left no claim of the namespace

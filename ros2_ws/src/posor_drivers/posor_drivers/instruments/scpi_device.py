@@ -38,16 +38,15 @@ Versions of dialect files:
 
 from __future__ import annotations
 
-import hashlib
 import math
 import re
-import socket
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 from posor.calibration.file_model import EntryError, Expression, FrozenModel
 from posor.calibration.yaml_document import load_document
+from posor.claim import claim
 from pydantic import Field, model_validator
 
 from posor_drivers.instruments.device import Channel, refuse_repeated_numbers, starting_channels
@@ -55,6 +54,7 @@ from posor_drivers.instruments.polled_device import PolledDevice, PolledSettings
 from posor_drivers.quantity_limits import Delay, Seconds
 
 if TYPE_CHECKING:
+    import socket
     from collections.abc import Mapping, Sequence
 
     from posor.calibration.quantity import Quantity
@@ -288,14 +288,10 @@ class ScpiDevice(PolledDevice[ScpiSettings]):
             self._claim = None
 
     def _claim_light(self, light: LightSwitch) -> None:
-        """Bind a name that no other process of this host can bind meanwhile. Raises DeviceError: another one has it."""
-        named = hashlib.sha256(f"{self.address} {light.output}".encode()).hexdigest()
-        self._claim = socket.socket(socket.AF_UNIX)
-        try:
-            self._claim.bind(f"\0posor/light/{named}")
-        except OSError:
-            what = f"another process switches the light, output {light.output} of {self.address}"
-            raise self.error(what, "all drivers of such a device in one process, as with --layout composed") from None
+        """Let no other process of this host switch the light. Raises DeviceError: another one does."""
+        what = f"another process switches the light, output {light.output} of {self.address}"
+        refusal = self.error(what, "all drivers of such a device in one process, as with --layout composed")
+        self._claim = claim(f"light:{self.address}:{light.output}", refusal)
 
     def _set_up(self, commands: Sequence[str], numbers: Sequence[int], *times: Quantity | None) -> None:
         """Write commands for some channels, and those that set a time only if the time is stated."""
