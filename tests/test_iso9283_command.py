@@ -144,7 +144,7 @@ def test_stated_dwells_replace_those_that_are_found(made: Path, arm: Path, bag: 
     assert main(options) == 0
     found = json.loads((tmp_path / "iso9283.json").read_text(encoding="utf-8"))
     assert list(found["poses"]) == ["P1, 2 cycles"]
-    assert "1 dwells have no endpoint with a reference and are left out." in found["notes"]
+    assert "Dwells without an endpoint, left out: 1." in found["notes"]
     with (tmp_path / "points.csv").open(encoding="utf-8", newline="") as file:
         again = next(row for row in csv.DictReader(file) if row["cycle"] == "1")
     np.testing.assert_allclose([float(again[k]) for k in "xyz"], [float(first[k]) for k in "xyz"], atol=1e-6)
@@ -166,6 +166,7 @@ def test_stated_dwells_replace_those_that_are_found(made: Path, arm: Path, bag: 
             1,
             "BACK, line 3: dwell from 5 to 6; expected begin_ns before end_ns, in order.",
         ),
+        ("--reference REF --settle 0.2 --least 0.2", 2, "iso9283, --settle: 0.2 s; expected less than --least."),
         ("--reference REF --least 60", 1, "BAG, topic REF: 0 dwells of the reference, none of them at the same pose"),
     ],
 )
@@ -189,7 +190,7 @@ def test_an_arm_that_follows_its_command_late_is_named_until_it_may_settle(arm: 
         options = ["--bag", str(bag), "--reference", REFERENCE, "--least", "0.25", "--output", str(folder)]
         assert main([str(arm), *options, *settle]) == 0
         content = json.loads((folder / "iso9283.json").read_text(encoding="utf-8"))
-        assert any("moves against the reference" in note for note in content["notes"]) is not bool(settle)
+        assert any("still moves against the reference" in note for note in content["notes"]) is not bool(settle)
         figures.append(content["poses"]["P2, 3 cycles"]["AP_p"])
     assert figures[0] > 2.0 * figures[1]
 

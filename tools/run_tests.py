@@ -3,11 +3,11 @@
 """Run the linters and the tests in parallel processes, and print one line for each.
 
 The files of an entry of SHARED have one pytest process, which saves seconds of imports for each file; those that may
-use ROS share the processes of ROS_SHARED. Two of these run at a time. The others and the linters run at low
-priority in the processor time that the nodes of these tests leave while they wait; a process that has no such job left
-runs tests that may use ROS, and the reverse. Those of SLOW come first, so that none of them is left for the end. The
-linters need no build and start before it. Every process uses one thread of linear algebra, because threads of small
-matrices wait for each other.
+use ROS share the processes of ROS_SHARED, of which two run at a time. The others and the linters run at low priority in
+the processor time that the nodes of these tests leave while they wait; a process that has no such job left runs tests
+that may use ROS, and the reverse. Those of SLOW come first, so that none of them is left for the end. The linters need
+no build and start before it. Every process uses one thread of linear algebra, because threads of small matrices wait
+for each other.
 The output ends with every skipped or failed test and its reason, and ``N passed, N failed, N skipped``.
 Arguments: paths of tests; without paths, the linters and all tests run. Tests with the marker ``long`` are left out;
 with the option ``--long`` they alone run.

@@ -25,7 +25,8 @@ def check_writable(path: Path) -> Path:
         raise ParameterError("cannot be written: is a folder", where=f"--output {path}", expected="a file")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.touch()
+        if path.exists():
+            path.open("ab").close()  # refuses a file without write permission
     except OSError as error:
         raise ParameterError(f"cannot be written: {error.strerror}", where=f"--output {path}") from error
     return path

@@ -87,8 +87,8 @@ def write_calibration_recording(arm: ArmFile, folder: Path, poses: int, seed: in
             sigma = TRACKER + PER_METRE * float(np.linalg.norm(point))
             row += [f"{1e3 * x:.4f}" for x in point + sigma * random.normal(size=3)]
         lines.append(";".join(row))
-    columns = yaml.safe_dump(_map(), sort_keys=False)
-    write_files({folder / "tracker.csv": "\n".join(lines) + "\n", folder / "map.yaml": columns})
+    table_map = yaml.safe_dump(_map(), sort_keys=False)
+    write_files({folder / "tracker.csv": "\n".join(lines) + "\n", folder / "map.yaml": table_map})
     return path
 
 

@@ -1,6 +1,6 @@
 # Copyright 2026 POSOR maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Reserves a name on this host for one process, such as the namespace of an arm for the one that brings the arm up."""
+"""Reserves a name on this host for one process, such as the namespace of an arm or the light of an instrument."""
 
 from __future__ import annotations
 

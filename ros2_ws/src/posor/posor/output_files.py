@@ -1,31 +1,34 @@
 # Copyright 2026 POSOR maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Output files: whole under their names or not there, and errors that name them."""
+"""Write output files atomically; errors name the file."""
 
 from __future__ import annotations
 
 import os
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from posor.errors import OutputError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
-    from pathlib import Path
+
+STREAM_FOLDERS = (Path("/dev"), Path("/dev/fd"), Path("/proc/self/fd"))
+"""Their files are written in place also where they lead to a file, such as ``/dev/stdout`` of a redirected program."""
 
 
 def write_files(contents: Mapping[Path, str | bytes]) -> None:
-    """Write files, all or none; see ``prepared_files``. Raises OutputError: one cannot be written."""
+    """Write files; none is replaced before all are complete. Raises OutputError: a file cannot be written."""
     with prepared_files(contents):
         pass
 
 
 @contextmanager
 def prepared_files(contents: Mapping[Path, str | bytes]) -> Iterator[None]:
-    """Run a block while files are complete under hidden names; then they get their names, unless it raises an error.
+    """Write files under hidden names, run the block, then rename the files; no file is replaced if the block raises.
 
-    The target of a symbolic link is replaced, not the link; what is no regular file, such as a pipe, is written and not
+    The target of a symbolic link is replaced, not the link. Pipes, devices and ``/dev/stdout`` are written, not
     replaced. Raises OutputError: a file cannot be written; then none is replaced, unless the system refuses to rename a
     later one.
     """
@@ -35,10 +38,10 @@ def prepared_files(contents: Mapping[Path, str | bytes]) -> Iterator[None]:
         for path, content in contents.items():
             data = content.encode("utf-8") if isinstance(content, str) else content
             with writing(path):
-                if path.exists() and not (path.is_file() or path.is_dir()):
+                if path.parent in STREAM_FOLDERS or (path.exists() and not (path.is_file() or path.is_dir())):
                     streams[path] = data
                     continue
-                target = path.resolve()
+                target = Path(os.path.realpath(path))  # unlike resolve() without an error for a loop of links
                 if target.exists():
                     target.open("ab").close()  # refuses a folder, and a file without write permission
                 files[path] = target, stack.enter_context(unfinished_file(target, data))
@@ -53,7 +56,7 @@ def prepared_files(contents: Mapping[Path, str | bytes]) -> Iterator[None]:
 
 @contextmanager
 def unfinished_file(target: Path, content: bytes) -> Iterator[Path]:
-    """Yield a hidden file with a content, on the disk, to be renamed to its target; remove it if it is still there.
+    """Yield a complete hidden file beside its target, flushed to disk; remove it unless the caller has renamed it.
 
     It has the permissions of the target, if there is one, else those of a new file. Raises OSError: it cannot be
     written.
@@ -68,7 +71,8 @@ def unfinished_file(target: Path, content: bytes) -> Iterator[Path]:
             os.fsync(file.fileno())
         yield unfinished
     finally:
-        unfinished.unlink(missing_ok=True)
+        with suppress(OSError):  # it would hide the first error
+            unfinished.unlink(missing_ok=True)
 
 
 @contextmanager

@@ -116,7 +116,7 @@ def frame_prefix_of(programs: Sequence[ProgramCommand]) -> str:
 
 
 def endpoint_frame_of(programs: Sequence[ProgramCommand]) -> str:
-    """Return the frame of the endpoint that chain_node of these programs publishes on ``/tf``; empty: it does not."""
+    """Return the endpoint frame that chain_node of these programs publishes on ``/tf``; empty: it publishes none."""
     for each in programs:
         if each.executable == CHAIN_NODE and each.parameters.get("tf_rate", math.inf):
             return f"{frame_prefix_of(programs)}{each.parameters.get('endpoint_frame', '')}"

@@ -64,10 +64,10 @@ class GraphObserver:
         return (f"{namespace.rstrip('/')}/{name}" for name, namespace in self._node.get_node_names_and_namespaces())
 
     def claim(self, namespace: str, frame: str = "") -> ExitStack:
-        """Return the claims of an arm's namespace in this domain, and of the frame of its endpoint on ``/tf``, if any.
+        """Return the claims of an arm's namespace in this domain, and of its endpoint ``frame`` on ``/tf``, if any.
 
         The nodes of another arm are listed only seconds later. Raises PosorError: another process of this host has
-        claimed one of them.
+        claimed the namespace or the frame.
         """
         domain = self._context.get_domain_id()
         what = f"another bringup starts, runs or ends it in ROS domain {domain}"

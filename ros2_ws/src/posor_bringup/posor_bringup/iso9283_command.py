@@ -19,7 +19,7 @@ from posor.bags.calibration_recording import Reference, bag_sha256, load_recordi
 from posor.bags.offline_pipeline import load_arm, topics_of
 from posor.bags.recording import POINT, POSE
 from posor.bags.reprocess_task import Settings
-from posor.errors import BagError, DataFileError
+from posor.errors import BagError, DataFileError, ParameterError
 from posor.numerics.stamps import NS
 from posor.output_files import write_files, writing
 from posor.reporting.command_line_parser import CommandLineParser
@@ -45,14 +45,15 @@ LONGEST_GAP_S = 0.1  # between two readings of the reference, for a value betwee
 OUTPUT_FILES = ("iso9283.json", "points.csv")
 
 
-def _positive(unit: str) -> Callable[[str], float]:
+def _positive(unit: str, *, or_zero: bool = False) -> Callable[[str], float]:
     def parse(text: str) -> float:
         try:
             number = float(text)
         except ValueError:
             number = math.nan
-        if not 0.0 < number < math.inf:
-            raise argparse.ArgumentTypeError(f"'{text}' is not a number of more than 0 {unit}")
+        if not (0.0 < number < math.inf or (or_zero and number == 0.0)):
+            least = "at least" if or_zero else "more than"
+            raise argparse.ArgumentTypeError(f"'{text}' is not a number of {least} 0 {unit}")
         return number
 
     return parse
@@ -71,16 +72,16 @@ def parse_options(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--still", type=_positive("m"), default=1e-5, metavar="M", help=text)
     text = "shortest time that it stands still [s] (default: %(default)g)"
     parser.add_argument("--least", type=_positive("s"), default=0.2, metavar="S", help=text)
-    text = (
-        "time left out at the begin of each dwell that is found, while a robot still follows a command [s] (default: 0)"
-    )
-    parser.add_argument("--settle", type=_positive("s"), default=0.0, metavar="S", help=text)
+    text = "time left out at the beginning of each dwell that is found, less than --least [s] (default: %(default)g)"
+    parser.add_argument("--settle", type=_positive("s", or_zero=True), default=0.0, metavar="S", help=text)
     text = "dwells whose references differ by less are cycles of one pose [m] (default: %(default)g)"
     parser.add_argument("--same", type=_positive("m"), default=1e-3, metavar="M", help=text)
     text = "dwells, in place of those that are found: a table with the columns begin_ns and end_ns"
     parser.add_argument("--dwells", type=Path, metavar="FILE.csv", help=text)
     parser.add_argument("--output", type=Path, metavar="FOLDER", help="default: build/iso9283/<name of the bag>")
     options = parser.parse_args(arguments)
+    if options.settle >= options.least:
+        raise ParameterError(f"{options.settle:g} s", where="iso9283, --settle", expected="less than --least")
     options.output = options.output or Path("build/iso9283") / options.bag.stem
     return options
 
@@ -112,7 +113,10 @@ def _stated_dwells(path: Path) -> list[tuple[int, int]]:
 
 
 def _read(options: argparse.Namespace) -> tuple[Motion, Track, list[str]]:
-    """Return the motion, the reference, and sentences on what is left out."""
+    """Return the motion, the reference, and notes on endpoints that are left out or DEGRADED.
+
+    Raises BagError: no common time, or a reference in another unit or frame, or of another point.
+    """
     arm = load_arm(options.arm)
     topics = topics_of(options.bag, Settings.of_arm(arm).joints).raw
     recording = load_recording(
@@ -135,24 +139,25 @@ def _read(options: argparse.Namespace) -> tuple[Motion, Track, list[str]]:
         raise BagError(
             "no endpoint at a time of the reference", where=str(options.bag), expected="both at the same time"
         )
-    off = float(np.median(np.linalg.norm(motion.positions - motion.references, axis=1)))
-    if off > MOST_DEVIATION:
-        what = f"topic {options.reference} is {off:.3g} m from the endpoint"
-        raise BagError(what, where=str(options.bag), expected=f"the same point in metres, in '{base}', within 0.1 m")
+    deviation = float(np.median(np.linalg.norm(motion.positions - motion.references, axis=1)))
+    if deviation > MOST_DEVIATION:
+        what = f"topic {options.reference} is {deviation:.3g} m from the endpoint"
+        expected = f"the same point in metres, in '{base}', within {MOST_DEVIATION:g} m"
+        raise BagError(what, where=str(options.bag), expected=expected)
     missing = len(end) - len(motion.stamps_ns)
     notes = [f"{missing} of {len(end)} endpoints have no reference and are left out."] if missing else []
     if end.degraded.any():
-        notes.append(f"{np.count_nonzero(end.degraded)} of {len(end)} endpoints are DEGRADED.")
+        notes.append(f"DEGRADED endpoints: {np.count_nonzero(end.degraded)} of {len(end)}.")
     return motion, track, notes
 
 
 def _notes(poses: Sequence[PoseCycles], paths: Sequence[PathCycles], unused: int, settling: FloatArray) -> list[str]:
     notes = []
     if unused:
-        notes.append(f"{unused} dwells have no endpoint with a reference and are left out.")
+        notes.append(f"Dwells without an endpoint, left out: {unused}.")
     if settling.any():
-        moved = f"{np.count_nonzero(settling)} dwells, by up to {1e6 * settling.max():.2f} µm"
-        notes.append(f"The endpoint moves against the reference within {moved}; --settle S leaves out their begin.")
+        moved = f"{np.count_nonzero(settling)}, by up to {1e6 * settling.max():.2f} µm"
+        notes.append(f"Dwells in which the endpoint still moves against the reference (see --settle): {moved}.")
     single = [each.name for each in poses if len(each.attained) < LEAST_CYCLES]
     if single:
         notes.append(f"One cycle only, so without figures: {', '.join(single)}.")

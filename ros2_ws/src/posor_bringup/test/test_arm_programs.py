@@ -12,7 +12,7 @@ from posor.bags.reprocess_command import parser, tasks_of
 from posor.chain.arm_file import load_arm_file
 from posor.errors import CalibrationError, ChainError, NodeError, ParameterError, PosorError
 from posor.node_parameters import RECORDING
-from posor_bringup.arm_programs import arm_programs
+from posor_bringup.arm_programs import arm_programs, endpoint_frame_of
 from posor_bringup.arms import load_checked_arm
 from posor_bringup.bringup_options import parse_driver_parameters
 from posor_bringup.installed import share
@@ -107,6 +107,21 @@ def test_driver_parameters_of_a_launch_argument_go_to_all_drivers() -> None:
 def test_drivers_can_be_left_out() -> None:
     programs = arm_programs(load_checked_arm("five_axis"), drivers=False)
     assert {program.executable for program in programs} == {"chain_node", "posor_node"}
+
+
+@pytest.mark.parametrize(
+    ("parameters", "frame"),
+    [
+        ({}, "endpoint"),
+        ({"frame_prefix": "cell1/"}, "cell1/endpoint"),
+        ({"tf_rate": 10.0}, "endpoint"),
+        ({"tf_rate": 0.0}, ""),
+    ],
+)
+def test_the_frame_on_tf_is_that_of_the_endpoint(parameters: dict[str, str | float], frame: str) -> None:
+    programs = arm_programs(load_checked_arm("five_axis"), chain_parameters=parameters)
+    assert endpoint_frame_of(programs) == frame
+    assert endpoint_frame_of(programs[1:]) == ""
 
 
 def test_placeholders_are_filled_in_for_every_joint(rig_copy: Path) -> None:

@@ -175,8 +175,8 @@ def write_result(result: FitResult, options: argparse.Namespace, console: Consol
         ending = []
         page, figures = _report_files(options.output)
         replaced = " and ".join(each.name for each in (page, figures) if each.exists())
-        texts = render_outcome_page(f"{name}, {result.source}", verdict, outcome), outcome_json(name, verdict, outcome)
-        with prepared_files(dict(zip((page, figures), texts, strict=True))):
+        text = render_outcome_page(f"{name}, {result.source}", verdict, outcome)
+        with prepared_files({page: text, figures: outcome_json(name, verdict, outcome)}):
             if result.text:
                 backup = result.save(options.output, force=options.force)
                 kept = f"; the old file is now {backup}" if backup else ""

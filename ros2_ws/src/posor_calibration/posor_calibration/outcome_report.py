@@ -52,7 +52,8 @@ class ProcedureVerdict:
 
 
 def _wrap(sentences: Sequence[str]) -> list[str]:
-    return [line for sentence in sentences for line in textwrap.wrap(sentence, WIDTH, subsequent_indent="  ")]
+    wrapper = textwrap.TextWrapper(WIDTH, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False)
+    return [line for sentence in sentences for line in wrapper.wrap(sentence)]  # paths stay whole
 
 
 def judge_outcome(name: str, outcome: Outcome, changes: Comparison | None) -> ProcedureVerdict:

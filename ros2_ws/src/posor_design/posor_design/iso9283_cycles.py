@@ -26,7 +26,8 @@ if TYPE_CHECKING:
     from posor.numerics.array_types import BoolArray, FloatArray, IntArray
 
 PATH_POINTS = 50  # of a path
-SETTLING_SIGMAS, LEAST_SCANS = 5.0, 3  # of a motion within a dwell, and scans in a third of it
+SETTLING_SIGMAS = 5.0  # motion within a dwell that is named, in standard errors
+LEAST_SCANS = 10  # in a third of such a dwell
 PATH_ENDS = 0.05  # part of the length of a path that is left out at either end, where the arm starts and stops
 
 

@@ -261,9 +261,9 @@ class EndpointPipeline:
         return usable
 
     def _count(self, states: IntArray, usable: BoolArray) -> BoolArray:
-        """Count complete stamps; return which of the poses are degraded.
+        """Count n complete stamps; return which of the m poses are degraded, shape (m,).
 
-        ``states`` of the joints, and whether their transforms are ``usable``, (joints, n).
+        ``states`` of the joints, and whether their transforms are ``usable``, shape (joints, n).
         """
         for name, count in zip(self.joints, np.count_nonzero(~usable, axis=1).tolist(), strict=True):
             self.refused[name] += count

@@ -42,7 +42,7 @@ from posor.bags.provenance import PENDING
 from posor.errors import BagError
 from posor.messages.byte_kernels import write_records
 from posor.numerics.stamps import NS
-from posor.output_files import unfinished_file, writing
+from posor.output_files import write_files, writing
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -245,9 +245,7 @@ class BagWriter:
             self._write_index(information)
             self._file.close()
             text = yaml.safe_dump({"rosbag2_bagfile_information": information}, allow_unicode=True)
-            metadata = self.path / "metadata.yaml"
-            with unfinished_file(metadata, text.encode("utf-8")) as unfinished:
-                unfinished.replace(metadata)
+            write_files({self.path / "metadata.yaml": text})
             (self.path / PENDING).unlink(missing_ok=True)
 
     def __enter__(self) -> Self:

@@ -4,8 +4,10 @@
 
 from __future__ import annotations
 
+import os
 from contextlib import ExitStack, contextmanager, suppress
 from itertools import count
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from posor.errors import CalibrationError
@@ -13,7 +15,6 @@ from posor.output_files import unfinished_file
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
-    from pathlib import Path
 
 
 def save_calibration(path: Path, text: str, *, force: bool = False) -> Path | None:
@@ -29,26 +30,27 @@ def save_calibration(path: Path, text: str, *, force: bool = False) -> Path | No
 
 
 def save_files(texts: Mapping[Path, str], *, force: bool = False) -> list[Path]:
-    """Write files as ``save_calibration`` does, all or none; return the paths of the replaced files.
+    """Write files as ``save_calibration`` does, all or none; return the paths under which replaced files are kept.
 
-    Raises CalibrationError: one exists and ``force`` is false, or cannot be written.
+    Raises CalibrationError: a file exists and ``force`` is false, or a file cannot be written.
     """
     kept: list[Path] = []
     with ExitStack() as unfinished, ExitStack() as undo:
         written: dict[Path, tuple[Path, Path]] = {}
         for path, text in texts.items():
             with _saving(path):
-                target = path.resolve()  # the target of a symbolic link is replaced, not the link
+                target = Path(os.path.realpath(path))  # the target of a symbolic link is replaced, not the link
                 written[path] = target, unfinished.enter_context(unfinished_file(target, text.encode("utf-8")))
         for path, (target, new) in written.items():
             with _saving(path):
                 if force and target.exists():
                     kept.append(_back_up(target))
+                    undo.callback(_discard, kept[-1])
                     new.replace(target)
                     undo.callback(kept[-1].replace, target)
                 else:
                     target.hardlink_to(new)  # unlike a rename it fails if the file has been created meanwhile
-                    undo.callback(target.unlink)
+                    undo.callback(_discard, target)
         undo.pop_all()
     return kept
 
@@ -75,6 +77,11 @@ def _saving(path: Path) -> Iterator[None]:
         raise CalibrationError("exists already", where=where, expected="another name, or --force") from error
     except OSError as error:
         raise CalibrationError(f"cannot be written: {error.strerror}", where=where) from error
+
+
+def _discard(path: Path) -> None:
+    with suppress(OSError):  # it would hide the first error
+        path.unlink(missing_ok=True)
 
 
 def _back_up(target: Path) -> Path:

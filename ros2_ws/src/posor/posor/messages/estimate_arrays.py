@@ -38,8 +38,8 @@ class EndpointEstimates:
             axes of the same frame, shape (n, 6): a part of the protection level; zero: no limit is stated.
         protection_levels: Bounds of the errors along and about the axes of the same frame, shape (n, 6) [m], [rad];
             infinite: not bounded; NaN: not known.
-        degraded: Whether the pose depends on a DEGRADED joint, on a thermometer that cannot be used, or on a home that
-            was not OK, shape (n,).
+        degraded: Whether the pose is DEGRADED: by a joint, a thermometer that cannot be used, accelerometers, which are
+            not read offline, or a home that was not OK, shape (n,).
 
     """
 

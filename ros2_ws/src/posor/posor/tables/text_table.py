@@ -37,7 +37,8 @@ _ERROR_CELL = re.compile(r"#(N/A|N/?V|[A-Z/0]+[!?])(?!\w)", re.IGNORECASE)  # of
 LEFT_OUT = "Comment"  # last column of LabVIEW's files (.lvm), of which a row without comment has no cell
 _CHUNK = 20_000  # rows that are converted at a time
 _ENOUGH_ROWS = 3  # to judge the length of the last cell
-_LONG = 1 << 30  # length of what is not there
+_EXPONENT = re.compile(r"[0-9.,][eE][-+]?([0-9]*)$")
+_ABSENT = 1 << 30  # for a length, where there is no cell or no exponent
 _FEWEST_CELLS = 3  # of a row that a quoted cell of several lines may contain
 _BEGIN = 4096  # number of bytes that show whether a file is text
 _MOST = 0.8  # share of the upper bytes of UTF-16 that are zero, at least
@@ -173,7 +174,7 @@ class TextTable(RawTable):
 
     def _whole_rows(self, cells: Cells) -> Iterator[tuple[int, list[str]]]:
         """Yield the rows with a cell for each column; others are added to ``cells`` or refused."""
-        count, rows, least, least_exponent = len(self.columns), 0, _LONG, _LONG
+        count, rows, least, least_exponent = len(self.columns), 0, _ABSENT, _ABSENT
         ended = self._text.endswith(("\n", "\r"))
         held: tuple[int, list[str]] | None = None
         for number, row in self._rows(self._data_line):
@@ -191,10 +192,12 @@ class TextTable(RawTable):
                 cells.incomplete.append((number, f"there are {len(row)} cells", f"{count}, as in the header"))
             else:
                 held = number, row[:count]
-        length, exponent = (_LONG, _LONG) if held is None else _lengths(held[1][-1])
-        is_short = length < least or exponent < least_exponent < _LONG
+        length, exponent = (_ABSENT, _ABSENT) if held is None else _lengths(held[1][-1])
+        is_short = length < least or exponent < least_exponent < _ABSENT
         if held and not ended and rows >= _ENOUGH_ROWS and is_short:
-            what = f"'{held[1][-1]}' at the end of the file is shorter than all cells above it, or its exponent is"
+            what = f"'{held[1][-1]}' at the end of the file is shorter than all cells above it"
+            if length >= least:
+                what = f"the exponent of '{held[1][-1]}' at the end of the file is shorter than those above it"
             cells.incomplete.append((held[0], what, "a whole line"))
         elif held:
             yield held[0], held[1] + [""] * (count - len(held[1]))
@@ -202,8 +205,8 @@ class TextTable(RawTable):
 
 def _lengths(cell: str) -> tuple[int, int]:
     """Return the length of a cell, and the number of digits of its exponent, if it has one."""
-    _, mark, exponent = cell.lower().rpartition("e")
-    return len(cell), len(exponent.lstrip("+-")) if mark else _LONG
+    exponent = _EXPONENT.search(cell)
+    return len(cell), len(exponent[1]) if exponent else _ABSENT
 
 
 def _unit_below(rows: list[list[str]], column: int) -> Unit | None:

@@ -343,7 +343,7 @@ def test_a_comment_that_labview_leaves_out_is_empty(tmp_path: Path) -> None:
         read_table(path, table_map)
 
 
-@pytest.mark.parametrize(("last", "whole"), [("3.25e-05", 5), ("3.25e-0", 4), ("1e-05", 5), ("12.5", 5)])
+@pytest.mark.parametrize(("last", "whole"), [("3.25e-05", 5), ("3.25e-0", 4), ("1e-05", 5), ("12.5", 5), ("none", 5)])
 @pytest.mark.parametrize("end", ["", "\n"])
 def test_a_cut_exponent_at_the_end_of_a_file_is_no_number(last: str, whole: int, end: str, tmp_path: Path) -> None:
     text = "t,gap\n0,1.5e-04\n1,-2e-05\n2,3e-12\n3,17\n4," + last + end

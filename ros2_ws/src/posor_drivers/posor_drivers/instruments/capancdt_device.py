@@ -26,6 +26,7 @@ is the measuring range. Where the manual is silent or ambiguous:
   one that is four times the number of channels is the bytes per frame.
 - Channels with a math function: a value other than ``00`` in the channel bits counts as available (assumption).
 - Targets out of range: a value of 0xFFFFFF or more, or below zero, is invalid, NaN (assumption). Zero is valid.
+- Averaging: ``$AVT?`` is answered by ``$AVT?nOK``, as the manuals of controllers of the same family state.
 - Counter: counts frames (assumption), and wraps at 32 bits.
 - Model: the answer to ``$VER`` starts with ``DT62``, as ``DT6200`` in the manual (assumption for other models).
 
@@ -146,7 +147,7 @@ class CapaNcdtDevice(PacketDevice[CapaNcdtSettings]):
             averaging = self._ask(port, "AVT?", r"AVT\?(\d)OK", "'$AVT?', the kind of averaging, 'OK'", deadline_s)
             if averaging != _NO_AVERAGING:
                 what = f"the controller averages ('$AVT{averaging}'): its readings are older than their stamps"
-                raise self.error(what, "no averaging ('$AVT0'), or that of a driver, conditioning.samples")
+                raise self.error(what, "averaging off ('$AVT0'); a driver has conditioning.samples")
             self._ask(port, "TRG0", "(TRG0)OK", "'$TRG0OK'", deadline_s)
             command = f"STI{sample_time_us}"
             actual = self._ask(port, command, rf"{command},(\d+)OK", f"'${command},', a sample time, 'OK'", deadline_s)

@@ -67,7 +67,7 @@ READINGS = {
 """Readings of a joint and their units."""
 WHOLE_NUMBERS = ("lit_sources", "home_mark", "light")
 """Readings that are never interpolated."""
-MOST_FRAMES_LATE = CAPACITY * 9 // 10  # frames of a device within a latency
+MOST_LATENCY_FRAMES = CAPACITY * 9 // 10  # the rest is for scans that are published late
 OWN_CHANNELS = ("gap_voltages", "ring_voltages", "diode_currents")
 """Readings that share no channel with others."""
 NotNegative = Annotated[Quantity, NOT_NEGATIVE]
@@ -172,12 +172,12 @@ class InstrumentsFile(FrozenModel):
         return self
 
     def _check_latency(self, devices: dict[str, Device[Any]]) -> None:
-        """Check that the frames of a tick are still there when it is published."""
+        """Raise EntryError: the frames of a tick would be overwritten before its scan is published."""
         for name, device in devices.items():
             frames = self.latency.number * device.frame_rate
-            if frames > MOST_FRAMES_LATE:
+            if frames > MOST_LATENCY_FRAMES:
                 what = f"{self.latency.number:g} s, {frames:.0f} frames of device '{name}'"
-                raise EntryError(what, key=("latency", "value"), expected=f"at most {MOST_FRAMES_LATE} frames")
+                raise EntryError(what, key=("latency", "value"), expected=f"at most {MOST_LATENCY_FRAMES} frames")
 
     def _check_thermometers(self, units: dict[str, str]) -> None:
         """Check names and units; that each has a channel of its own: they are compared with one another.

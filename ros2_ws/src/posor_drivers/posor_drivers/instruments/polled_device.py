@@ -65,6 +65,9 @@ class PolledDevice(Device[SettingsT]):
 
         """
 
+    def before_query(self) -> None:
+        """Check what must be right before ``ask``; its time is not that of the frame. Raises DeviceError: it is not."""
+
     def read(self, timeout_s: float) -> Frames | None:
         """Wait for the next period and return its frame; None if it begins after the time."""
         wait_s = self._next_s - time.monotonic()
@@ -72,6 +75,7 @@ class PolledDevice(Device[SettingsT]):
         if wait_s > timeout_s:
             return None
         self._next_s = max(self._next_s, time.monotonic() - 1.0 / self.frame_rate) + 1.0 / self.frame_rate
+        self.before_query()
         asked_s, asked_ns = time.monotonic(), time.time_ns()
         values = np.array([self.ask()])
         answered_ns, elapsed_s = time.time_ns(), time.monotonic() - asked_s

@@ -288,10 +288,10 @@ class ScpiDevice(PolledDevice[ScpiSettings]):
             self._claim = None
 
     def _claim_light(self, light: LightSwitch) -> None:
-        """Let no other process of this host switch the light. Raises DeviceError: another one does."""
-        what = f"another process switches the light, output {light.output} of {self.address}"
+        """Let no other driver of this host switch the light. Raises DeviceError: another one does."""
+        what = f"another driver switches the light, output {light.output} of {self.address}"
         refusal = self.error(what, "all drivers of such a device in one process, as with --layout composed")
-        self._claim = claim(f"light:{self.address}:{light.output}", refusal)
+        self._claim = claim(f"light:{self.address.upper()}:{light.output}", refusal)
 
     def _set_up(self, commands: Sequence[str], numbers: Sequence[int], *times: Quantity | None) -> None:
         """Write commands for some channels, and those that set a time only if the time is stated."""
@@ -325,10 +325,32 @@ class ScpiDevice(PolledDevice[ScpiSettings]):
             command = self._dialect.digital_output.replace("{number}", str(light.output))
             self._transfer("write", command.replace("{value}", str(value)))
 
+    def before_query(self) -> None:
+        """Raise DeviceError: the instrument has sent a line that no query asked for.
+
+        Each answer would be taken for the answer to the next query. Only on a plain socket: VXI-11 and HiSLIP return an
+        answer to its own query, and a serial port was not tried. A line of which a part has come may lose this part.
+        """
+        from pyvisa.constants import StatusCode  # noqa: PLC0415  see connect
+        from pyvisa.errors import Error  # noqa: PLC0415
+
+        if not self.address.upper().endswith("::SOCKET"):
+            return
+        instrument, answer_time_ms = self.connection, self.connection.timeout
+        instrument.timeout = 0
+        try:
+            line = instrument.read()
+        except (Error, OSError, UnicodeDecodeError) as error:
+            if getattr(error, "error_code", None) != StatusCode.error_timeout:
+                raise self.error(f"reading without a query failed, {error}", "a connection without a line") from None
+        else:
+            raise self.error(f"the instrument sent the unsolicited line '{line}'", "one line for each query")
+        finally:
+            instrument.timeout = answer_time_ms
+
     def ask(self) -> Sequence[float]:
         """Return the reading of each channel."""
         dialect = self._dialect
-        self._refuse_unasked()
         answer = self._query(dialect.read)
         try:
             readings = [float(number) for number in answer.split(dialect.separator)]
@@ -366,28 +388,6 @@ class ScpiDevice(PolledDevice[ScpiSettings]):
         self._checked_s = time.monotonic()
         if errors:
             raise self.error(f"the instrument reports {'; '.join(errors)}", "an empty error queue")
-
-    def _refuse_unasked(self) -> None:
-        """Raise DeviceError: a line came without a question, so that each answer would be taken for the next one.
-
-        Only on a plain socket: the other interfaces return an answer to its own question.
-        """
-        from pyvisa.constants import StatusCode  # noqa: PLC0415  see connect
-        from pyvisa.errors import VisaIOError  # noqa: PLC0415
-
-        if not self.address.upper().endswith("::SOCKET"):
-            return
-        instrument, answer_time_ms = self.connection, self.connection.timeout
-        instrument.timeout = 0
-        try:
-            line = instrument.read()
-        except (VisaIOError, OSError, UnicodeDecodeError) as error:
-            if getattr(error, "error_code", None) != StatusCode.error_timeout:
-                raise self.error(f"connection lost, {error}", "a connection") from None
-        else:
-            raise self.error(f"the instrument sent '{line}' without a question", "one line for each question")
-        finally:
-            instrument.timeout = answer_time_ms
 
     def _query(self, command: str) -> str:
         answer: str = self._transfer("query", command)

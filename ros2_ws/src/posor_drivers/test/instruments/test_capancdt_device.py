@@ -267,7 +267,7 @@ def test_reading_needs_a_connection(server: CapaNcdtServer) -> None:
 
 VERSION = "expected '$VERDT62' and the version."
 STATES = "expected '$CHS', the state of each channel, 'OK'."
-AVERAGING = "expected no averaging ('$AVT0'), or that of a driver, conditioning.samples."
+AVERAGING = "expected averaging off ('$AVT0'); a driver has conditioning.samples."
 ANSWER = "expected '$STI256,', a sample time, 'OK'."
 SAMPLE_TIME = "expected a rate that the controller has; in Hz, 1e6 divided by the sample time."
 

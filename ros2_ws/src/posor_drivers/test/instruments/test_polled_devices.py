@@ -250,13 +250,15 @@ def test_faults_of_a_scanner_are_named(scanner: ScpiServer) -> None:
         wait_for_fault(reader, "expected a model that matches 'DAQ97[03]A'.")
 
 
-def test_a_line_without_a_question_is_named_before_it_is_taken_for_an_answer(scanner: ScpiServer) -> None:
+def test_an_unsolicited_line_is_named_before_it_is_taken_for_an_answer(scanner: ScpiServer) -> None:
     meter = ScpiDevice("meter", scpi_settings(scanner.port))
     meter.connect(5.0)
     scanner.answer = "1.0,2.0\n3.0,4.0"
-    assert meter.ask() == [2.0, 1.0]
-    with pytest.raises(DeviceError, match=r"the instrument sent '3\.0,4\.0' without a question; expected one line"):
-        meter.ask()
+    frames = meter.read(1.0)
+    assert frames is not None
+    assert frames.values.tolist() == [[2.0, 1.0]]
+    with pytest.raises(DeviceError, match=r"the instrument sent the unsolicited line '3\.0,4\.0'; expected one line"):
+        meter.read(1.0)
     meter.close()
 
 
@@ -295,7 +297,7 @@ def test_only_one_process_switches_a_light(scanner: ScpiServer) -> None:
     settings = scpi_settings(scanner.port, light=LIGHT)
     first, second = ScpiDevice("meter", settings), ScpiDevice("meter", settings)
     first.connect(5.0)
-    with pytest.raises(DeviceError, match="meter: another process switches the light, output 204 of TCPIP"):
+    with pytest.raises(DeviceError, match="meter: another driver switches the light, output 204 of TCPIP"):
         second.connect(5.0)
     second.close()
     first.close()
