@@ -5,6 +5,8 @@
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
@@ -106,3 +108,22 @@ def test_a_pipe_is_written_and_not_replaced(tmp_path: Path) -> None:
     os.close(output)
     assert named.is_fifo()
     assert sorted(tmp_path.iterdir()) == [beside, named]
+
+
+def test_standard_output_in_a_file_is_written_and_not_replaced(tmp_path: Path) -> None:
+    path = tmp_path / "log"
+    code = (
+        "import sys; from pathlib import Path; from posor.output_files import write_files; print('begin', flush=True); "
+    )
+    code += "write_files({Path('/dev/stdout'): 'middle\\n'}); print('end')"
+    with path.open("ab") as file:
+        subprocess.run([sys.executable, "-c", code], stdout=file, check=True)
+    assert path.read_text(encoding="utf-8").splitlines()[-1] == "end"
+    assert "middle" in path.read_text(encoding="utf-8")
+
+
+def test_a_link_to_itself_is_replaced(tmp_path: Path) -> None:
+    loop = tmp_path / "loop"
+    loop.symlink_to(loop)
+    write_files({loop: "text"})
+    assert contents_of(tmp_path) == {"loop": b"text"}

@@ -200,17 +200,22 @@ def test_of_several_files_all_are_replaced_or_none(tmp_path: Path) -> None:
     assert contents_of(tmp_path).keys() == {"old.yaml", "old.yaml.1", "other.yaml", "other.yaml.1", "new.yaml"}
 
 
-def test_a_replacement_that_fails_restores_the_files_before_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def without_space(link: Path, target: Path) -> None:
-        if target.name == "other.yaml":
+@pytest.mark.parametrize("name", ["hardlink_to", "replace"])
+def test_a_replacement_that_fails_restores_the_files_before_it(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    real = getattr(Path, name)
+
+    def without_space(path: Path, other: Path) -> object:
+        if (other.name if name == "hardlink_to" else path.name).lstrip(".").startswith("other.yaml"):
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-        os.link(target, link)
+        return real(path, other)
 
     paths = [tmp_path / name for name in ("old.yaml", "other.yaml")]
     for path in paths:
         save_calibration(path, "one\n")
     before = contents_of(tmp_path)
-    monkeypatch.setattr(Path, "hardlink_to", without_space)
+    monkeypatch.setattr(Path, name, without_space)
     error = refusal(CalibrationError, save_files, dict.fromkeys(paths, "two\n"), force=True)
     assert error.what == "cannot be written: No space left on device"
     assert contents_of(tmp_path) == before
