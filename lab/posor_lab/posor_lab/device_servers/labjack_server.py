@@ -51,6 +51,8 @@ class _Registers(DataBank):
             time.sleep(0.01)
         if address in {PRODUCT, FIRMWARE}:
             floats: Sequence[float] = [self.product if address == PRODUCT else 1.0292]
+        elif all(each in self.written for each in range(address, address + number)):
+            return [self.written[each] for each in range(address, address + number)]
         else:
             if (words := self.others(address, number)) is not None:
                 return words

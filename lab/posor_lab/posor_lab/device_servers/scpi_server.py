@@ -53,6 +53,8 @@ class ScpiServer(DeviceServer):
         router.add_route("CONFigure:VOLTage:DC <channels>", partial(self._configure, "VOLT:DC"))
         router.add_route("CONFigure:TEMPerature <channels>", partial(self._configure, "TEMP"))
         router.add_route("UNIT:TEMPerature <channels>", self._set_unit)
+        router.add_route("CONFigure? <channels>", self._tell_functions)
+        router.add_route("ROUTe:SCAN?", self._list_channels)
         router.add_route("FUNCtion?", self._name_function)
         router.add_route("ROUTe:SCAN <channels>", self._choose_channels)
         for command in (
@@ -96,6 +98,14 @@ class ScpiServer(DeviceServer):
         first = next(n for n, argument in enumerate(arguments) if argument.startswith("("))
         self._choose_channels(context, *arguments[first:])
         self.functions |= dict.fromkeys(self.scanned, " ".join([function, ",".join(arguments[:first])]).strip())
+
+    def _tell_functions(self, context: Any, *channels: str) -> str:
+        del context
+        return ",".join(f'"{self.functions.get(int(each.strip("(@)")))}"' for each in channels)
+
+    def _list_channels(self, context: Any) -> str:
+        del context
+        return f"(@{','.join(map(str, self.scanned))})"
 
     def _name_function(self, context: Any) -> str:
         del context

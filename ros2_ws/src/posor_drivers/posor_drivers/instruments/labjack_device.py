@@ -31,7 +31,9 @@ from pydantic import Field
 from posor_drivers.instruments.device import Host, Port
 from posor_drivers.instruments.labjack_registers import (
     LONG_REGISTERS,
+    NEGATIVE_INPUT,
     PRODUCTS,
+    RANGE,
     RESOLUTION_INDEX,
     VOLTAGE,
     LabJackInput,
@@ -110,13 +112,28 @@ class LabJackDevice(PolledDevice[LabJackSettings]):
                 registers.write_short(RESOLUTION_INDEX + channel.input, channel.resolution_index)
         return identity
 
-    def ask(self) -> Sequence[float]:
-        """Return the voltage of each channel."""
+    def settings_in_force(self) -> Mapping[str, object]:
+        """Return the ranges and negative inputs that are stated."""
+        found: dict[str, object] = {}
+        for what, register, words in (("range", RANGE, LONG_REGISTERS), ("negative_input", NEGATIVE_INPUT, 1)):
+            stated = [each.input for each in self.settings.channels.values() if getattr(each, what) is not None]
+            for first, count in _questions(stated):
+                read = self._registers.read_floats if words == LONG_REGISTERS else self._registers.read_shorts
+                values = read(register + words * first, count)
+                found |= {f"{what} of input {first + n}": value for n, value in enumerate(values)}
+        return found
+
+    @property
+    def _registers(self) -> LabJackRegisters:
         if self.connection is None:
             raise self.error("no connection", "a call of connect before")
+        return self.connection
+
+    def ask(self) -> Sequence[float]:
+        """Return the voltage of each channel."""
         voltages: dict[int, float] = {}
         for first, count in self._questions:
-            found = self.connection.read_floats(VOLTAGE + LONG_REGISTERS * first, count)
+            found = self._registers.read_floats(VOLTAGE + LONG_REGISTERS * first, count)
             voltages |= {first + n: voltage for n, voltage in enumerate(found)}
         values = np.array([voltages[number] for number in self._inputs])
         valid: Sequence[float] = np.where(np.abs(values) <= self._greatest, values, np.nan).tolist()

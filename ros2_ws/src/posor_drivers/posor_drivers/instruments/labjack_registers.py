@@ -88,12 +88,17 @@ class LabJackRegisters:
 
     def read_floats(self, register: int, count: int) -> Sequence[float]:
         """Return consecutive floats."""
-        floats: Sequence[float] = self._read(register, count).view(">f4").astype(np.float64).tolist()
+        floats: Sequence[float] = self._read(register, LONG_REGISTERS * count).view(">f4").astype(np.float64).tolist()
         return floats
+
+    def read_shorts(self, register: int, count: int) -> Sequence[int]:
+        """Return consecutive 16-bit numbers."""
+        words: Sequence[int] = self._read(register, count).tolist()
+        return words
 
     def read_number(self, register: int) -> int:
         """Return a 32-bit number."""
-        return int(self._read(register, 1).view(">u4")[0])
+        return int(self._read(register, LONG_REGISTERS).view(">u4")[0])
 
     def write_float(self, register: int, value: float) -> None:
         """Write a float."""
@@ -112,11 +117,10 @@ class LabJackRegisters:
         self._client.close()
 
     def _read(self, register: int, count: int) -> Any:
-        """Return the words of consecutive floats or 32-bit numbers."""
-        answer = self._call(register, "read_holding_registers", register, count=LONG_REGISTERS * count)
-        if len(answer.registers) != LONG_REGISTERS * count:
-            what = f"{len(answer.registers)} registers in the answer for register {register}"
-            raise self.error(what, f"{LONG_REGISTERS * count}")
+        """Return the words of consecutive registers."""
+        answer = self._call(register, "read_holding_registers", register, count=count)
+        if len(answer.registers) != count:
+            raise self.error(f"{len(answer.registers)} registers in the answer for register {register}", f"{count}")
         return np.array(answer.registers, dtype=">u2")
 
     def _write(self, register: int, values: Any) -> None:

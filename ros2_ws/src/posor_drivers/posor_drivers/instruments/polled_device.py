@@ -15,7 +15,7 @@ from posor.numerics.stamps import NS
 from posor_drivers.instruments.device import Device, DeviceSettings, Frames
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
 
 LEAST_ANSWER_TIME_S = 0.2
@@ -23,6 +23,8 @@ LEAST_ANSWER_TIME_S = 0.2
 
 EXPOSURES_EVERY = 100
 """Frames after which the exposures, which are final when the device is connected, are asked for again."""
+CHECK_S = 1.0
+"""Time between two looks at the settings of a device."""
 MOST_PERIODS = 3
 """Periods between two frames that are interpolated: a device may answer late."""
 
@@ -50,6 +52,8 @@ class PolledDevice(Device[SettingsT]):
         """Store the settings; ``connect`` opens the connection."""
         super().__init__(name, settings)
         self._next_s, self._asked, self._span_s = 0.0, 0, 0.0
+        self._in_force: Mapping[str, object] | None = None  # None: not asked for yet
+        self._next_check_s = 0.0
 
     @property
     def longest_interval_s(self) -> float:
@@ -65,8 +69,29 @@ class PolledDevice(Device[SettingsT]):
 
         """
 
+    def settings_in_force(self) -> Mapping[str, object]:
+        """Ask for settings of the device that decide what it measures, by name. Raises DeviceError: no answer."""
+        return {}
+
     def before_query(self) -> None:
-        """Check what must be right before ``ask``; its time is not that of the frame. Raises DeviceError: it is not."""
+        """Once a second, compare the settings in force with those of the first frame; not within the time of a frame.
+
+        Raises DeviceError: a setting has changed, by another user of the device or by its restart.
+        """
+        if time.monotonic() < self._next_check_s:
+            return
+        found = self.settings_in_force()
+        self._next_check_s = time.monotonic() + CHECK_S
+        self._in_force = found if self._in_force is None else self._in_force
+        for name, value in found.items():
+            if value != self._in_force[name]:
+                expected = "nobody else who sets up the device while the driver runs"
+                raise self.error(f"{name} has changed from {self._in_force[name]} to {value}", expected)
+
+    def close(self) -> None:
+        """Close the connection; the next one may begin with other settings."""
+        super().close()
+        self._in_force, self._next_check_s = None, 0.0
 
     def read(self, timeout_s: float) -> Frames | None:
         """Wait for the next period and return its frame; None if it begins after the time."""

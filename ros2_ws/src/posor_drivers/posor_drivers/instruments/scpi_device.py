@@ -98,6 +98,8 @@ class Dialect(FrozenModel):
     functions: Annotated[dict[str, MeasuringFunction], Field(min_length=1)]
     function: str = ""
     """Question for the function of an instrument that is set up by hand."""
+    unchanged: tuple[str, ...] = ()
+    """Questions for settings that nobody may change while the driver runs; asked once a second."""
     scan_list: str = ""
     """Command after those of the functions that chooses the channels."""
     channel_delay: str = ""
@@ -281,7 +283,7 @@ class ScpiDevice(PolledDevice[ScpiSettings]):
         return identity
 
     def close(self) -> None:
-        """Close the connection; another process may switch the light."""
+        """Close the connection; another driver may switch the light."""
         super().close()
         if self._claim is not None:
             self._claim.close()
@@ -325,15 +327,23 @@ class ScpiDevice(PolledDevice[ScpiSettings]):
             command = self._dialect.digital_output.replace("{number}", str(light.output))
             self._transfer("write", command.replace("{value}", str(value)))
 
-    def before_query(self) -> None:
-        """Raise DeviceError: the instrument has sent a line that no query asked for.
+    def settings_in_force(self) -> Mapping[str, object]:
+        """Return the answers to the questions ``unchanged`` of the dialect."""
+        numbers = ",".join(map(str, sorted(self._numbers)))
+        questions = [each.replace("{numbers}", numbers) for each in self._dialect.unchanged]
+        return {f"the answer to '{each}'": self._query(each) for each in questions}
 
-        Each answer would be taken for the answer to the next query. Only on a plain socket: VXI-11 and HiSLIP return an
-        answer to its own query, and a serial port was not tried. A line of which a part has come may lose this part.
+    def before_query(self) -> None:
+        """Raise DeviceError: a setting has changed, or the instrument has sent a line that no query asked for.
+
+        After such a line each answer would be taken for the answer to the next query. Only on a plain socket: VXI-11
+        and HiSLIP return an answer to its own query, and a serial port was not tried. If only a part of the line has
+        come, this part may be lost.
         """
         from pyvisa.constants import StatusCode  # noqa: PLC0415  see connect
         from pyvisa.errors import Error  # noqa: PLC0415
 
+        super().before_query()
         if not self.address.upper().endswith("::SOCKET"):
             return
         instrument, answer_time_ms = self.connection, self.connection.timeout

@@ -262,6 +262,23 @@ def test_an_unsolicited_line_is_named_before_it_is_taken_for_an_answer(scanner: 
     meter.close()
 
 
+def test_settings_that_another_user_changes_are_named(scanner: ScpiServer, labjack: LabJackServer) -> None:
+    with running(ScpiDevice("meter", scpi_settings(scanner.port))) as reader:
+        wait_for_frames(reader)
+        scanner.functions[103] = "RES"
+        answer = 'the answer to \'CONF? (@101,103)\' has changed from "VOLT:DC","VOLT:DC" to "VOLT:DC","RES"'
+        wait_for_fault(reader, f"meter: {answer}; expected nobody else who sets up the device while the driver runs.")
+        wait_for_frames(reader)  # of the next connection, which sets the function up
+        assert scanner.functions == {101: "VOLT:DC", 103: "VOLT:DC"}
+    with running(LabJackDevice("box", labjack_settings(labjack.port))) as reader:
+        wait_for_frames(reader)
+        labjack.registers.written[41_000] = 199
+        wait_for_fault(reader, "box: negative_input of input 0 has changed from 1 to 199; expected nobody else")
+        wait_for_frames(reader)
+        labjack.registers.written[40_000 + 2 * 5] = 0
+        wait_for_fault(reader, "box: range of input 5 has changed from 10.0 to ")
+
+
 LIGHT = {"output": 204, "interval": {"value": 0.5, "unit": "s"}}
 
 
