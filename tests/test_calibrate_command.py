@@ -331,3 +331,11 @@ def test_the_fits_that_the_documentation_shows_are_fits() -> None:
     assert record.covariances[0].matrix.shape == (3, 3)
     for key in Calibration.model_fields:
         assert f"`{key}`" in text
+
+
+@pytest.mark.parametrize("name", ["rig.json", "rig.html"])
+def test_a_calibration_file_is_not_named_like_a_report(bench: Bench, name: str) -> None:
+    done = bench.fit(bench.folder / name)
+    assert done.returncode == 1
+    assert done.stderr.startswith(f"{bench.folder / name}: is the name of a report; expected a name ")
+    assert not (bench.folder / name).exists()

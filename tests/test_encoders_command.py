@@ -42,10 +42,18 @@ def test_the_backlash_of_the_recorded_arm_is_found(tmp_path: Path, capsys: pytes
 
 def test_a_full_disk_keeps_the_former_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     output = tmp_path / "encoders.csv"
-    output.write_text("former", encoding="utf-8")
+    output.write_text(",".join(HEADER) + "\n", encoding="utf-8")
     with full_disk_changes_nothing(tmp_path, 1000):
         assert main([*OPTIONS, "--output", str(output)]) == 1
     assert capsys.readouterr().err == f"{output}: cannot be written, File too large.\n"
+
+
+def test_a_file_that_is_no_table_is_not_replaced(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    output = tmp_path / "arm.yaml"
+    output.write_text("format: posor_arm\n", encoding="utf-8")
+    assert main([*OPTIONS, "--output", str(output)]) == 1
+    assert capsys.readouterr().err == f"{output}: is no table of this program; expected another name.\n"
+    assert output.read_text(encoding="utf-8") == "format: posor_arm\n"
 
 
 @pytest.mark.parametrize(

@@ -24,6 +24,7 @@ from posor_lab.harness.full_disk import full_disk_changes_nothing
 from posor_lab.harness.iso9283_by_hand import figures_of
 from posor_ros.qos import RELIABLE_QOS
 from rclpy.serialization import deserialize_message, serialize_message
+from scipy.spatial.transform import Rotation
 
 from bags.make_arm_bag import ArmBag
 
@@ -64,8 +65,8 @@ def arm(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def write_bag(arm: Path, folder: Path, unit: float = 1.0, lead_ns: int = 0) -> Path:
-    """Write a recording whose reference is in a unit [m], and ahead of the arm, as a command is."""
+def write_bag(arm: Path, folder: Path, unit: float = 1.0, lead_ns: int = 0, turn: float = 0.0) -> Path:
+    """Write a recording; its reference is in a unit [m], ahead of the arm as a command is, and turned about X [rad]."""
     types = MessageTypes()
     made = ArmBag(load_arm_file(arm), types)
     with replace_bag(folder) as writer:
@@ -77,6 +78,9 @@ def write_bag(arm: Path, folder: Path, unit: float = 1.0, lead_ns: int = 0) -> P
                 pose: PoseStamped = deserialize_message(data, PoseStamped)
                 at = pose.pose.position
                 at.x, at.y, at.z = at.x / unit, at.y / unit, at.z / unit
+                q = pose.pose.orientation
+                turned = Rotation.from_quat([q.x, q.y, q.z, q.w]) * Rotation.from_rotvec([turn, 0.0, 0.0])
+                q.x, q.y, q.z, q.w = turned.as_quat().tolist()
                 stamp_ns = pose.header.stamp.sec * NS + pose.header.stamp.nanosec - lead_ns
                 pose.header.stamp.sec, pose.header.stamp.nanosec = divmod(stamp_ns, NS)
                 data = serialize_message(pose)
@@ -134,7 +138,8 @@ def test_stated_dwells_replace_those_that_are_found(made: Path, arm: Path, bag: 
         first = next(row for row in csv.DictReader(file) if row["cycle"] == "1")
     content = json.loads((made / "iso9283.json").read_text(encoding="utf-8"))
     dwells = content["dwells"]
-    assert not [note for note in content["notes"] if "dwells" in note]
+    assert not [note for note in content["notes"] if "dwells" in note.lower()]
+    assert "No distance of P1 to P2: 4 and 3 cycles; expected equal numbers." in content["notes"]
     table = tmp_path / "dwells.csv"
     table.write_text(
         "begin_ns,end_ns\n" + "".join(f"{begin},{end}\n" for begin, end in (dwells[0], dwells[3], LATER)),
@@ -155,7 +160,11 @@ def test_stated_dwells_replace_those_that_are_found(made: Path, arm: Path, bag: 
     [
         ("--reference /none", 1, "BAG: there is no topic /none"),
         ("--reference /test_rig/joint1/raw", 1, "BAG: topic /test_rig/joint1/raw is of type posor_msgs/msg/RawScan"),
-        ("--reference REF --still 0", 2, "iso9283: argument --still: '0' is not a number of more than 0 m; expected"),
+        (
+            "--reference REF --still 0",
+            2,
+            "iso9283: argument --still: '0' is not a number of more than 0 and at most 1e+06 m",
+        ),
         (
             "--reference REF --dwells NONE",
             1,
@@ -166,6 +175,9 @@ def test_stated_dwells_replace_those_that_are_found(made: Path, arm: Path, bag: 
             1,
             "BACK, line 3: dwell from 5 to 6; expected begin_ns before end_ns, in order.",
         ),
+        ("--reference REF --least 1e300", 2, "iso9283: argument --least: '1e300' is not a number"),
+        ("--reference REF --dwells BACK --still 1", 2, "iso9283, --still: is for dwells that are found; expected"),
+        ("--reference REF --dwells OWN", 2, "iso9283, --output OUT: the table of --dwells would be replaced;"),
         ("--reference REF --settle 0.2 --least 0.2", 2, "iso9283, --settle: 0.2 s; expected less than --least."),
         ("--reference REF --least 60", 1, "BAG, topic REF: 0 dwells of the reference, none of them at the same pose"),
     ],
@@ -176,6 +188,7 @@ def test_refusals(
     back = tmp_path / "back.csv"
     back.write_text("begin_ns,end_ns\n1,9\n5,6\n", encoding="utf-8")
     names = {"REF": REFERENCE, "NONE": str(tmp_path / "none.csv"), "BACK": str(back), "BAG": str(bag)}
+    names |= {"OUT": str(tmp_path / "out"), "OWN": str(tmp_path / "out" / "points.csv")}
     given = [names.get(word, word) for word in shlex.split(options)]
     assert main([str(arm), "--bag", str(bag), *given, "--output", str(tmp_path / "out")]) == code
     for name, text in names.items():
@@ -184,6 +197,10 @@ def test_refusals(
 
 
 def test_an_arm_that_follows_its_command_late_is_named_until_it_may_settle(arm: Path, tmp_path: Path) -> None:
+    late = write_bag(arm, tmp_path / "late", lead_ns=-50_000_000)  # the stamps of an instrument with a latency
+    assert main([str(arm), "--bag", str(late), "--reference", REFERENCE, "--output", str(tmp_path)]) == 0
+    notes = json.loads((tmp_path / "iso9283.json").read_text(encoding="utf-8"))["notes"]
+    assert any("still moves against the reference" in note for note in notes)
     bag, figures = write_bag(arm, tmp_path / "bag", lead_ns=60_000_000), []
     for settle in ([], ["--settle", "0.12"]):
         folder = tmp_path / f"out{len(settle)}"
@@ -195,8 +212,17 @@ def test_an_arm_that_follows_its_command_late_is_named_until_it_may_settle(arm: 
     assert figures[0] > 2.0 * figures[1]
 
 
-def test_a_reference_in_millimetres_is_refused(arm: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    bag = write_bag(arm, tmp_path / "bag", unit=1e-3)
+@pytest.mark.parametrize(
+    ("unit", "turn", "sentence"),
+    [
+        (1e-3, 0.0, " m from the endpoint; expected the same point in metres"),
+        (1.0, 3.0, "is turned by 3 rad from the endpoint; expected axes of 'base' and of the endpoint, or points."),
+    ],
+)
+def test_a_reference_in_another_unit_or_turned_is_refused(
+    unit: float, turn: float, sentence: str, arm: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bag = write_bag(arm, tmp_path / "bag", unit=unit, turn=turn)
     assert main([str(arm), "--bag", str(bag), "--reference", REFERENCE, "--output", str(tmp_path / "out")]) == 1
-    assert " m from the endpoint; expected the same point in metres" in capsys.readouterr().err
+    assert sentence in capsys.readouterr().err
     assert not (tmp_path / "out").exists()

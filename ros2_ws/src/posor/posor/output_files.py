@@ -41,7 +41,7 @@ def prepared_files(contents: Mapping[Path, str | bytes]) -> Iterator[None]:
                 if path.parent in STREAM_FOLDERS or (path.exists() and not (path.is_file() or path.is_dir())):
                     streams[path] = data
                     continue
-                target = Path(os.path.realpath(path))  # unlike resolve() without an error for a loop of links
+                target = Path(os.path.realpath(path)) if path.is_symlink() else path  # 'missing/../file' is no file
                 if target.exists():
                     target.open("ab").close()  # refuses a folder, and a file without write permission
                 files[path] = target, stack.enter_context(unfinished_file(target, data))

@@ -16,7 +16,7 @@ from posor.arm_names import describe_argument
 from posor.bags.offline_pipeline import load_arm
 from posor.bags.recorded_encoders import read_encoders
 from posor.chain.endpoint_predictor import describe_disagreement, describe_jump, is_same_motion
-from posor.errors import ParameterError
+from posor.errors import OutputError, ParameterError
 from posor.numerics.vector import wrapped_angles
 from posor.output_files import write_files, writing
 from posor.reporting.command_line_parser import CommandLineParser
@@ -57,7 +57,18 @@ def parse_options(arguments: Sequence[str] | None) -> argparse.Namespace:
     if options.bins < 1:
         raise ParameterError(f"{options.bins} bins", where="posor encoders, --bins", expected="at least 1")
     options.output = options.output or Path("build/encoders") / f"{options.bag.stem}.csv"
+    if options.output.is_file() and not _is_table(options.output):
+        raise OutputError("is no table of this program", where=str(options.output), expected="another name")
     return options
+
+
+def _is_table(path: Path) -> bool:
+    """Return whether a file may be replaced: it has the header of a table, or is empty."""
+    try:
+        first = path.read_bytes().partition(b"\n")[0].strip()
+    except OSError as error:
+        raise OutputError(f"cannot be read, {error.strerror}", where=str(path)) from error
+    return first in (b"", ",".join(HEADER).encode())
 
 
 def find_errors(options: argparse.Namespace) -> dict[str, EncoderErrors]:

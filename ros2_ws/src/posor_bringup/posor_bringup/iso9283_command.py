@@ -10,6 +10,7 @@ import json
 import math
 import sys
 from io import StringIO
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -40,6 +41,9 @@ if TYPE_CHECKING:
     from rich.console import Console
 
 WIDTH = 160
+MOST = 1e6  # of a stated length [m] or time [s]
+DWELL_OPTIONS = {"still": 1e-5, "least": 0.2, "settle": 0.0}  # of dwells that are found, and their defaults [m], [s]
+MOST_TURN = 0.1  # of the endpoint from the reference, median [rad]: more is another frame
 MOST_DEVIATION = 0.1  # of the endpoint from the reference, median [m]: more is another unit, frame or point
 LONGEST_GAP_S = 0.1  # between two readings of the reference, for a value between them
 OUTPUT_FILES = ("iso9283.json", "points.csv")
@@ -51,9 +55,9 @@ def _positive(unit: str, *, or_zero: bool = False) -> Callable[[str], float]:
             number = float(text)
         except ValueError:
             number = math.nan
-        if not (0.0 < number < math.inf or (or_zero and number == 0.0)):
+        if not (0.0 < number <= MOST or (or_zero and number == 0.0)):
             least = "at least" if or_zero else "more than"
-            raise argparse.ArgumentTypeError(f"'{text}' is not a number of {least} 0 {unit}")
+            raise argparse.ArgumentTypeError(f"'{text}' is not a number of {least} 0 and at most {MOST:g} {unit}")
         return number
 
     return parse
@@ -68,21 +72,30 @@ def parse_options(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--bag", type=Path, required=True, help="raw scans of the arm, and the reference")
     text = "topic of the commanded or measured poses or points of the endpoint, in the base of the arm"
     parser.add_argument("--reference", required=True, metavar="TOPIC", help=text)
-    text = "the reference stands still within this [m] (default: %(default)g)"
-    parser.add_argument("--still", type=_positive("m"), default=1e-5, metavar="M", help=text)
-    text = "shortest time that it stands still [s] (default: %(default)g)"
-    parser.add_argument("--least", type=_positive("s"), default=0.2, metavar="S", help=text)
-    text = "time left out at the beginning of each dwell that is found, less than --least [s] (default: %(default)g)"
-    parser.add_argument("--settle", type=_positive("s", or_zero=True), default=0.0, metavar="S", help=text)
+    text = f"the reference stands still within this [m] (default: {DWELL_OPTIONS['still']:g})"
+    parser.add_argument("--still", type=_positive("m"), metavar="M", help=text)
+    text = f"shortest time that it stands still [s] (default: {DWELL_OPTIONS['least']:g})"
+    parser.add_argument("--least", type=_positive("s"), metavar="S", help=text)
+    text = f"time left out at the beginning of each dwell, less than --least [s] (default: {DWELL_OPTIONS['settle']:g})"
+    parser.add_argument("--settle", type=_positive("s", or_zero=True), metavar="S", help=text)
     text = "dwells whose references differ by less are cycles of one pose [m] (default: %(default)g)"
     parser.add_argument("--same", type=_positive("m"), default=1e-3, metavar="M", help=text)
     text = "dwells, in place of those that are found: a table with the columns begin_ns and end_ns"
     parser.add_argument("--dwells", type=Path, metavar="FILE.csv", help=text)
     parser.add_argument("--output", type=Path, metavar="FOLDER", help="default: build/iso9283/<name of the bag>")
     options = parser.parse_args(arguments)
+    for name, default in DWELL_OPTIONS.items():
+        if getattr(options, name) is None:
+            setattr(options, name, default)
+        elif options.dwells is not None:
+            raise ParameterError("is for dwells that are found", where=f"iso9283, --{name}", expected="no --dwells")
     if options.settle >= options.least:
         raise ParameterError(f"{options.settle:g} s", where="iso9283, --settle", expected="less than --least")
     options.output = options.output or Path("build/iso9283") / options.bag.stem
+    outputs = [options.output.resolve() / name for name in OUTPUT_FILES]
+    if options.dwells is not None and options.dwells.resolve() in outputs:
+        where = f"iso9283, --output {options.output}"
+        raise ParameterError("the table of --dwells would be replaced", where=where, expected="another folder")
     return options
 
 
@@ -144,6 +157,11 @@ def _read(options: argparse.Namespace) -> tuple[Motion, Track, list[str]]:
         what = f"topic {options.reference} is {deviation:.3g} m from the endpoint"
         expected = f"the same point in metres, in '{base}', within {MOST_DEVIATION:g} m"
         raise BagError(what, where=str(options.bag), expected=expected)
+    if motion.rotations is not None:
+        turn = float(np.median((motion.rotations[0] * motion.rotations[1].inv()).magnitude()))
+        if turn > MOST_TURN:
+            what = f"topic {options.reference} is turned by {turn:.3g} rad from the endpoint"
+            raise BagError(what, where=str(options.bag), expected=f"axes of '{base}' and of the endpoint, or points")
     missing = len(end) - len(motion.stamps_ns)
     notes = [f"{missing} of {len(end)} endpoints have no reference and are left out."] if missing else []
     if end.degraded.any():
@@ -158,6 +176,11 @@ def _notes(poses: Sequence[PoseCycles], paths: Sequence[PathCycles], unused: int
     if settling.any():
         moved = f"{np.count_nonzero(settling)}, by up to {1e6 * settling.max():.2f} µm"
         notes.append(f"Dwells in which the endpoint still moves against the reference (see --settle): {moved}.")
+    for first, second in pairwise(poses):
+        counts = len(first.attained), len(second.attained)
+        if counts[0] != counts[1]:
+            cycles = f"{counts[0]} and {counts[1]} cycles"
+            notes.append(f"No distance of {first.name} to {second.name}: {cycles}; expected equal numbers.")
     single = [each.name for each in poses if len(each.attained) < LEAST_CYCLES]
     if single:
         notes.append(f"One cycle only, so without figures: {', '.join(single)}.")

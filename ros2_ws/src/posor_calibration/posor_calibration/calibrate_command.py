@@ -138,6 +138,10 @@ def calibrate(options: argparse.Namespace, report: Callable[[str], object]) -> F
     settings = read_options(procedure.options, options)
     if options.output is not None:
         refuse_existing(options.output, force=options.force)
+        if options.output in _report_files(options.output):
+            raise OutputError(
+                "is the name of a report", where=str(options.output), expected="a name that ends in .yaml"
+            )
         for page in _report_files(options.output):
             if page.exists() and not options.force:
                 raise OutputError("exists already", where=str(page), expected="another --output, or --force")

@@ -87,6 +87,10 @@ def run_calculator(signature: CalculatorSignature, arguments: Sequence[str]) -> 
     Raises PosorError: the command line is wrong, the calculator refuses an argument, or a file cannot be written.
     """
     options = vars(build_parser(signature).parse_args(arguments))
+    if options["json"] and options["json"] == options["html"]:
+        raise OutputError(
+            "is stated twice", where=str(options["json"]), expected="a file for --json and one for --html"
+        )
     values = {each.name: options[each.name] for each in signature.arguments}
     result = signature.function(**values)
     results = {each.name: getattr(result, each.name) for each in signature.results}

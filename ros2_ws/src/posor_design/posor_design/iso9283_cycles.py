@@ -137,7 +137,8 @@ def settling_of(motion: Motion, dwells: Sequence[tuple[int, int]]) -> FloatArray
             continue
         first, last = deviations[:third], deviations[-third:]
         moved = np.abs(last.mean(axis=0) - first.mean(axis=0))
-        errors = last.std(axis=0, ddof=1) * np.sqrt(2.0 / third)  # of the difference, when it has settled
+        quieter = np.minimum(first.std(axis=0, ddof=1), last.std(axis=0, ddof=1))  # it may move at either end
+        errors = quieter * np.sqrt(2.0 / third)  # of the difference
         found[number] = np.linalg.norm(np.where(moved > SETTLING_SIGMAS * errors, moved, 0.0))
     return found
 

@@ -140,6 +140,13 @@ def test_a_wrong_command_line_is_one_sentence(
     assert not captured.out
 
 
+def test_one_file_for_two_outputs_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "x"
+    assert main([*example_of("abbe-error"), "--json", str(path), "--html", str(path)]) == 1
+    assert f"{path}: is stated twice; expected" in capsys.readouterr().err
+    assert not path.exists()
+
+
 @pytest.mark.parametrize("option", ["--json", "--html"])
 def test_a_file_that_cannot_be_written_is_one_sentence_and_no_folder_is_created(
     option: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]

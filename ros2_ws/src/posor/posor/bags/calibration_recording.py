@@ -205,8 +205,9 @@ def _track(kind: str, messages: Sequence[tuple[int, Mapping[str, Value]]], refer
         if len(frames) > 1:
             raise TrackError(f"transforms between {', '.join(frames)}", where=where, expected="two frames only")
     stated = sorted({str(message.get("header.frame_id", "")) for _, message in messages})
-    if kind == POSE_STAMPED and len(stated) > 1:
-        raise TrackError(f"poses in {', '.join(stated)}", where=where, expected="one frame only")
+    if kind in (POSE_STAMPED, POINT_STAMPED) and len(stated) > 1:
+        what = "poses" if kind == POSE_STAMPED else "points"
+        raise TrackError(f"{what} in {', '.join(stated)}", where=where, expected="one frame only")
     values = np.array([[message[path] for path in REFERENCE_FIELDS[kind]] for _, message in messages], dtype=float)
     if values.shape[1] == POSE:
         values = with_continuous_signs(values, where)

@@ -5,9 +5,11 @@
 from __future__ import annotations
 
 import math
+import os
 import re
 from dataclasses import dataclass
 from decimal import Decimal
+from pathlib import Path
 from typing import TYPE_CHECKING
 from xml.etree import ElementTree as ET
 
@@ -17,7 +19,6 @@ from posor.output_files import write_files, writing
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
-    from pathlib import Path
 
     from posor.certificates.certificate_file import CertificateFile, Contact, Laboratory, Location, Person
 
@@ -107,7 +108,7 @@ def write_dcc(path: Path, certificate: Certificate, stated: CertificateFile) -> 
 
 def check_new(path: Path) -> None:
     """Raise OutputError if a certificate exists already: it may have been issued."""
-    if path.exists():
+    if path.exists() or Path(os.path.realpath(path)).exists():  # 'missing/../file', too
         raise OutputError("exists already", where=str(path), expected="a new file for the certificate")
 
 

@@ -68,7 +68,8 @@ class NominalRobot:
     def jacobian(self, angles: FloatArray) -> FloatArray:
         """Return the derivative of the endpoint by the angles, (6, j): x, y, z [m], about X, Y, Z, axes of the base."""
         frame = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
-        return np.asarray(pin.computeFrameJacobian(self._model, self._data, angles, self._endpoint, frame))
+        found = pin.computeFrameJacobian(self._model, self._data, angles, self._endpoint, frame)
+        return np.asarray(found).reshape(6, -1)  # of one joint: a vector
 
     def joint_errors(self, angles: FloatArray, measured: pin.SE3) -> FloatArray:
         """Return by how much the joints seem to be beyond the angles of the controller, (j,) [rad].

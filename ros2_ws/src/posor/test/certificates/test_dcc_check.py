@@ -143,8 +143,9 @@ def test_the_library_is_named_with_its_extra(dcc: Path, monkeypatch: pytest.Monk
 def test_a_new_certificate_file_names_all_blanks(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "lab.yaml"
     assert main(["new", str(path)]) == 0
-    assert main(["new", str(path)]) == 1
-    assert "exists already" in capsys.readouterr().err
+    for same in (path, tmp_path / "missing" / ".." / "lab.yaml"):
+        assert main(["new", str(same)]) == 1
+        assert "exists already" in capsys.readouterr().err
     assert str(refusal(CalibrationError, load_certificate_file, path)) == (
         f"certificate file {path}: identifier, begin, end, laboratory.name, laboratory.location.city, "
         "laboratory.location.country, persons.0.name, customer.name, customer.location.city, "

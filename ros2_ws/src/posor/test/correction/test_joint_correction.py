@@ -22,7 +22,7 @@ def robot() -> NominalRobot:
     return NominalRobot(load_arm_file("six_axis").chain())
 
 
-@pytest.mark.parametrize("arm", ["five_axis", "six_axis"])
+@pytest.mark.parametrize("arm", ["five_axis", "six_axis", "test_rig"])
 def test_endpoint_and_jacobian_are_those_of_the_chain(arm: str) -> None:
     chain = load_arm_file(arm).chain()
     robot = NominalRobot(chain)
@@ -37,6 +37,11 @@ def test_endpoint_and_jacobian_are_those_of_the_chain(arm: str) -> None:
             turn = pin.log3(after.rotation @ before.rotation.T)
             moved = np.concatenate([after.translation - before.translation, turn]) / (2.0 * step)
             np.testing.assert_allclose(column, moved, atol=1e-9)
+
+
+def test_the_error_of_a_single_joint_is_found() -> None:
+    rig, at = NominalRobot(load_arm_file("test_rig").chain(), LeastSquares(least_lever=1e-6)), np.array([0.01])
+    np.testing.assert_allclose(rig.joint_errors(at, rig.endpoint(at + 1e-4)), [1e-4], rtol=1e-3)
 
 
 def test_joint_errors_are_found_in_all_six_freedoms_and_bounded_where_the_arm_is_singular(robot: NominalRobot) -> None:

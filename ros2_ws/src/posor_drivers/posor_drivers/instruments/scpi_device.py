@@ -309,6 +309,8 @@ class ScpiDevice(PolledDevice[ScpiSettings]):
             self._check_errors()
             self._check_functions()
         frames = super().read(timeout_s)
+        if frames is not None:
+            self._refuse_unsolicited_line()  # the first of two lines may be no answer
         if frames is not None and self.settings.light is not None:
             self._switch_light(self.settings.light)
         return frames
@@ -334,17 +336,21 @@ class ScpiDevice(PolledDevice[ScpiSettings]):
         return {f"the answer to '{each}'": self._query(each) for each in questions}
 
     def before_query(self) -> None:
-        """Raise DeviceError: a setting has changed, or the instrument has sent a line that no query asked for.
+        """Raise DeviceError: the instrument has sent a line that no query asked for, or a setting has changed."""
+        self._refuse_unsolicited_line()
+        super().before_query()
 
-        After such a line each answer would be taken for the answer to the next query. Only on a plain socket: VXI-11
-        and HiSLIP return an answer to its own query, and a serial port was not tried. If only a part of the line has
-        come, this part may be lost.
+    def _refuse_unsolicited_line(self) -> None:
+        """Raise DeviceError: there is a line, and each answer would be taken for the answer to the next query.
+
+        Only on a socket or a serial port: VXI-11 and HiSLIP return an answer to its own query. If only a part of the
+        line has come, this part may be lost.
         """
         from pyvisa.constants import StatusCode  # noqa: PLC0415  see connect
         from pyvisa.errors import Error  # noqa: PLC0415
 
-        super().before_query()
-        if not self.address.upper().endswith("::SOCKET"):
+        address = self.address.upper()
+        if not (address.endswith("::SOCKET") or address.startswith("ASRL")):
             return
         instrument, answer_time_ms = self.connection, self.connection.timeout
         instrument.timeout = 0
