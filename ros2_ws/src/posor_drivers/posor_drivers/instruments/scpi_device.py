@@ -343,21 +343,23 @@ class ScpiDevice(PolledDevice[ScpiSettings]):
     def _refuse_unsolicited_line(self) -> None:
         """Raise DeviceError: there is a line, and each answer would be taken for the answer to the next query.
 
-        Only on a socket or a serial port: VXI-11 and HiSLIP return an answer to its own query. If only a part of the
-        line has come, this part may be lost.
+        Only on a socket or a serial port: VXI-11 and HiSLIP return an answer to its own query. Of a line that comes in
+        parts to a socket the first part may be lost.
         """
-        from pyvisa.constants import StatusCode  # noqa: PLC0415  see connect
+        from pyvisa.constants import VI_ATTR_ASRL_AVAIL_NUM, StatusCode  # noqa: PLC0415  see connect
         from pyvisa.errors import Error  # noqa: PLC0415
 
-        address = self.address.upper()
-        if not (address.endswith("::SOCKET") or address.startswith("ASRL")):
+        address, instrument, answer_time_ms = self.address.upper(), self.connection, self.connection.timeout
+        is_serial = address.startswith("ASRL")
+        if not (is_serial or address.endswith("::SOCKET")):
             return
-        instrument, answer_time_ms = self.connection, self.connection.timeout
-        instrument.timeout = 0
         try:
+            if is_serial and not instrument.get_visa_attribute(VI_ATTR_ASRL_AVAIL_NUM):
+                return
+            instrument.timeout = answer_time_ms if is_serial else 0
             line = instrument.read()
         except (Error, OSError, UnicodeDecodeError) as error:
-            if getattr(error, "error_code", None) != StatusCode.error_timeout:
+            if getattr(error, "error_code", None) != StatusCode.error_timeout or is_serial:
                 raise self.error(f"reading without a query failed, {error}", "a connection without a line") from None
         else:
             raise self.error(f"the instrument sent the unsolicited line '{line}'", "one line for each query")
