@@ -16,7 +16,16 @@ from textwrap import dedent
 import pytest
 from environment import THIS
 from posor_lab.harness.program import in_background
-from run_tests import PROCESSES, ROS_SHARED, SHARED, SLOW, find_test_files, make_test_jobs, shared_process, uses_ros
+from run_tests import (
+    PROCESSES,
+    REAL_TIME_SHARED,
+    SHARED,
+    SLOW,
+    find_test_files,
+    is_real_time,
+    make_test_jobs,
+    shared_process,
+)
 
 RUNNER = [sys.executable, str(THIS.root / "tools" / "run_tests.py")]
 
@@ -119,7 +128,7 @@ def test_files_of_a_folder_share_a_process_but_those_with_ros(tmp_path: Path, mo
 
 
 def test_files_with_ros_share_a_process_of_normal_priority(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("run_tests.ROS_SHARED", (tmp_path / "test_[a-b]*.py",))
+    monkeypatch.setattr("run_tests.REAL_TIME_SHARED", (tmp_path / "test_[a-b]*.py",))
     write_test_files(tmp_path, **dict.fromkeys("abc", "with ros_context([]): pass"), d="")
     files = [tmp_path / f"test_{name}.py" for name in "abcd"]
     shared, *alone = make_test_jobs(files)
@@ -128,10 +137,10 @@ def test_files_with_ros_share_a_process_of_normal_priority(tmp_path: Path, monke
     assert not any(job.low_priority for job in (shared, *alone))
 
 
-def test_what_tests_of_a_shared_process_import_makes_no_ros_context() -> None:
-    files = [file for file in find_test_files([]) if shared_process(file) and not uses_ros(file)]
+def test_what_tests_of_a_shared_process_import_starts_no_node_or_server() -> None:
+    files = [file for file in find_test_files([]) if shared_process(file) and not is_real_time(file)]
     helpers = [file for folder in {file.parent for file in files} for file in folder.glob("*.py")]
-    makers = {file.stem for file in helpers if not file.name.startswith("test_") and uses_ros(file)}
+    makers = {file.stem for file in helpers if not file.name.startswith("test_") and is_real_time(file)}
     words = {file.name: set(re.findall(r"\w+", file.read_text(encoding="utf-8"))) for file in files}
     assert {name: found & makers for name, found in words.items() if found & makers} == {}
 
@@ -150,8 +159,8 @@ def test_files_of_one_folder_are_divided_by_the_first_pattern_that_they_match(
     assert shared == {str(patterns[0]): files[3:], str(patterns[1]): files[:2], str(patterns[2]): files[2:3]}
 
 
-def test_files_that_may_use_ros_have_processes_of_their_own() -> None:
-    assert not set(SHARED) & set(ROS_SHARED)
+def test_files_in_real_time_have_processes_of_their_own() -> None:
+    assert not set(SHARED) & set(REAL_TIME_SHARED)
 
 
 def test_slow_files_and_folders_come_first() -> None:

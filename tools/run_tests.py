@@ -2,12 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Run the linters and the tests in parallel processes, and print one line for each.
 
-The files of an entry of SHARED have one pytest process, which saves seconds of imports for each file; those that may
-use ROS share the processes of ROS_SHARED, of which two run at a time. The others and the linters run at low priority in
-the processor time that the nodes of these tests leave while they wait; a process that has no such job left runs tests
-that may use ROS, and the reverse. Those of SLOW come first, so that none of them is left for the end. The linters need
-no build and start before it. Every process uses one thread of linear algebra, because threads of small matrices wait
-for each other.
+The files of an entry of SHARED have one pytest process, which saves seconds of imports for each file; those that start
+nodes or servers share the processes of REAL_TIME_SHARED, of which two run at a time. The others and the linters run at
+low priority in the processor time that these tests leave while they wait; a process that has no such job left runs
+tests in real time, and the reverse. Those of SLOW come first, so that none of them is left for the end. The linters
+need no build and start before it. Every process uses one thread of linear algebra, because threads of small matrices
+wait for each other.
 The output ends with every skipped or failed test and its reason, and ``N passed, N failed, N skipped``.
 Arguments: paths of tests; without paths, the linters and all tests run. Tests with the marker ``long`` are left out;
 with the option ``--long`` they alone run.
@@ -44,10 +44,11 @@ DEFAULTS = {  # the caller's own settings have precedence
 }
 FAILURE_LENGTH = 1000  # last characters of a failure, in the summary; the whole is printed when its job ends
 REPORTS = THIS.root / "build" / "test"
-USES_ROS = re.compile(
+REAL_TIME = re.compile(
     r"rclpy\.init|\bContext\(|ros_context|ros_domain|isolated_network|harness\.graph|rig_replay|\bProgram\("
+    r"|posor_lab\.device_servers"
 )
-SHARED = tuple(  # folders, or files of a folder, that share a process, except those that may use ROS; the first counts
+SHARED = tuple(  # folders, or files of a folder, that share a process, except those in real time; the first counts
     THIS.root / pattern
     for pattern in (
         *(f"ros2_ws/src/posor/test/{part}" for part in ("estimation", "calibration")),
@@ -59,10 +60,11 @@ SHARED = tuple(  # folders, or files of a folder, that share a process, except t
         *(f"tests/test_[{letters}]*.py" for letters in ("a-b", "c", "d-e", "f-o", "p-q", "r", "s-z")),
     )
 )
-ROS_SHARED = tuple(  # the same for files that may use ROS: each test shuts its contexts down
+REAL_TIME_SHARED = tuple(  # the same for files that start nodes or servers: each test ends what it has started
     THIS.root / pattern
     for pattern in (
-        *(f"ros2_ws/src/{part}" for part in ("posor_ros/test", "posor_bringup/test/test_*.py", "posor_drivers/test/*")),
+        *("ros2_ws/src/posor_ros/test", "ros2_ws/src/posor_bringup/test/test_*.py"),
+        *("ros2_ws/src/posor_drivers/test/instruments", "ros2_ws/src/posor_drivers/test/*"),
         *(f"ros2_ws/src/posor_estimator/test/test_[{letters}]*.py" for letters in ("a-c", "d-e", "f-o", "p-z")),
         *(f"tests/test_[{letters}]*.py" for letters in ("a-c", "d-f", "g-k", "l-q", "r-s", "t-z")),
         *("lab/posor_lab/test/*/test_[a-n]*.py", "lab/posor_lab/test/*/test_[o-z]*.py"),
@@ -70,7 +72,7 @@ ROS_SHARED = tuple(  # the same for files that may use ROS: each test shuts its 
 )
 
 SLOW = (
-    "ros2_ws/src/posor_drivers/test",
+    "ros2_ws/src/posor_drivers/test/instruments",
     "lab/posor_lab/test",
     "tests/test_[r-s]*.py",
     "tests/test_[d-e]*.py",
@@ -100,7 +102,7 @@ SLOW = (
     "lab/posor_lab/test/mutations",
     "lab/posor_lab/test/accuracy",
 )
-"""Files and entries of SHARED and ROS_SHARED that take longest, the longest first."""
+"""Files and entries of SHARED and REAL_TIME_SHARED that take longest, the longest first."""
 
 
 @dataclass
@@ -170,14 +172,14 @@ def display_name(path: Path) -> str:
     return str(path.relative_to(THIS.root) if path.is_relative_to(THIS.root) else path)
 
 
-def uses_ros(file: Path) -> bool:
-    """Return whether the text of a file names what makes a ROS context."""
-    return bool(USES_ROS.search(file.read_text(encoding="utf-8")))
+def is_real_time(file: Path) -> bool:
+    """Return whether the text of a file names what makes a ROS context or a server of devices."""
+    return bool(REAL_TIME.search(file.read_text(encoding="utf-8")))
 
 
 def shared_process(file: Path) -> Path | None:
-    """Return the entry of SHARED or ROS_SHARED of a file, or None."""
-    entries = ROS_SHARED if uses_ros(file) else SHARED
+    """Return the entry of SHARED or REAL_TIME_SHARED of a file, or None."""
+    entries = REAL_TIME_SHARED if is_real_time(file) else SHARED
     return next((each for each in entries if any(path.match(str(each)) for path in (file, *file.parents))), None)
 
 
