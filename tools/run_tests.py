@@ -51,13 +51,12 @@ REAL_TIME = re.compile(
 SHARED = tuple(  # folders, or files of a folder, that share a process, except those in real time; the first counts
     THIS.root / pattern
     for pattern in (
-        *(f"ros2_ws/src/posor/test/{part}" for part in ("estimation", "calibration")),
+        "ros2_ws/src/posor/test/estimation",
         *(f"ros2_ws/src/{package}/test" for package in ("posor", "posor_bringup", "posor_calibration", "posor_design")),
-        *("ros2_ws/src/posor_drivers/test/simulator", "ros2_ws/src/posor_drivers/test"),
-        "ros2_ws/src/posor_[er]*/test",
-        *(f"lab/posor_lab/test/{part}" for part in ("accuracy", "arm_study", "commissioning", "health", "mutations")),
+        *("ros2_ws/src/posor_drivers/test/simulator", "ros2_ws/src/posor_[der]*/test"),
+        *(f"lab/posor_lab/test/{part}" for part in ("arm_study", "commissioning", "health", "mutations")),
         "lab/posor_lab/test",
-        *(f"tests/test_[{letters}]*.py" for letters in ("a-b", "c", "d-e", "f-o", "p-q", "r", "s-z")),
+        *(f"tests/test_[{letters}]*.py" for letters in ("a-b", "c", "d-e", "r", "f-z")),
     )
 )
 REAL_TIME_SHARED = tuple(  # the same for files that start nodes or servers: each test ends what it has started
@@ -100,7 +99,6 @@ SLOW = (
     "ros2_ws/src/posor_estimator/test/test_[d-e]*.py",
     "lab/posor_lab/test/health",
     "lab/posor_lab/test/mutations",
-    "lab/posor_lab/test/accuracy",
 )
 """Files and entries of SHARED and REAL_TIME_SHARED that take longest, the longest first."""
 
