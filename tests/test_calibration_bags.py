@@ -16,7 +16,7 @@ from posor.calibration.designs import STANDOFF
 from posor.errors import BagError, PosorError, TrackError
 from posor.model.scan import PROBES_ESTIMATED, SATURATED, Scan
 from posor.numerics.stamps import NS
-from posor.ros_names import POSE_STAMPED
+from posor.ros_names import POINT_STAMPED, POSE_STAMPED
 from posor_calibration.procedures.gap_linearisation import GapLinearisationOptions, linearise_gap_probes
 from posor_drivers.calibration_bag import RAW, TYPES, Entry, entries, point, raw, scalar, transform, write_bag
 from posor_drivers.message_builder import header
@@ -89,6 +89,13 @@ def test_a_pose_stamped_is_a_reference_only_if_it_is_named(tmp_path: Path) -> No
     mixed = [*SCANS, stamped("receiving", STAMPS[0]), stamped("base", STAMPS[1])]
     sentence = refused(tmp_path, mixed, TrackError, references=[Reference("/cmm")])
     assert sentence == "BAG, topic /cmm: poses in base, receiving; expected one frame only."
+    point = TYPES.new("geometry_msgs/msg/Point", x=1.0, y=2.0, z=3.0)
+    points = [
+        ("/cmm", POINT_STAMPED, stamp, TYPES.new(POINT_STAMPED, header=header(TYPES, stamp, frame), point=point))
+        for frame, stamp in (("receiving", STAMPS[0]), ("base", STAMPS[1]))
+    ]
+    sentence = refused(tmp_path / "points", [*SCANS, *points], TrackError, references=[Reference("/cmm")])
+    assert sentence == "BAG, topic /cmm: points in base, receiving; expected one frame only."
 
 
 def test_references_come_by_type_with_their_stamps(tmp_path: Path) -> None:

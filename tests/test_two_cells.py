@@ -62,6 +62,10 @@ def test_two_cells_share_a_domain(rig: Path, tmp_path: Path) -> None:
             assert graph.node.count_publishers(f"/{cell}/test_rig/truth/endpoint") == 1
             assert (graph.node.count_publishers(encoders), graph.node.count_subscribers(encoders)) == (1, 1)
         assert all(name.startswith(tuple(f"{cell}/" for cell in CELLS)) for name in named())
+        options = "--layout", "composed", "--output", str(tmp_path), "--namespace", "cell3", "--frame-prefix", "cell1/"
+        with Program([*installed("posor_bringup", "bringup"), str(rig), *options]) as same_frame:
+            same_frame.wait_for_line("frame cell1/endpoint: another bringup publishes it on /tf")
+            assert same_frame.wait() == 1
         topics = {name for name, _ in graph.node.get_topic_names_and_types()}
         assert not [name for name in topics if name.startswith("/test_rig")]
         for program in (first, second):

@@ -17,6 +17,7 @@ from posor.bags.data_frames import endpoint_columns
 from posor.bags.offline_pipeline import estimate_bag, topics_of
 from posor.bags.reprocess_task import Settings
 from posor.chain.arm_file import load_arm_file
+from posor.correction.correct_command import main as correct
 from posor.messages.message_definitions import MessageTypes
 from posor.numerics.stamps import NS, tick_stamp_ns
 from posor.ros_names import RAW_SCAN, RAW_TOPIC
@@ -81,7 +82,9 @@ def write_bag(simulation: ArmSimulation, ticks: range, folder: Path, *, thermome
     return writer.path
 
 
-def test_a_recording_is_estimated_at_the_recorded_temperatures(path: Path, tmp_path: Path) -> None:
+def test_a_recording_is_estimated_at_the_recorded_temperatures(
+    path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     arm = load_arm(path)
     simulation = ArmSimulation(arm, IN_THE_SHOP, rate=50, truth="independent")
     ticks = range(100_000 * 50, 100_000 * 50 + 200)
@@ -111,3 +114,8 @@ def test_a_recording_is_estimated_at_the_recorded_temperatures(path: Path, tmp_p
         ]
         assert notes == [f"{'; '.join(sentences)}: {summary.degraded} of {len(found)} poses"]
         assert len(topics.notes) == (0 if thermometers else len(sentences))
+    joints = ",".join(f"{name} [rad]" for name in arm.calibrations)
+    (tmp_path / "program.csv").write_text(f"time [s],{joints}\n0{',0' * 5}\n1{',0' * 5}\n", encoding="utf-8")
+    options = ["--bag", str(tmp_path / "bag_False"), "--output", str(tmp_path / "corrected.csv")]
+    assert correct([str(path), str(tmp_path / "program.csv"), *options]) == 1
+    assert f"0 of {len(found)} endpoints can be used, {len(found)} are DEGRADED; expected" in capsys.readouterr().err

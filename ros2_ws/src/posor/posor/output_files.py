@@ -75,6 +75,12 @@ def unfinished_file(target: Path, content: bytes) -> Iterator[Path]:
             unfinished.unlink(missing_ok=True)
 
 
+def make_folder(folder: Path) -> None:
+    """Create a folder and its parents. Raises OutputError: it cannot be created."""
+    with writing(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+
+
 @contextmanager
 def writing(output: Path) -> Iterator[None]:
     """Turn errors of the operating system into an OutputError that names the output."""

@@ -18,7 +18,7 @@ from posor.bags.recorded_encoders import read_encoders
 from posor.chain.endpoint_predictor import describe_disagreement, describe_jump, is_same_motion
 from posor.errors import OutputError, ParameterError
 from posor.numerics.vector import wrapped_angles
-from posor.output_files import write_files, writing
+from posor.output_files import make_folder, write_files
 from posor.reporting.command_line_parser import CommandLineParser
 from posor.reporting.program_errors import reports_errors
 from posor.reporting.report_console import report_console
@@ -63,12 +63,13 @@ def parse_options(arguments: Sequence[str] | None) -> argparse.Namespace:
 
 
 def _is_table(path: Path) -> bool:
-    """Return whether a file may be replaced: it has the header of a table, or is empty."""
+    """Return whether a file may be replaced: it begins with the header of a table, or is empty."""
+    header = ",".join(HEADER).encode()
     try:
-        first = path.read_bytes().partition(b"\n")[0].strip()
+        with path.open("rb") as file:
+            return file.read(len(header)) in (b"", header)
     except OSError as error:
         raise OutputError(f"cannot be read, {error.strerror}", where=str(path)) from error
-    return first in (b"", ",".join(HEADER).encode())
 
 
 def find_errors(options: argparse.Namespace) -> dict[str, EncoderErrors]:
@@ -130,8 +131,7 @@ def write_table(path: Path, found: Mapping[str, EncoderErrors]) -> None:
     writer.writerow(HEADER)
     for joint, each in found.items():
         writer.writerows((joint, *row) for row in each.table)
-    with writing(path):
-        path.parent.mkdir(parents=True, exist_ok=True)
+    make_folder(path.parent)
     write_files({path: text.getvalue()})
 
 

@@ -22,7 +22,7 @@ from posor.bags.recording import POINT, POSE
 from posor.bags.reprocess_task import Settings
 from posor.errors import BagError, DataFileError, ParameterError
 from posor.numerics.stamps import NS
-from posor.output_files import write_files, writing
+from posor.output_files import make_folder, write_files
 from posor.reporting.command_line_parser import CommandLineParser
 from posor.reporting.program_errors import reports_errors
 from posor.reporting.report_console import report_console
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
 WIDTH = 160
-MOST = 1e6  # of a stated length [m] or time [s]
+LARGEST_OPTION = 1e6  # [m] or [s]
 DWELL_OPTIONS = {"still": 1e-5, "least": 0.2, "settle": 0.0}  # of dwells that are found, and their defaults [m], [s]
 MOST_TURN = 0.1  # of the endpoint from the reference, median [rad]: more is another frame
 MOST_DEVIATION = 0.1  # of the endpoint from the reference, median [m]: more is another unit, frame or point
@@ -55,9 +55,11 @@ def _positive(unit: str, *, or_zero: bool = False) -> Callable[[str], float]:
             number = float(text)
         except ValueError:
             number = math.nan
-        if not (0.0 < number <= MOST or (or_zero and number == 0.0)):
+        if not (0.0 < number <= LARGEST_OPTION or (or_zero and number == 0.0)):
             least = "at least" if or_zero else "more than"
-            raise argparse.ArgumentTypeError(f"'{text}' is not a number of {least} 0 and at most {MOST:g} {unit}")
+            raise argparse.ArgumentTypeError(
+                f"'{text}' is not a number of {least} 0 and at most {LARGEST_OPTION:g} {unit}"
+            )
         return number
 
     return parse
@@ -262,8 +264,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "paths": {name: _json(figures) for name, figures in of_paths.items()},
         "notes": notes,
     }
-    with writing(options.output):
-        options.output.mkdir(parents=True, exist_ok=True)
+    make_folder(options.output)
     json_file, points_file = (options.output / name for name in OUTPUT_FILES)
     write_files({json_file: json.dumps(content, indent=2) + "\n", points_file: _points_csv(usable, paths)})
     console = report_console(WIDTH)

@@ -14,7 +14,7 @@ from posor.arm_names import describe_argument
 from posor.certificates.dcc_document import write_dcc
 from posor.certificates.dcc_options import add_dcc_options, read_dcc_options
 from posor.chain.arm_file import load_arm_file
-from posor.output_files import writing
+from posor.output_files import make_folder
 from posor.reporting.command_line_parser import CommandLineParser
 from posor.reporting.program_errors import reports_errors
 from posor.reporting.report_console import report_console
@@ -119,8 +119,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     stated = read_dcc_options(options, "statement")
     statement = compute_statement(options)
     folder = options.output or Path("build/statement") / statement.arm.name
-    with writing(folder):
-        folder.mkdir(parents=True, exist_ok=True)
+    make_folder(folder)
     write_statement(statement, folder)
     if stated is not None:
         write_dcc(options.dcc, certificate_of(statement), stated)

@@ -16,7 +16,7 @@ from posor.calibration.calibration_file import load_calibration
 from posor.chain.arm_file import load_arm_file
 from posor.errors import ParameterError
 from posor.estimation.posor import Posor
-from posor.output_files import write_files, writing
+from posor.output_files import make_folder, write_files
 from posor.reporting.command_line_parser import CommandLineParser
 from posor.reporting.program_errors import reports_errors
 from posor.reporting.progress import progress_display
@@ -138,8 +138,7 @@ def compute_budget(options: argparse.Namespace, progress: Callable[[int], None] 
     budget = error_budget(posor, scan, pose, points)
     reliability = joint_reliability(posor, scan, pose)
     arm = None if options.arm is None else _arm_reliability(options.arm, options.angles)
-    with writing(options.output):
-        options.output.mkdir(parents=True, exist_ok=True)
+    make_folder(options.output)
     drawn = monte_carlo(posor, scan, pose, points, seed=options.seed, max_draws=options.draws, progress=progress)
     return BudgetReport(
         calibration=calibration.name,

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from posor.calibration.document_text import document_text
 from posor.errors import OutputError, ParameterError
-from posor.output_files import write_files, writing
+from posor.output_files import make_folder, write_files, writing
 
 from posor_design.layout_search import objectives
 from posor_design.posor_design_page import render_posor_page
@@ -113,9 +113,8 @@ def write_design(folder: Path, texts: Mapping[str, str], *, force: bool = False)
     existing = [name for name in texts if (folder / name).exists()]
     if existing and not force:
         raise OutputError(f"{existing[0]} exists already", where=str(folder), expected="another folder, or --force")
-    with writing(folder):
-        for name in texts:
-            (folder / name).parent.mkdir(parents=True, exist_ok=True)
+    for name in texts:
+        make_folder((folder / name).parent)
     write_files({folder / name: text for name, text in texts.items()})
 
 

@@ -15,7 +15,7 @@ from xml.etree import ElementTree as ET
 
 from posor.certificates.dsi_units import to_dsi
 from posor.errors import OutputError
-from posor.output_files import write_files, writing
+from posor.output_files import make_folder, write_files
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -101,14 +101,13 @@ def write_dcc(path: Path, certificate: Certificate, stated: CertificateFile) -> 
     """Write a certificate to a new file. Raises OutputError: it exists, or cannot be written."""
     check_new(path)
     content = dcc_xml(certificate, stated)
-    with writing(path):
-        path.parent.mkdir(parents=True, exist_ok=True)
+    make_folder(path.parent)
     write_files({path: content + b"\n"})
 
 
 def check_new(path: Path) -> None:
     """Raise OutputError if a certificate exists already: it may have been issued."""
-    if path.exists() or Path(os.path.realpath(path)).exists():  # 'missing/../file', too
+    if Path(os.path.realpath(path)).exists():  # unlike path.exists() also of 'missing/../file'
         raise OutputError("exists already", where=str(path), expected="a new file for the certificate")
 
 

@@ -106,7 +106,8 @@ def measured_run(options: argparse.Namespace, robot: NominalRobot, ran: JointPat
         known = np.isfinite(angles).all(axis=1)
         stamps_ns, poses, angles = stamps_ns[known], poses[known], angles[known]
     if len(stamps_ns) < 2:  # noqa: PLR2004  a time between two
-        what = f"holds no usable endpoints: of {len(end)}, {np.count_nonzero(end.degraded)} are DEGRADED"
+        degraded = np.count_nonzero(end.degraded)
+        what = f"{len(stamps_ns)} of {len(end)} endpoints can be used, {degraded} are DEGRADED"
         raise BagError(what, where=where, expected="raw scans of sound poses while the robot ran it")
     times_s = (stamps_ns - stamps_ns[0]) / NS
     times_s = times_s - begin_of_program(ran, times_s, angles)

@@ -25,7 +25,7 @@ from posor.chain.kinematic_chain import Chain
 from posor.chain.urdf_file import read_urdf
 from posor.chain.urdf_plates import links_are_plates, rotation_to, rpy_text
 from posor.errors import ChainError
-from posor.output_files import writing
+from posor.output_files import make_folder
 from scipy.linalg import eigh
 
 from posor_calibration.arm.arm_fit import NAME
@@ -370,6 +370,5 @@ def check_output(folder: Path, arm: ArmFile, *, force: bool) -> None:
 
 def save_arm(folder: Path, texts: Mapping[str, str], *, force: bool) -> list[Path]:
     """Write files, all or none; return where the replaced ones are kept. Raises CalibrationError, OutputError."""
-    with writing(folder):
-        folder.mkdir(parents=True, exist_ok=True)
+    make_folder(folder)
     return save_files({folder / name: text for name, text in texts.items()}, force=force)

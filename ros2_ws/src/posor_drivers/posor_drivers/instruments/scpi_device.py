@@ -63,8 +63,6 @@ if TYPE_CHECKING:
 
 DIALECTS = Path(__file__).parent / "scpi_dialects"
 DIALECT_VERSION = 2
-CHECK_ERRORS_S = 1.0
-"""Time between two looks into the instrument's error queue."""
 LIGHT = "light"
 DARK_FRAMES = 3
 """Frames in a row without light."""
@@ -184,7 +182,6 @@ class ScpiDevice(PolledDevice[ScpiSettings]):
         self._numbers_of: dict[str, list[int]] = {}  # by function, ascending
         for channel_name, channel in sorted(settings.channels.items(), key=lambda entry: entry[1].number):
             self._numbers_of.setdefault(self._function_of(channel_name, channel), []).append(channel.number)
-        self._checked_s = 0.0
         self._dark_left, self._next_dark_s = 0, 0.0
         self._claim: socket.socket | None = None
         apertures = [self._dialect.functions[function].aperture for function in self._numbers_of]
@@ -304,15 +301,12 @@ class ScpiDevice(PolledDevice[ScpiSettings]):
             self._transfer("write", command.replace("{numbers}", ",".join(map(str, numbers))).replace("{value}", value))
 
     def read(self, timeout_s: float) -> Frames | None:
-        """Look for errors and other functions once a second, between two frames, and return the next frame."""
-        if time.monotonic() - self._checked_s > CHECK_ERRORS_S:
-            self._check_errors()
-            self._check_functions()
+        """Return the next frame, and switch the light."""
         frames = super().read(timeout_s)
         if frames is not None:
             self._refuse_unsolicited_line()  # the first of two lines may be no answer
-        if frames is not None and self.settings.light is not None:
-            self._switch_light(self.settings.light)
+            if self.settings.light is not None:
+                self._switch_light(self.settings.light)
         return frames
 
     def _switch_light(self, light: LightSwitch) -> None:
@@ -330,7 +324,9 @@ class ScpiDevice(PolledDevice[ScpiSettings]):
             self._transfer("write", command.replace("{value}", str(value)))
 
     def settings_in_force(self) -> Mapping[str, object]:
-        """Return the answers to the questions ``unchanged`` of the dialect."""
+        """Look for errors and other functions; return the answers to the questions ``unchanged`` of the dialect."""
+        self._check_errors()
+        self._check_functions()
         numbers = ",".join(map(str, sorted(self._numbers)))
         questions = [each.replace("{numbers}", numbers) for each in self._dialect.unchanged]
         return {f"the answer to '{each}'": self._query(each) for each in questions}
@@ -403,7 +399,6 @@ class ScpiDevice(PolledDevice[ScpiSettings]):
             if re.search(self._dialect.no_error, answer):
                 break
             errors.append(answer)
-        self._checked_s = time.monotonic()
         if errors:
             raise self.error(f"the instrument reports {'; '.join(errors)}", "an empty error queue")
 
