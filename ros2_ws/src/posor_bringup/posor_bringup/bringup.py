@@ -149,7 +149,7 @@ def _watch(
     console: Console,
     check_graph: Callable[[], None],
 ) -> None:
-    """Wait for Ctrl-C; print a line when a driver has played all its scans.
+    """Wait for Ctrl-C; print a line when a driver has ended without an error.
 
     ``check_graph`` is called for a while: an arm that started at the same time was not known before. Raises
     ProcessError: a node failed; PosorError: of ``check_graph``.
@@ -162,7 +162,7 @@ def _watch(
             check_graph()
         for driver in [driver for driver in drivers if driver.has_ended]:
             drivers.remove(driver)
-            console.print(f"{driver.program.name}: all scans have been played")
+            console.print(f"{driver.program.name}: has ended; all scans are played, or it was stopped")
         time.sleep(SPIN_TIMEOUT_S)
 
 
