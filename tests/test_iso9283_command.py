@@ -65,9 +65,14 @@ def arm(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def write_bag(arm: Path, folder: Path, unit: float = 1.0, lead_ns: int = 0, turn: float = 0.0) -> Path:
-    """Write a recording; its reference is in a unit [m], ahead of the arm as a command is, and turned about X [rad]."""
-    types = MessageTypes()
+def write_bag(
+    arm: Path, folder: Path, unit: float = 1.0, lead_ns: int = 0, turn: float = 0.0, least_ns: int = 0
+) -> Path:
+    """Write a recording; its reference is in a unit [m], ahead of the arm as a command is, and turned about X [rad].
+
+    ``least_ns``: between two of its readings.
+    """
+    types, last_ns = MessageTypes(), -NS
     made = ArmBag(load_arm_file(arm), types)
     with replace_bag(folder) as writer:
         for topic in made.topics():
@@ -75,6 +80,9 @@ def write_bag(arm: Path, folder: Path, unit: float = 1.0, lead_ns: int = 0, turn
         for message in made.messages():
             data = message.data
             if message.topic == REFERENCE:
+                if message.time_ns - last_ns < least_ns:
+                    continue
+                last_ns = message.time_ns
                 pose: PoseStamped = deserialize_message(data, PoseStamped)
                 at = pose.pose.position
                 at.x, at.y, at.z = at.x / unit, at.y / unit, at.z / unit
@@ -116,7 +124,7 @@ def test_the_figures_are_those_of_an_independent_script_on_the_same_points(made:
 def test_poses_distances_and_paths_are_found_with_all_their_cycles(made: Path) -> None:
     found = json.loads((made / "iso9283.json").read_text(encoding="utf-8"))
     assert list(found["poses"]) == ["P1, 4 cycles", "P2, 3 cycles", "P3, 3 cycles"]
-    assert list(found["distances"]) == ["P2 to P3"]
+    assert list(found["distances"]) == ["P1 to P2", "P2 to P3"]
     assert list(found["paths"]) == [f"{name}, 3 cycles" for name in ("P1 to P2", "P2 to P3", "P3 to P1")]
     for figures in (*found["poses"].values(), *found["paths"].values()):
         accuracy = figures.get("AP_p", figures.get("AT_p"))
@@ -139,7 +147,6 @@ def test_stated_dwells_replace_those_that_are_found(made: Path, arm: Path, bag: 
     content = json.loads((made / "iso9283.json").read_text(encoding="utf-8"))
     dwells = content["dwells"]
     assert not [note for note in content["notes"] if "dwells" in note.lower()]
-    assert "No distance of P1 to P2: 4 and 3 cycles; expected equal numbers." in content["notes"]
     table = tmp_path / "dwells.csv"
     table.write_text(
         "begin_ns,end_ns\n" + "".join(f"{begin},{end}\n" for begin, end in (dwells[0], dwells[3], LATER)),
@@ -175,6 +182,8 @@ def test_stated_dwells_replace_those_that_are_found(made: Path, arm: Path, bag: 
             1,
             "BACK, line 3: dwell from 5 to 6; expected begin_ns before end_ns, in order.",
         ),
+        ("--reference REF --dwells MOVING", 1, "BAG, topic REF: moves by 0.0"),
+        ("--reference REF --same-turn 4", 2, "iso9283: argument --same-turn: '4' is not a number of more than 0 and"),
         ("--reference REF --least 1e300", 2, "iso9283: argument --least: '1e300' is not a number"),
         ("--reference REF --dwells BACK --still 1", 2, "iso9283, --still: is for dwells that are found; expected"),
         ("--reference REF --dwells OWN", 2, "iso9283, --output OUT: the table of --dwells would be replaced;"),
@@ -187,13 +196,38 @@ def test_refusals(
 ) -> None:
     back = tmp_path / "back.csv"
     back.write_text("begin_ns,end_ns\n1,9\n5,6\n", encoding="utf-8")
-    names = {"REF": REFERENCE, "NONE": str(tmp_path / "none.csv"), "BACK": str(back), "BAG": str(bag)}
+    moving = tmp_path / "moving.csv"
+    moving.write_text(f"begin_ns,end_ns\n1,{4 * 10**18}\n", encoding="utf-8")
+    names = {
+        "REF": REFERENCE,
+        "NONE": str(tmp_path / "none.csv"),
+        "BACK": str(back),
+        "BAG": str(bag),
+        "MOVING": str(moving),
+    }
     names |= {"OUT": str(tmp_path / "out"), "OWN": str(tmp_path / "out" / "points.csv")}
     given = [names.get(word, word) for word in shlex.split(options)]
     assert main([str(arm), "--bag", str(bag), *given, "--output", str(tmp_path / "out")]) == code
     for name, text in names.items():
         message = message.replace(name, text)
     assert capsys.readouterr().err.startswith(message)
+
+
+@pytest.mark.parametrize(
+    ("options", "note"),
+    [
+        ({"lead_ns": -round((REST_S + MOVE_S) * NS)}, "Dwells whose endpoint is nearer to another pose"),
+        ({"least_ns": NS // 20}, "Between two readings the reference may be up to"),
+    ],
+)
+def test_stamps_off_by_a_dwell_and_rare_readings_are_named(
+    options: dict[str, int], note: str, arm: Path, bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("posor_bringup.iso9283_command.MOST_INTERPOLATION", 1e-3)  # this path is nearly straight
+    for recording, expected in (bag, 0), (write_bag(arm, tmp_path / "bag", **options), 1):
+        assert main([str(arm), "--bag", str(recording), "--reference", REFERENCE, "--output", str(tmp_path)]) == 0
+        notes = json.loads((tmp_path / "iso9283.json").read_text(encoding="utf-8"))["notes"]
+        assert len([each for each in notes if each.startswith(note)]) == expected
 
 
 def test_an_arm_that_follows_its_command_late_is_named_until_it_may_settle(arm: Path, tmp_path: Path) -> None:

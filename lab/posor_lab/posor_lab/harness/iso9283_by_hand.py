@@ -15,6 +15,9 @@ from itertools import groupby, pairwise
 from math import fsum, hypot, sqrt
 from pathlib import Path
 
+LEAST_DISTANCE = 1e-3  # [m]; nearer poses are at one place
+LEAST_CYCLES = 2
+
 
 def mean(numbers: list[float]) -> float:
     """Return the mean by an exact sum."""
@@ -42,19 +45,37 @@ def of_points(commanded: list[float], attained: list[list[float]]) -> dict[str, 
     return found | {f"R_{name}": 3.0 * deviation([point[k] for point in attained]) for k, name in enumerate("xyzabc")}
 
 
+def between(one: list[float], two: list[float]) -> list[float]:
+    """Return the distance of two points along each axis."""
+    return [one[k] - two[k] for k in range(3)]
+
+
+def in_turn(points: dict[int, list[float]], next_points: dict[int, list[float]]) -> list[list[float]]:
+    """Return the distance of each two dwells of which no other dwell of the two poses is between."""
+    found, last = [], None
+    for dwell in sorted({*points, *next_points}):
+        if dwell in points:
+            last = points[dwell]
+        elif last is not None:
+            found.append(between(last, next_points[dwell]))
+            last = None
+    return found
+
+
 def figures_of(path: Path) -> dict[str, dict[str, dict[str, float]]]:
     """Return the figures of all poses, distances and paths of a table of points."""
     with path.open(encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))
     found: dict[str, dict[str, dict[str, float]]] = {"poses": {}, "distances": {}, "paths": {}}
-    poses: list[tuple[str, list[list[float]]]] = []
+    poses: list[tuple[str, list[float], dict[int, list[float]]]] = []  # name, command, points by dwell
     for (what, name), own in groupby(rows, key=lambda row: (row["what"], row["name"])):
         at: list[dict[str, float]] = []
         for _, cycles in groupby(own, key=lambda row: row["point"]):
-            commanded, *attained = ([float(row[axis]) for axis in "xyzabc"] for row in cycles)
-            at.append(of_points(commanded, attained))
+            by_dwell = {int(row["dwell"]): [float(row[axis]) for axis in "xyzabc"] for row in cycles}
+            commanded = by_dwell.pop(0)
+            at.append(of_points(commanded, list(by_dwell.values())))
             if what == "pose":
-                poses.append((name, [commanded, *attained]))
+                poses.append((name, commanded, by_dwell))
         if what == "pose":
             point = at[0]
             found["poses"][name] = {f"AP_{axis}": point[f"A_{axis}"] for axis in "pxyzabc"}
@@ -63,11 +84,11 @@ def figures_of(path: Path) -> dict[str, dict[str, dict[str, float]]]:
             largest = {key: max(abs(point[key]) for point in at) for key in at[0]}
             found["paths"][name] = {f"AT_{axis}": largest[f"A_{axis}"] for axis in "pabc"}
             found["paths"][name] |= {"RT_p": largest["R_l"], **{f"RT_{axis}": largest[f"R_{axis}"] for axis in "abc"}}
-    for (first, one), (second, two) in pairwise(poses):
-        if len(one) != len(two):
-            continue
-        rooms = [[p[k] - q[k] for k in range(3)] for p, q in zip(one, two, strict=True)]
+    for (first, one, points), (second, two, next_points) in pairwise(poses):
+        rooms = [between(one, two), *in_turn(points, next_points)]
         wanted, *seen = ([hypot(*room), *map(abs, room)] for room in rooms)
+        if len(seen) < LEAST_CYCLES or wanted[0] <= LEAST_DISTANCE:
+            continue
         found["distances"][f"{first} to {second}"] = {
             **{f"AD{n}": mean([s[k] for s in seen]) - wanted[k] for k, n in enumerate(("", "_x", "_y", "_z"))},
             **{f"RD{n}": 3.0 * deviation([s[k] for s in seen]) for k, n in enumerate(("", "_x", "_y", "_z"))},

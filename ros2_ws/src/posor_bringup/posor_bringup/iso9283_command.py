@@ -29,7 +29,8 @@ from posor.reporting.report_console import report_console
 from posor.reporting.report_table import ReportTable
 from posor_calibration.dwells import find_dwells
 from posor_design.iso9283 import COMPONENTS, LEAST_CYCLES, PATH_CYCLES, POSE_CYCLES
-from posor_design.iso9283_cycles import distance_pairs, motion_of, path_cycles, pose_cycles, settling_of
+from posor_design.iso9283_checks import count_elsewhere, interpolation_error, settling_of
+from posor_design.iso9283_cycles import Sameness, distance_cycles, distance_pairs, motion_of, path_cycles, pose_cycles
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -37,29 +38,28 @@ if TYPE_CHECKING:
     from posor.bags.recording import Track
     from posor.numerics.array_types import FloatArray
     from posor_design.iso9283 import Figures
-    from posor_design.iso9283_cycles import Motion, PathCycles, PoseCycles
+    from posor_design.iso9283_cycles import Cycles, Motion, PathCycles, PoseCycles
     from rich.console import Console
 
 WIDTH = 160
 LARGEST_OPTION = 1e6  # [m] or [s]
 DWELL_OPTIONS = {"still": 1e-5, "least": 0.2, "settle": 0.0}  # of dwells that are found, and their defaults [m], [s]
+MOST_INTERPOLATION = 0.1  # error of a straight line between two readings, over the accuracy of a path
 MOST_TURN = 0.1  # of the endpoint from the reference, median [rad]: more is another frame
 MOST_DEVIATION = 0.1  # of the endpoint from the reference, median [m]: more is another unit, frame or point
 LONGEST_GAP_S = 0.1  # between two readings of the reference, for a value between them
 OUTPUT_FILES = ("iso9283.json", "points.csv")
 
 
-def _positive(unit: str, *, or_zero: bool = False) -> Callable[[str], float]:
+def _positive(unit: str, *, or_zero: bool = False, largest: float = LARGEST_OPTION) -> Callable[[str], float]:
     def parse(text: str) -> float:
         try:
             number = float(text)
         except ValueError:
             number = math.nan
-        if not (0.0 < number <= LARGEST_OPTION or (or_zero and number == 0.0)):
+        if not (0.0 < number <= largest or (or_zero and number == 0.0)):
             least = "at least" if or_zero else "more than"
-            raise argparse.ArgumentTypeError(
-                f"'{text}' is not a number of {least} 0 and at most {LARGEST_OPTION:g} {unit}"
-            )
+            raise argparse.ArgumentTypeError(f"'{text}' is not a number of {least} 0 and at most {largest:g} {unit}")
         return number
 
     return parse
@@ -82,6 +82,10 @@ def parse_options(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--settle", type=_positive("s", or_zero=True), metavar="S", help=text)
     text = "dwells whose references differ by less are cycles of one pose [m] (default: %(default)g)"
     parser.add_argument("--same", type=_positive("m"), default=1e-3, metavar="M", help=text)
+    text = "and whose orientations differ by less [rad]; those of the endpoint if the reference is a point"
+    text += " (default: %(default)g)"
+    turn = _positive("rad", largest=math.pi)
+    parser.add_argument("--same-turn", type=turn, default=1e-2, metavar="RAD", help=text)
     text = "dwells, in place of those that are found: a table with the columns begin_ns and end_ns"
     parser.add_argument("--dwells", type=Path, metavar="FILE.csv", help=text)
     parser.add_argument("--output", type=Path, metavar="FOLDER", help="default: build/iso9283/<name of the bag>")
@@ -148,19 +152,14 @@ def _read(options: argparse.Namespace) -> tuple[Motion, Track, list[str]]:
         what = f"topic {options.reference} is in the frame '{track.frame}'"
         raise BagError(what, where=str(options.bag), expected=f"'{base}', the base of {arm.path}")
     end = arm.estimate(options.bag).endpoint
-    references = track.interpolate(end.stamps_ns, int(LONGEST_GAP_S * NS))
-    motion = motion_of(end.stamps_ns, end.poses, references)
-    if not len(motion.stamps_ns):
-        raise BagError(
-            "no endpoint at a time of the reference", where=str(options.bag), expected="both at the same time"
-        )
+    motion = motion_of(end.stamps_ns, end.poses, track, int(LONGEST_GAP_S * NS))
     deviation = float(np.median(np.linalg.norm(motion.positions - motion.references, axis=1)))
     if deviation > MOST_DEVIATION:
         what = f"topic {options.reference} is {deviation:.3g} m from the endpoint"
         expected = f"the same point in metres, in '{base}', within {MOST_DEVIATION:g} m"
         raise BagError(what, where=str(options.bag), expected=expected)
-    if motion.rotations is not None:
-        turn = float(np.median((motion.rotations[0] * motion.rotations[1].inv()).magnitude()))
+    if motion.reference_rotations is not None:
+        turn = float(np.median((motion.rotations * motion.reference_rotations.inv()).magnitude()))
         if turn > MOST_TURN:
             what = f"topic {options.reference} is turned by {turn:.3g} rad from the endpoint"
             raise BagError(what, where=str(options.bag), expected=f"axes of '{base}' and of the endpoint, or points")
@@ -171,22 +170,26 @@ def _read(options: argparse.Namespace) -> tuple[Motion, Track, list[str]]:
     return motion, track, notes
 
 
-def _notes(poses: Sequence[PoseCycles], paths: Sequence[PathCycles], unused: int, settling: FloatArray) -> list[str]:
+def _notes(
+    poses: Sequence[PoseCycles], paths: Sequence[PathCycles], unused: int, settling: FloatArray, same: float
+) -> list[str]:
     notes = []
     if unused:
         notes.append(f"Dwells without an endpoint, left out: {unused}.")
     if settling.any():
         moved = f"{np.count_nonzero(settling)}, by up to {1e6 * settling.max():.2f} µm"
         notes.append(f"Dwells in which the endpoint still moves against the reference (see --settle): {moved}.")
+    elsewhere = count_elsewhere(poses, same)
+    if elsewhere:
+        notes.append(
+            f"Dwells whose endpoint is nearer to another pose, so the stamps may differ by a dwell: {elsewhere}."
+        )
     for first, second in pairwise(poses):
-        counts = len(first.attained), len(second.attained)
-        if counts[0] != counts[1]:
-            cycles = f"{counts[0]} and {counts[1]} cycles"
-            notes.append(f"No distance of {first.name} to {second.name}: {cycles}; expected equal numbers.")
-    single = [each.name for each in poses if len(each.attained) < LEAST_CYCLES]
-    if single:
-        notes.append(f"One cycle only, so without figures: {', '.join(single)}.")
-    few = sorted({len(each.attained) for each in poses if LEAST_CYCLES <= len(each.attained) < POSE_CYCLES})
+        cycles = len(distance_cycles(first, second))
+        if cycles < min(len(first.dwells), len(second.dwells)):
+            counts = f"{cycles} of {len(first.dwells)} and {len(second.dwells)} dwells"
+            notes.append(f"Distance of {first.name} to {second.name}: {counts} follow one another.")
+    few = sorted({len(each.attained) for each in poses if len(each.attained) < POSE_CYCLES})
     if few:
         notes.append(f"{', '.join(map(str, few))} cycles of a pose; ISO 9283 asks for {POSE_CYCLES}.")
     short = sorted({each.attained.shape[1] for each in paths if each.attained.shape[1] < PATH_CYCLES})
@@ -207,18 +210,17 @@ def _json(figures: Figures) -> dict[str, float | None]:
     return {name: number if math.isfinite(number) else None for name, number in figures.items()}
 
 
-def _points_csv(poses: Iterable[PoseCycles], paths: Iterable[PathCycles]) -> str:
-    """Return all points with all digits: cycle 0 is the commanded one."""
+def _points_csv(found: Iterable[Cycles]) -> str:
+    """Return all points with all digits: cycle 0, dwell 0 is the commanded one."""
     text = StringIO()
     writer = csv.writer(text)
-    writer.writerow(("what", "name", "point", "cycle", *COMPONENTS))
-    for pose in poses:
-        for cycle, row in enumerate([pose.commanded, *pose.attained]):
-            writer.writerow(("pose", pose.name, 0, cycle, *map(repr, map(float, row))))
-    for each in paths:
-        for point, (commanded, attained) in enumerate(zip(each.commanded, each.attained, strict=True)):
-            for cycle, row in enumerate([commanded, *attained]):
-                writer.writerow(("path", each.name, point, cycle, *map(repr, map(float, row))))
+    writer.writerow(("what", "name", "point", "cycle", "dwell", *COMPONENTS))
+    for each in found:
+        commanded = each.commanded.reshape(-1, 1, len(COMPONENTS))
+        attained = each.attained.reshape(len(commanded), -1, len(COMPONENTS))
+        for point, rows in enumerate(np.concatenate([commanded, attained], axis=1)):
+            for cycle, (dwell, row) in enumerate(zip((0, *each.dwells), rows, strict=True)):
+                writer.writerow((each.kind, each.name, point, cycle, dwell, *map(repr, map(float, row))))
     return text.getvalue()
 
 
@@ -240,8 +242,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         (each.begin_ns, each.end_ns)
         for each in find_dwells(track, options.still, int(options.least * NS), settle_ns=int(options.settle * NS))
     ]
-    poses, numbers = pose_cycles(motion, dwells, options.same)
-    paths = path_cycles(motion, dwells, numbers)
+    poses, numbers = pose_cycles(motion, dwells, Sameness(options.same, options.same_turn))
+    paths = path_cycles(motion, dwells, numbers, options.same)
     usable = [each for each in poses if len(each.attained) >= LEAST_CYCLES]
     if not usable:
         what = f"{len(dwells)} dwells of the reference, none of them at the same pose as another"
@@ -250,10 +252,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
             where=f"{options.bag}, topic {options.reference}",
             expected=f"at least {LEAST_CYCLES} cycles of a pose",
         )
+    pairs = distance_pairs(usable, options.same)
     of_poses = {f"{each.name}, {len(each.attained)} cycles": each.figures() for each in usable}
-    of_distances = {f"{first} to {second}": figures for (first, second), figures in distance_pairs(usable).items()}
+    of_distances = {f"{first} to {second}": figures for (first, second), figures in pairs.items()}
     of_paths = {f"{each.name}, {each.attained.shape[1]} cycles": each.figures() for each in paths}
-    notes += _notes(poses, paths, numbers.count(-1), settling_of(motion, dwells))
+    single = [each.name for each in poses if len(each.attained) < LEAST_CYCLES]
+    if single:
+        notes.append(f"One cycle only, so without figures: {', '.join(single)}.")
+    notes += _notes(usable, paths, numbers.count(-1), settling_of(motion, dwells), options.same)
+    between = interpolation_error(motion, track, dwells)
+    if between > MOST_INTERPOLATION * min((each["AT_p"] for each in of_paths.values()), default=math.inf):
+        notes.append(f"Between two readings the reference may be up to {1e6 * between:.1f} µm from the line of a path.")
     content: dict[str, Any] = {
         "format": "posor_iso9283",
         "version": 1,
@@ -266,7 +275,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     }
     make_folder(options.output)
     json_file, points_file = (options.output / name for name in OUTPUT_FILES)
-    write_files({json_file: json.dumps(content, indent=2) + "\n", points_file: _points_csv(usable, paths)})
+    write_files({json_file: json.dumps(content, indent=2) + "\n", points_file: _points_csv((*usable, *paths))})
     console = report_console(WIDTH)
     tables = ("Poses", of_poses), ("Distances", of_distances), ("Paths", of_paths)
     _print(console, tables, notes)

@@ -2,8 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Poses and paths of the cycles of a recorded motion: the points from which the figures of ISO 9283 are computed.
 
-A pose is where the reference stands still; dwells at the same reference are its cycles. A path leads from one dwell to
-the next; a later motion between the same two poses is its next cycle. A deviation is that of the endpoint from the
+A pose is where the reference stands still; dwells at the same place in the same orientation are its cycles. A path
+leads from one dwell to the next; a later motion between the same two poses is its next cycle. A cycle of a distance is
+a dwell at its second pose and the last dwell at its first pose before it. A deviation is that of the endpoint from the
 reference at the same time (pose), or in the same plane across the path (8.2), so the reference may be a command or an
 instrument that follows each cycle.
 """
@@ -12,10 +13,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 import numpy as np
 from posor.bags.recording import POSE
+from posor.errors import TrackError
 from scipy.spatial.transform import Rotation
 
 from posor_design.iso9283 import LEAST_CYCLES, Figures, distance_figures, path_figures, pose_figures
@@ -23,28 +25,45 @@ from posor_design.iso9283 import LEAST_CYCLES, Figures, distance_figures, path_f
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from posor.bags.recording import Track
     from posor.numerics.array_types import BoolArray, FloatArray, IntArray
 
 PATH_POINTS = 50  # of a path
-SETTLING_SIGMAS = 5.0  # motion within a dwell that is named, in standard errors
-LEAST_SCANS = 10  # in a third of such a dwell
 PATH_ENDS = 0.05  # part of the length of a path that is left out at either end, where the arm starts and stops
 
 
 class Motion(NamedTuple):
     """Endpoint and reference at n stamps, in the base."""
 
+    source: str  # of the reference, for error messages
     stamps_ns: IntArray  # (n,)
     positions: FloatArray  # of the endpoint [m], (n, 3)
     references: FloatArray  # (n, 3)
-    rotations: tuple[Rotation, Rotation] | None  # of the endpoint and of the reference, n each; None: unknown
+    rotations: Rotation  # of the endpoint, n
+    reference_rotations: Rotation | None  # n; None: unknown
+
+    @property
+    def orientations(self) -> Rotation:
+        """Orientation of the reference, of the endpoint where that is unknown; n."""
+        return self.rotations if self.reference_rotations is None else self.reference_rotations
+
+    def between(self, begin_ns: int, end_ns: int) -> BoolArray:
+        """Return which stamps are in a time [ns], (n,)."""
+        return np.asarray((self.stamps_ns >= begin_ns) & (self.stamps_ns <= end_ns))
 
     def turn(self, where: BoolArray) -> FloatArray:
         """Return the mean turn from the orientation of the reference to that of the endpoint [rad], (3,); or NaN."""
-        if self.rotations is None:
+        if self.reference_rotations is None:
             return np.full(3, np.nan)
-        attained, wanted = self.rotations
-        return np.asarray((attained[where] * wanted[where].inv()).as_rotvec().mean(axis=0))
+        turns = self.rotations[where] * self.reference_rotations[where].inv()
+        return np.asarray(turns.as_rotvec().mean(axis=0))
+
+
+class Sameness(NamedTuple):
+    """By how much the dwells of one pose may differ."""
+
+    distance: float  # of the references [m]
+    turn: float  # of their orientations [rad]
 
 
 class _Crossing(NamedTuple):
@@ -56,118 +75,142 @@ class _Crossing(NamedTuple):
 
 
 @dataclass(frozen=True)
-class PoseCycles:
+class Cycles:
+    """The cycles of a pose or of a path."""
+
+    kind: ClassVar[str]
+    name: str
+    dwells: tuple[int, ...]  # of each cycle: the number of its dwell, of a path the one that it leaves; from 1
+    commanded: FloatArray  # (6,), or of each point of a path (points, 6)
+    attained: FloatArray  # (cycles, 6), or (points, cycles, 6)
+
+
+class PoseCycles(Cycles):
     """The cycles of one pose."""
 
-    name: str
-    commanded: FloatArray  # (6,)
-    attained: FloatArray  # (cycles, 6)
+    kind = "pose"
 
     def figures(self) -> Figures:
         """Return accuracy and repeatability."""
         return pose_figures(self.attained, self.commanded)
 
 
-@dataclass(frozen=True)
-class PathCycles:
+class PathCycles(Cycles):
     """The cycles of one path."""
 
-    name: str
-    commanded: FloatArray  # (points, 6)
-    attained: FloatArray  # (points, cycles, 6)
+    kind = "path"
 
     def figures(self) -> Figures:
         """Return accuracy and repeatability."""
         return path_figures(self.attained, self.commanded)
 
 
-def motion_of(stamps_ns: IntArray, poses: FloatArray, references: FloatArray) -> Motion:
+def motion_of(stamps_ns: IntArray, poses: FloatArray, track: Track, longest_gap_ns: int) -> Motion:
     """Return endpoint and reference at stamps at which both are known.
 
-    ``poses``: of the endpoint, (n, 7). ``references``: at the same stamps, positions (n, 3) or poses (n, 7), NaN where
-    unknown.
+    ``poses``: of the endpoint, (n, 7). ``track``: points or poses, interpolated over at most ``longest_gap_ns``. Raises
+    TrackError: it is known at no stamp.
     """
+    references = track.interpolate(stamps_ns, longest_gap_ns)
     known = np.isfinite(references).all(axis=1)
-    rotations = None
-    if references.shape[1] == POSE and known.any():
-        rotations = Rotation.from_quat(poses[known, 3:]), Rotation.from_quat(references[known, 3:])
-    return Motion(stamps_ns[known], poses[known, :3], references[known, :3], rotations)
+    if not known.any():
+        what = "has no value at the time of an endpoint"
+        raise TrackError(what, where=track.source, expected="both at the same time")
+    return Motion(
+        track.source,
+        stamps_ns[known],
+        poses[known, :3],
+        references[known, :3],
+        Rotation.from_quat(poses[known, 3:]),
+        Rotation.from_quat(references[known, 3:]) if references.shape[1] == POSE else None,
+    )
 
 
-def pose_cycles(motion: Motion, dwells: Sequence[tuple[int, int]], same: float) -> tuple[list[PoseCycles], list[int]]:
+def pose_cycles(
+    motion: Motion, dwells: Sequence[tuple[int, int]], same: Sameness
+) -> tuple[list[PoseCycles], list[int]]:
     """Return the poses in the order of their first dwell, and for each dwell the number of its pose, -1: no scan.
 
-    ``dwells``: begin and end [ns] of each. ``same``: dwells whose references differ by at most this are one pose [m].
+    ``dwells``: begin and end [ns] of each. Raises TrackError: a dwell is in motion.
     """
-    centres: list[FloatArray] = []
-    points: list[list[tuple[FloatArray, FloatArray]]] = []
+    centres: list[tuple[FloatArray, Rotation]] = []
+    points: list[list[tuple[int, FloatArray, FloatArray]]] = []
     numbers = []
-    for begin, end in dwells:
-        during = _between(motion, begin, end)
+    for dwell, (begin, end) in enumerate(dwells, start=1):
+        during = motion.between(begin, end)
         if not during.any():
             numbers.append(-1)
             continue
-        reference = motion.references[during].mean(axis=0)
-        away = [float(np.linalg.norm(reference - centre)) for centre in centres]
-        number = int(np.argmin(away)) if away and min(away) <= same else len(centres)
+        reference, rotation = motion.references[during].mean(axis=0), motion.orientations[during].mean()
+        moved = float(np.linalg.norm(motion.references[during] - reference, axis=1).max())
+        turned = float((rotation.inv() * motion.orientations[during]).magnitude().max())
+        if moved > same.distance or turned > same.turn:
+            what = f"moves by {moved:.3g} m and turns by {turned:.3g} rad from its mean in dwell {dwell}"
+            expected = f"at rest within {same.distance:g} m and {same.turn:g} rad"
+            raise TrackError(f"{what} ({begin} to {end} ns)", where=motion.source, expected=expected)
+        away = [
+            float(np.linalg.norm(reference - place)) if (turn.inv() * rotation).magnitude() <= same.turn else np.inf
+            for place, turn in centres
+        ]
+        number = int(np.argmin(away)) if away and min(away) <= same.distance else len(centres)
         if number == len(centres):
-            centres.append(reference)
+            centres.append((reference, rotation))
             points.append([])
         numbers.append(number)
         deviation = (motion.positions[during] - motion.references[during]).mean(axis=0)
-        points[number].append((reference, np.concatenate([deviation, motion.turn(during)])))
+        points[number].append((dwell, reference, np.concatenate([deviation, motion.turn(during)])))
     found = []
     for number, own in enumerate(points):
-        commanded = np.concatenate([np.mean([reference for reference, _ in own], axis=0), np.zeros(3)])
-        found.append(PoseCycles(f"P{number + 1}", commanded, commanded + np.array([deviation for _, deviation in own])))
+        own_dwells, references, deviations = zip(*own, strict=True)
+        commanded = np.concatenate([np.mean(references, axis=0), np.zeros(3)])
+        found.append(PoseCycles(f"P{number + 1}", own_dwells, commanded, commanded + np.array(deviations)))
     return found, numbers
 
 
-def settling_of(motion: Motion, dwells: Sequence[tuple[int, int]]) -> FloatArray:
-    """Return how far the endpoint moves against the reference within each dwell [m]: from the first to the last third.
-
-    0: less than SETTLING_SIGMAS standard errors of the difference, or too few scans to tell.
-    """
-    found = np.zeros(len(dwells))
-    for number, (begin, end) in enumerate(dwells):
-        during = _between(motion, begin, end)
-        deviations = (motion.positions - motion.references)[during]
-        third = len(deviations) // 3
-        if third < LEAST_SCANS:
-            continue
-        first, last = deviations[:third], deviations[-third:]
-        moved = np.abs(last.mean(axis=0) - first.mean(axis=0))
-        quieter = np.minimum(first.std(axis=0, ddof=1), last.std(axis=0, ddof=1))  # it may move at either end
-        errors = quieter * np.sqrt(2.0 / third)  # of the difference
-        found[number] = np.linalg.norm(np.where(moved > SETTLING_SIGMAS * errors, moved, 0.0))
+def distance_cycles(first: PoseCycles, second: PoseCycles) -> list[tuple[int, int]]:
+    """Return the cycles of a distance: the numbers, from 0, of the cycles of its two poses."""
+    found = []
+    for number, (since, dwell) in enumerate(pairwise((0, *second.dwells))):
+        before = [own for own, begin in enumerate(first.dwells) if since < begin < dwell]
+        if before:
+            found.append((before[-1], number))
     return found
 
 
-def distance_pairs(poses: Sequence[PoseCycles]) -> dict[tuple[str, str], Figures]:
-    """Return the figures of the distance of each two neighbouring poses with the same number of cycles."""
-    return {
-        (first.name, second.name): distance_figures(
-            first.attained[:, :3], second.attained[:, :3], np.array([first.commanded[:3], second.commanded[:3]])
-        )
-        for first, second in pairwise(poses)
-        if len(first.attained) == len(second.attained) >= LEAST_CYCLES
-    }
+def distance_pairs(poses: Sequence[PoseCycles], same: float) -> dict[tuple[str, str], Figures]:
+    """Return the figures of the distance of each two neighbouring poses with at least two cycles, if above ``same``."""
+    found = {}
+    for first, second in pairwise(poses):
+        cycles = distance_cycles(first, second)
+        commanded = np.array([first.commanded[:3], second.commanded[:3]])
+        if len(cycles) >= LEAST_CYCLES and float(np.linalg.norm(commanded[0] - commanded[1])) > same:
+            one, two = np.transpose(cycles)
+            found[first.name, second.name] = distance_figures(
+                first.attained[one, :3], second.attained[two, :3], commanded
+            )
+    return found
 
 
-def path_cycles(motion: Motion, dwells: Sequence[tuple[int, int]], numbers: Sequence[int]) -> list[PathCycles]:
-    """Return the paths between two poses that have at least two cycles.
+def path_cycles(
+    motion: Motion, dwells: Sequence[tuple[int, int]], numbers: Sequence[int], same: float
+) -> list[PathCycles]:
+    """Return the paths between two poses that have at least two cycles and are longer than ``same`` [m].
 
     Points whose plane a cycle does not cross are left out.
     ``dwells``, ``numbers``: see ``pose_cycles``.
     """
-    spans: dict[tuple[int, int], list[BoolArray]] = {}
-    for ((before, end), first), ((begin, after), second) in pairwise(zip(dwells, numbers, strict=True)):
+    spans: dict[tuple[int, int], dict[int, BoolArray]] = {}
+    for dwell, (((before, end), first), ((begin, after), second)) in enumerate(
+        pairwise(zip(dwells, numbers, strict=True)), start=1
+    ):
         if -1 not in (first, second) and first != second:
-            spans.setdefault((first, second), []).append(_between(motion, (before + end) // 2, (begin + after) // 2))
+            span = motion.between((before + end) // 2, (begin + after) // 2)
+            spans.setdefault((first, second), {})[dwell] = span
     found = []
-    for (first, second), cycles in spans.items():
-        if len(cycles) < LEAST_CYCLES:
-            continue
+    for (first, second), by_dwell in spans.items():
+        cycles = list(by_dwell.values())
+        if len(cycles) < LEAST_CYCLES or np.ptp(motion.references[cycles[0]], axis=0).max() <= same:
+            continue  # the endpoint turns in place
         points, normals = _planes(motion.references[cycles[0]])
         crossings = [
             [_crossing(motion, cycle, *plane) for cycle in cycles] for plane in zip(points, normals, strict=True)
@@ -177,12 +220,8 @@ def path_cycles(motion: Motion, dwells: Sequence[tuple[int, int]], numbers: Sequ
             commanded = np.hstack([points[whole], np.zeros((len(whole), 3))])
             deviations = np.array([crossings[n] for n in whole], dtype=float)
             name = f"P{first + 1} to P{second + 1}"
-            found.append(PathCycles(name, commanded, commanded[:, None] + deviations))
+            found.append(PathCycles(name, tuple(by_dwell), commanded, commanded[:, None] + deviations))
     return found
-
-
-def _between(motion: Motion, begin: int, end: int) -> BoolArray:
-    return np.asarray((motion.stamps_ns >= begin) & (motion.stamps_ns <= end))
 
 
 def _planes(reference: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -206,9 +245,9 @@ def _crossing(motion: Motion, cycle: BoolArray, point: FloatArray, normal: Float
     if attained is None or wanted is None:
         return None
     turn = np.full(3, np.nan)
-    if motion.rotations is not None:
-        sides = zip(motion.rotations, (attained, wanted), strict=True)
-        there, commanded = (_between_rotations(rotations[cycle], each) for rotations, each in sides)
+    if motion.reference_rotations is not None:
+        there = _between_rotations(motion.rotations[cycle], attained)
+        commanded = _between_rotations(motion.reference_rotations[cycle], wanted)
         turn = (there * commanded.inv()).as_rotvec()
     return np.concatenate([attained.place - wanted.place, turn])
 

@@ -76,6 +76,7 @@ if TYPE_CHECKING:
     from posor.messages.arm_pass import ArmPass
     from posor_ros.delivery_round import Delivery
     from posor_ros.diagnostics import Status, Value
+    from rclpy.subscription import Subscription
     from std_srvs.srv import Trigger
 
     from posor_estimator.prepared_scan import PreparedScan
@@ -195,10 +196,12 @@ class ChainNode(PosorNode[ChainParameters]):
 
     def _subscribe_to_beams(self) -> None:
         self._accelerometers: dict[str, IntraProcessSubscription] = {}
+        self._thermometers: dict[str, Subscription] = {}
         for name in self._temperatures.names:
             topic, callback = f"{self.parameters.temperature_topic}/{name}", partial(self._on_temperature, name)
             subscription = self.create_subscription(Temperature, topic, callback, input_qos(self.parameters))
             self.add_cleanup(self.destroy_subscription, subscription)
+            self._thermometers[name] = subscription
         for name in self._vibrations.names:
             topic, read = f"{self.parameters.acceleration_topic}/{name}", partial(self._on_acceleration, name)
             qos, callback = input_qos(self.parameters), partial(read, AccelerationReader())
@@ -300,9 +303,10 @@ class ChainNode(PosorNode[ChainParameters]):
 
     def _on_temperature(self, name: str, message: Temperature) -> None:
         """Add a reading of a thermometer; the scans that follow check and use it."""
-        stamp, frame = message.header.stamp, message.header.frame_id
+        stamp_ns = time_ns(message.header.stamp.sec, message.header.stamp.nanosec)
+        publishers = self._thermometers[name].get_publisher_count()
         with self._lock:
-            self._temperatures.add(name, time_ns(stamp.sec, stamp.nanosec), message.temperature, frame)
+            self._temperatures.add(name, stamp_ns, message.temperature, message.header.frame_id, publishers)
 
     def _on_acceleration(self, name: str, reader: AccelerationReader, data: bytes) -> None:
         """Add a reading of an accelerometer; the scans that follow check and use it."""

@@ -79,4 +79,7 @@ def test_the_endpoint_follows_the_thermometer_and_is_degraded_without(tmp_path: 
             np.testing.assert_array_equal([position.x, position.y, position.z], estimator.pose[:3])
             systematic = np.reshape(state.covariance_systematic, (6, 6))
             np.testing.assert_array_equal(systematic, estimator.covariance_systematic)
+        graph.publisher(Temperature, "shop/skin")
+        graph.wait_until(lambda: graph.node.count_publishers("shop/skin") == 2, "the second publisher")
+        assert answer(15, 24.5).reason == f"{name}has 2 publishers on its topic; expected one"
         assert node.end() == 0

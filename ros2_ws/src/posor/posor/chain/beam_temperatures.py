@@ -46,7 +46,7 @@ class Reading(NamedTuple):
 
     stamp_ns: int
     kelvin: float
-    other: str = ""  # another thermometer that its message names as the frame
+    fault: str = ""  # that its message shows
 
 
 @dataclass
@@ -75,7 +75,9 @@ class _Thermometer:
         if due:
             self.waiting = deque((each for each in self.waiting if each.stamp_ns > stamp_ns), MOST_WAITING)
         for reading in due:
-            if self.last is None or reading.stamp_ns > self.last.stamp_ns:
+            if self.last is not None and reading.stamp_ns == self.last.stamp_ns and reading.kelvin != self.last.kelvin:
+                self.refusal = "has two readings of one stamp; expected one publisher, and a clock that runs"
+            elif self.last is None or reading.stamp_ns > self.last.stamp_ns:
                 self.refusal = self._refusal(reading)
                 if not self.refusal:
                     if self.last is None or reading.kelvin != self.last.kelvin:
@@ -85,8 +87,8 @@ class _Thermometer:
     def _refusal(self, reading: Reading) -> str:
         entry, last = self.entry, self.began if self.is_frozen else self.last
         least, most = entry.range.array
-        if reading.other:
-            return f"receives the readings of '{reading.other}'"
+        if reading.fault:
+            return reading.fault
         if not math.isfinite(reading.kelvin):
             return "does not read a number"
         if not least <= reading.kelvin <= most:
@@ -145,13 +147,15 @@ class BeamTemperatures:
         self.kelvins: dict[str, float] = {}
         self.reason = ""
 
-    def add(self, name: str, stamp_ns: int, celsius: float, frame: str = "") -> None:
-        """Add a reading [degree Celsius] of a thermometer; ``frame``: of its message.
+    def add(self, name: str, stamp_ns: int, celsius: float, frame: str = "", publishers: int = 1) -> None:
+        """Add a reading [degree Celsius] of a thermometer; ``frame``: of its message; ``publishers``: of its topic.
 
-        A reading whose frame is the name of another thermometer is not used.
+        A reading whose frame is the name of another thermometer, or that may be of another publisher, is not used.
         """
-        other = frame if frame != name and frame in self._all else ""
-        self._all[name].waiting.append(Reading(stamp_ns, celsius + CELSIUS, other))
+        fault = f"receives the readings of '{frame}'" if frame != name and frame in self._all else ""
+        if publishers > 1:
+            fault = f"has {publishers} publishers on its topic; expected one"
+        self._all[name].waiting.append(Reading(stamp_ns, celsius + CELSIUS, fault))
 
     def restart(self) -> None:
         """Forget all readings, those also that a refusal rests on."""

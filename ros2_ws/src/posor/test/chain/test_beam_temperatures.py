@@ -259,7 +259,7 @@ def test_a_frozen_thermometer_that_moves_again_is_used_again() -> None:
 
 def test_stamps_that_stay_or_are_ahead_of_the_scans_are_named() -> None:
     rig = Rig()
-    rig.run(quiet, 10, 20, stamp=9)
+    rig.run(lambda name, _second: quiet(name, 0), 10, 20, stamp=9)
     assert set(rig.temperatures.faults.values()) == {OLD}
     rig = Rig()
     rig.run(quiet, 10, 20, stamp=90)
@@ -272,6 +272,23 @@ def test_a_reading_in_the_frame_of_another_thermometer_is_not_used() -> None:
     rig.temperatures.add("a", 14 * NS, 22.0, "b")
     rig.run(only("a", lambda _: None), 14, 16)
     assert rig.temperatures.faults == {"a": "receives the readings of 'b'"}
+
+
+def test_readings_of_two_publishers_are_not_used() -> None:
+    twice = "has two readings of one stamp; expected one publisher, and a clock that runs"
+    rig = Rig()
+    rig.run(quiet, 10, 14)
+    for celsius in (22.0, 21.9):
+        rig.temperatures.add("a", 14 * NS, celsius)
+    rig.run(only("a", lambda _: None), 14, 16)
+    assert rig.temperatures.faults == {"a": twice}
+    rig.run(quiet, 16, 18)
+    assert not rig.temperatures.faults
+    rig.run(quiet, 18, 20, stamp=18)
+    assert set(rig.temperatures.faults.values()) == {twice}
+    rig.temperatures.add("a", 20 * NS, 22.0, publishers=2)
+    rig.run(only("a", lambda _: None), 20, 22)
+    assert rig.temperatures.faults["a"] == "has 2 publishers on its topic; expected one"
 
 
 def test_a_replay_that_starts_again_forgets_its_readings() -> None:
