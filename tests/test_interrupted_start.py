@@ -6,8 +6,10 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
 from collections.abc import Callable
 from importlib.metadata import EntryPoint, entry_points
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -45,12 +47,21 @@ def test_every_package_has_programs() -> None:
     assert {program.module.partition(".")[0] for program in PROGRAMS} == set(PACKAGES)
 
 
-@pytest.mark.long
-@pytest.mark.parametrize("program", PROGRAMS, ids=lambda program: program.name)
-def test_an_interrupted_import_ends_with_one_line(path: str, program: EntryPoint) -> None:
+@pytest.mark.parametrize(
+    "program",
+    [each for each in entry_points(group="console_scripts") if each.module.startswith("posor")],
+    ids=lambda program: program.name,
+)
+def test_every_program_can_be_loaded_by_its_name(program: EntryPoint) -> None:
     lazy_program = program.load()
     assert isinstance(lazy_program, LazyProgram)
     assert lazy_program.name == program.name
+    assert find_spec(lazy_program.module) is not None
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("program", PROGRAMS, ids=lambda program: program.name)
+def test_an_interrupted_import_ends_with_one_line(path: str, program: EntryPoint) -> None:
     package = program.module.partition(".")[0]
     number = signal.SIGTERM if program.name in ("chain_node", "record", "demo") else signal.SIGINT
     with Program(installed(package, program.name), {"PYTHONPATH": path}) as running:
@@ -138,3 +149,34 @@ def test_a_shortage_of_a_running_program_is_one_sentence(tmp_path: Path, what: s
     (tmp_path / "greedy.py").write_text(GREEDY_PROGRAM, encoding="utf-8")
     lines = run_with_limit(limit, [*script(tmp_path / "greedy.py"), what])
     assert lines == [f"greedy: {sentence}."]
+
+
+WRITING_PROGRAM = """\
+import os
+import sys
+from posor.lazy_program import LazyProgram
+
+def main():
+    if sys.argv[1] == "other":
+        reader, writer = os.pipe()
+        os.close(reader)
+        os.write(writer, b"0")
+    for number in range(int(sys.argv[1])):
+        print(number)
+    return 0
+
+sys.exit(LazyProgram("writing", "__main__")())
+"""
+
+
+@pytest.mark.parametrize(("lines", "error"), [("1", ""), ("100000", ""), ("other", "BrokenPipeError")])
+def test_a_program_whose_output_nobody_reads_ends_without_a_traceback(tmp_path: Path, lines: str, error: str) -> None:
+    (tmp_path / "writing.py").write_text(WRITING_PROGRAM, encoding="utf-8")
+    reader, writer = os.pipe()
+    command = [*script(tmp_path / "writing.py"), lines]
+    with os.fdopen(reader) as end, os.fdopen(writer, "w") as output:
+        if not error:
+            end.close()
+        done = subprocess.run(command, stdout=output, stderr=subprocess.PIPE, text=True, check=False, timeout=60)
+    assert done.returncode == 1
+    assert error in done.stderr if error else not done.stderr

@@ -10,6 +10,7 @@ from __future__ import annotations
 import errno
 import os
 import resource
+import select
 import signal
 import sys
 from contextlib import contextmanager
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from types import FrameType
 
 EXIT_INTERRUPTED = 130  # exit code of an interrupted program, by the convention of shells
+EXIT_UNREAD = 1  # exit code of a program whose output nobody reads to its end, as behind ``head``
 INTERRUPT_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)  # SIGHUP: the terminal was closed
 LEAST_LIMITS = (  # limits below which libraries of every program fail, in ways that do not show the reason
     (resource.RLIMIT_NOFILE, 64, "files open at a time (ulimit -n)"),
@@ -92,6 +94,13 @@ def _open_standard_streams() -> None:
             setattr(sys, name, os.fdopen(descriptor, "r" if name == "stdin" else "w", closefd=False))
 
 
+def _is_output_unread() -> bool:
+    """Return whether standard output is a pipe that nobody reads."""
+    output = select.poll()
+    output.register(1, 0)
+    return any(event & select.POLLERR for _, event in output.poll(0))
+
+
 def _lost_output() -> str:
     """Return 'standard output' if it cannot be written, and discard what is buffered; otherwise an empty text."""
     try:
@@ -118,6 +127,8 @@ class LazyProgram:
         default action while it ends. A background job of a shell is interrupted in the same way
         (``handle_interrupts``).
 
+        A program whose output is a pipe that nobody reads any more ends with ``EXIT_UNREAD`` and without a word.
+
         A limit of the process that is too low, and a lack of descriptors, memory or disk, also for standard output, are
         one sentence and exit code 1.
         """
@@ -139,6 +150,9 @@ class LazyProgram:
         except SystemRefusal as error:  # the library of kernels, which the import loads
             return self._fail(str(error).rstrip("."))
         except (OSError, MemoryError) as error:
+            if isinstance(error, BrokenPipeError) and _is_output_unread():
+                _lost_output()
+                return EXIT_UNREAD
             shortage = error.errno if isinstance(error, OSError) else errno.ENOMEM
             if shortage not in SHORTAGES:
                 raise
