@@ -20,7 +20,7 @@ ROS_LIBRARIES = {"posor_msgs", "rclpy", "ament_index_python", "launch", "rosidl_
 LAYERS_OF_POSOR = (  # lowest first; parts of one line may import each other
     (
         *("arm_names", "claim", "errors", "input_text", "lazy_program", "library_programs", "optional_library"),
-        *("output_files", "reporting", "ros_names"),
+        *("output_files", "plugins", "reporting", "ros_names"),
     ),
     ("numerics",),
     ("model",),

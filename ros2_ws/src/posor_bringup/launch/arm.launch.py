@@ -21,10 +21,11 @@ from launch.actions import DeclareLaunchArgument, LogInfo, OpaqueFunction, Regis
 from launch.event_handlers import OnShutdown
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
+from posor.chain.arm_file import CHAIN_NODE
 from posor_bringup.arm_programs import endpoint_frame_of, frame_prefix_of, full_name
 from posor_bringup.arms import check_arm
 from posor_bringup.bringup_options import parse_driver_parameters
-from posor_bringup.graph_observer import GraphObserver
+from posor_bringup.graph_observer import GraphObserver, enclave_of_arm
 from posor_bringup.tool_views import VIEWS, write_views
 
 if TYPE_CHECKING:
@@ -62,10 +63,11 @@ def arm_nodes(context: LaunchContext) -> list[LaunchDescriptionEntity]:
     pushed = context.launch_configurations.get("ros_namespace", "")  # by PushRosNamespace
     prefix = value("frame_prefix")
     view, files = value("view"), [Path(path) for path in value("params_file").split()]
-    with GraphObserver() as graph:
+    namespace = f"{pushed.rstrip('/')}/{value('namespace').lstrip('/')}"
+    with GraphObserver(enclave_of_arm(value("arm"), namespace, CHAIN_NODE)) as graph:
         checked = check_arm(
             value("arm"),
-            namespace=f"{pushed.rstrip('/')}/{value('namespace').lstrip('/')}",
+            namespace=namespace,
             drivers=value("drivers") == "true",
             driver_parameters=parse_driver_parameters(value("driver_parameters")),
             chain_parameters={"frame_prefix": prefix} if prefix else {},

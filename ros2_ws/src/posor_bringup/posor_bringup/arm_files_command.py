@@ -22,8 +22,8 @@ from posor.uncertainty.protection_level import arm_reliability
 from posor_drivers.instruments.calibrated_readings import readings_of
 from posor_drivers.instruments.instruments_file import load_instruments
 from posor_ros.parameter_files import OPTION
-from rich.console import Console
 
+from posor_bringup.arm_programs import DRIVER_NODE
 from posor_bringup.arms import check_arm
 from posor_bringup.bringup_options import add_driver_parameters
 from posor_bringup.new_arm import AXES, COMMON_AXES, LONGEST, SENSORS, SHORTEST, arm_texts, new_joints, write_arm
@@ -123,9 +123,8 @@ def _check(options: Namespace) -> int:
         driver_parameters=dict(options.parameters),
         parameter_files=options.params_file,
     )
-    console = Console(highlight=False, soft_wrap=True, markup=False)
     for line in _summary(checked):
-        console.print(line)
+        print(line)
     return 0
 
 
@@ -143,7 +142,7 @@ def _summary(checked: CheckedArm) -> Iterator[str]:
     x, y, z = chain.nominal_endpoint(angles).translation.round(4) + 0.0  # -0.0 is 0.0
     place = f"{x:.4f}, {y:.4f}, {z:.4f} m in {chain.base_frame}"
     yield f"nominal reach: {reach:.4f} m; endpoint with all angles zero: {place}"
-    yield f"driver: source {arm.driver.source}, {_rate(checked)}"
+    yield from _drivers(checked)
     yield _levels(checked, angles)
     if arm.commissioning is None or not arm.commissioning.exists():
         yield "commissioning: none; 'posor commission' makes the record"
@@ -156,13 +155,17 @@ def _summary(checked: CheckedArm) -> Iterator[str]:
     yield f"commissioning: {record.date}, {state}"
 
 
-def _rate(checked: CheckedArm) -> str:
-    parameters = checked.programs[-1].parameters
-    if parameters.get("source") == "simulated":
-        return f"{checked.scans_per_second} scans per second"
-    if parameters.get("source") == "instruments":
-        return f"{load_instruments(Path(str(parameters['instruments.file']))).rate.number:g} scans per second"
-    return "at the rate of its recording or device"
+def _drivers(checked: CheckedArm) -> Iterator[str]:
+    """Yield a line on the source of the drivers, if there are any."""
+    drivers = [program.parameters for program in checked.programs if program.executable == DRIVER_NODE]
+    for source in dict.fromkeys(parameters["source"] for parameters in drivers):
+        rate = "at the rate of its recording or device"
+        if source == "simulated":
+            rate = f"{checked.scans_per_second} scans per second"
+        if source == "instruments":
+            file = Path(str(drivers[0]["instruments.file"]))
+            rate = f"{load_instruments(file).rate.number:g} scans per second"
+        yield f"driver: source {source}, {rate}"
 
 
 def _levels(checked: CheckedArm, angles: dict[str, float]) -> str:

@@ -4,15 +4,13 @@
 
 from __future__ import annotations
 
-import os
 import sys
 import time
-from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from posor.arm_names import describe_argument
-from posor.chain.arm_file import CHAIN_NODE, load_arm_file
+from posor.chain.arm_file import CHAIN_NODE
 from posor.claim import claim
 from posor.errors import ParameterError, PosorError
 from posor.node_parameters import RECORDING
@@ -26,7 +24,7 @@ from rich.console import Console
 from posor_bringup.arm_programs import LAYOUTS, endpoint_frame_of, frame_prefix_of, full_name, group_programs
 from posor_bringup.arms import check_arm
 from posor_bringup.bringup_options import LOGS, add_driver_parameters, add_namespace, prepare_output_folder
-from posor_bringup.graph_observer import GraphObserver
+from posor_bringup.graph_observer import GraphObserver, enclave_of_arm
 from posor_bringup.supervisor import Supervisor
 from posor_bringup.tool_views import VIEWS, write_views
 
@@ -93,16 +91,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0
 
 
-def _enclave(options: Namespace) -> str:
-    """Return the identity of the first node in a network with SROS 2, which this program shares."""
-    if os.environ.get("ROS_SECURITY_ENABLE") == "true":
-        with suppress(PosorError):
-            process = CHAIN_NODE if options.layout == "separate" else "compose"
-            arm = load_arm_file(options.arm).in_namespace(options.namespace)
-            return f"{arm.namespace}/{process}"
-    return ""
-
-
 def _claim_of_folder(folder: Path) -> socket:
     """Return the claim of an output folder, whose logs another bringup, such as one of another domain, would delete."""
     what, expected = "another bringup writes there", "another folder, with --output"
@@ -110,11 +98,12 @@ def _claim_of_folder(folder: Path) -> socket:
 
 
 def _run_arm(options: Namespace) -> None:
-    console = Console(highlight=False, soft_wrap=True, markup=False)
+    console = Console(highlight=False, soft_wrap=True, markup=False, emoji=False)
     parameters: dict[str, bool | float] = dict(RECORDING) if options.recording else {}
     if options.use_sim_time:
         parameters["use_sim_time"] = True
-    with GraphObserver(_enclave(options)) as graph:
+    process = CHAIN_NODE if options.layout == "separate" else "compose"
+    with GraphObserver(enclave_of_arm(options.arm, options.namespace, process)) as graph:
         checked = check_arm(
             options.arm,
             namespace=options.namespace,

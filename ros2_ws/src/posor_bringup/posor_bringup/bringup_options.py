@@ -28,8 +28,8 @@ def _parse_parameter(text: str) -> tuple[str, Parameter]:
         parsed = parse_yaml(value, "option -p")[1]
     except CalibrationError:
         parsed = None
-    is_list = isinstance(parsed, list) and all(isinstance(entry, str) for entry in parsed)
-    if not (name and separator and (is_list or isinstance(parsed, bool | int | float | str))):
+    entries = parsed if isinstance(parsed, list) else [parsed]
+    if not (name and separator and all(isinstance(entry, bool | int | float | str) for entry in entries)):
         raise ArgumentTypeError(f"'{text}' is not a parameter, name:=value")
     return name, cast("Parameter", parsed)
 

@@ -120,7 +120,7 @@ def recording(
 ) -> Iterator[Recorder]:
     """Record topics into a new bag meanwhile, in a thread.
 
-    Raises BagError: the bag exists already, or messages of a required topic were lost.
+    Raises BagError: the bag exists already, cannot be written, or messages of a required topic were lost.
     """
     done = Event()
     with BagWriter(bag, custom_data) as writer:
@@ -133,6 +133,8 @@ def recording(
             done.set()
             thread.join()
             recorder.finish()
+    if recorder.failure is not None:
+        raise recorder.failure
     lost = [f"{topic.lost} messages of {name}" for name, topic in recorder.topics.items() if topic.lost]
     if lost and any(recorder.topics[name].lost for name in required):
         raise BagError(f"{', '.join(lost)} were lost", where=str(bag), expected="a less busy machine")

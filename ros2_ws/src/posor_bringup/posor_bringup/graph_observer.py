@@ -10,10 +10,11 @@ from __future__ import annotations
 import os
 import time
 from collections import Counter
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from typing import TYPE_CHECKING, Self
 
 import rclpy
+from posor.chain.arm_file import load_arm_file
 from posor.claim import claim
 from posor.errors import PosorError
 from rclpy.context import Context
@@ -32,6 +33,14 @@ END_S = 5.0
 """Time in which nodes that are listed may still end, as those of a bringup that was killed do."""
 POLL_S = 0.02
 ONE_ARM = "one arm of a name: end it, give this one another name, or set another ROS_DOMAIN_ID"
+
+
+def enclave_of_arm(arm: str, namespace: str, process: str) -> str:
+    """Return the identity of a process of an arm in a network with SROS 2, which the observer shares; else empty."""
+    if os.environ.get("ROS_SECURITY_ENABLE") == "true":
+        with suppress(PosorError):
+            return f"{load_arm_file(arm).in_namespace(namespace).namespace}/{process}"
+    return ""
 
 
 class GraphObserver:

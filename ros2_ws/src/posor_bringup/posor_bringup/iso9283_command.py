@@ -27,6 +27,7 @@ from posor.reporting.command_line_parser import CommandLineParser
 from posor.reporting.program_errors import reports_errors
 from posor.reporting.report_console import report_console
 from posor.reporting.report_table import ReportTable
+from posor.tables.named_rows import read_named_rows
 from posor_calibration.dwells import find_dwells
 from posor_design.iso9283 import COMPONENTS, LEAST_CYCLES, PATH_CYCLES, POSE_CYCLES
 from posor_design.iso9283_checks import count_elsewhere, interpolation_error, settling_of
@@ -107,27 +108,16 @@ def parse_options(arguments: Sequence[str] | None) -> argparse.Namespace:
 
 def _stated_dwells(path: Path) -> list[tuple[int, int]]:
     """Return the dwells of a table. Raises DataFileError: it cannot be read, or a dwell is invalid."""
-    try:
-        with path.open(encoding="utf-8-sig", newline="") as file:
-            rows = list(csv.DictReader(file))
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        reason = error.strerror if isinstance(error, OSError) else error
-        raise DataFileError(f"cannot be read: {reason}", where=str(path), expected="a table (CSV)") from error
     dwells: list[tuple[int, int]] = []
-    for number, row in enumerate(rows, start=2):
+    for line, cells in read_named_rows(path, ("begin_ns", "end_ns")):
         try:
-            begin, end = int(row["begin_ns"]), int(row["end_ns"])
-        except (KeyError, TypeError, ValueError):
+            begin, end = int(cells["begin_ns"]), int(cells["end_ns"])
+        except ValueError:
             begin = end = 0
         if not (dwells[-1][1] if dwells else 0) < begin < end:
-            what, expected = (
-                f"dwell from {row.get('begin_ns')} to {row.get('end_ns')}",
-                "begin_ns before end_ns, in order",
-            )
-            raise DataFileError(what, where=f"{path}, line {number}", expected=expected)
+            what = f"dwell from {cells['begin_ns']} to {cells['end_ns']}"
+            raise DataFileError(what, where=f"{path}, line {line}", expected="begin_ns before end_ns, in order")
         dwells.append((begin, end))
-    if not dwells:
-        raise DataFileError("no dwell", where=str(path), expected="the columns begin_ns and end_ns, and a row for each")
     return dwells
 
 

@@ -133,12 +133,9 @@ class RunningProgram:
         if code is None or code in (EXIT_CODES_AFTER_SIGINT if after_sigint else (0,) if self.program.ends else ()):
             return
         last = self.last_sentence()
+        by = signal.Signals(-code).name if -code in set(signal.Signals) else f"signal {-code}"
         # A program that a signal has ended could not log the reason; its last line is older.
-        how = (
-            f"was ended by {signal.Signals(-code).name}; log: {last}"
-            if code < 0
-            else f"ended with exit code {code}: {last}"
-        )
+        how = f"was ended by {by}; log: {last}" if code < 0 else f"ended with exit code {code}: {last}"
         raise ProcessError(how, where=self.program.name)
 
     def wait_or_kill(self) -> bool:

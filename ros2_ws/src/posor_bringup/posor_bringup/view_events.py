@@ -131,7 +131,7 @@ class Event:
 
 
 class EventLog:
-    """Events in the order of their begin, the newest ``EVENTS`` of them.
+    """Events in the order of their begin, the newest ``EVENTS`` of them; those of present causes before others.
 
     Attributes:
         left_out: Number of older events.
@@ -149,8 +149,7 @@ class EventLog:
         present, before = {cause.key: cause for cause in causes}, self._present.get(source, {})
         for key in before.keys() - present.keys():
             number = self._latest[source, key]
-            if number in self._events:
-                self._events[number] = replace(self._events[number], end_ns=now_ns)
+            self._events[number] = replace(self._events[number], end_ns=now_ns)
         for key, cause in present.items():
             if before.get(key) == cause:
                 continue
@@ -172,11 +171,10 @@ class EventLog:
         self._count += 1
         self._events[self._count] = event
         self._latest[source, event.cause.key] = self._count
-        if len(self._events) > EVENTS:
-            self._events.popitem(last=False)
+        if len(self._events) > EVENTS and (ended := [n for n, each in self._events.items() if each.end_ns is not None]):
+            del self._events[ended[0]]
             self.left_out += 1
-            first = next(iter(self._events))
-            self._latest = {key: number for key, number in self._latest.items() if number >= first}
+            self._latest = {key: number for key, number in self._latest.items() if number != ended[0]}
 
     def begin_ns(self, cause: Cause, time_ns: int) -> int:
         """Return when a cause that is present at a time has begun last [ns]."""

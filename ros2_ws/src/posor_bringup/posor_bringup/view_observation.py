@@ -11,6 +11,8 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from posor.errors import TopicError
+from posor.messages.joint_position import joint_position
 from posor.model.fault import USABLE_STATES, State
 from posor.numerics.stamps import NS
 from posor.ros_names import ENDPOINT_STATE, ENDPOINT_STATE_TOPIC
@@ -280,5 +282,7 @@ def _state_name(state: int) -> str:
 
 def _position(values: Mapping[str, Any], name: str) -> float:
     """Return the position of a joint in a JointState [rad]; NaN: it has none."""
-    index = list(values["name"]).index(name) if name in values["name"] else 0 if not name else -1
-    return values["position"][index] if 0 <= index < len(values["position"]) else np.nan
+    try:
+        return joint_position(list(values["name"]), list(values["position"]), name)
+    except TopicError:
+        return np.nan

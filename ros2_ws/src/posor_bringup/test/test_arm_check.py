@@ -179,6 +179,15 @@ def test_driver_parameters_are_checked_with_the_command_line(tmp_path: Path) -> 
     assert check_arm(str(folder), drivers=False).programs[-1].executable == "posor_node"
 
 
+def test_the_line_on_the_drivers_is_of_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = make_arm(tmp_path / "own", count=1)
+    for options, line in (([], "source simulated, "), (["-p", "simulated.rate:=100"], "100 scans per second")):
+        assert main(["check", str(folder), *options]) == 0
+        assert line in next(each for each in capsys.readouterr().out.splitlines() if each.startswith("driver: "))
+    assert main(["check", str(folder), "--no-driver"]) == 0
+    assert "driver: " not in capsys.readouterr().out
+
+
 def test_sections_of_parameter_files_name_nodes_of_the_arm(tmp_path: Path) -> None:
     folder, file = make_arm(tmp_path / "own", count=1), tmp_path / "parameters.yaml"
     sections = {"/own/chain_node": {"tf_rate": 5.0}, "/own/*/posor_node": {"limits": {"latency": 0.5}}}

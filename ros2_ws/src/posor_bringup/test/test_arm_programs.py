@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from posor.arm_names import find_arm, installed_arms
 from posor.bags.reprocess_command import parser, tasks_of
+from posor.bags.reprocess_task import Settings
 from posor.chain.arm_file import load_arm_file
 from posor.errors import CalibrationError, ChainError, NodeError, ParameterError, PosorError
 from posor.node_parameters import RECORDING
@@ -99,6 +100,8 @@ def test_driver_parameters_of_a_launch_argument_go_to_all_drivers() -> None:
     programs = arm_programs(load_checked_arm("five_axis"), driver_parameters=parameters)
     assert [program.parameters["simulated.sag"] for program in programs if program.ends] == [False] * 5
     assert parse_driver_parameters("") == {}
+    given = parse_driver_parameters("time.exposure_offsets:=[0.0,1.0e-5] bag.topics:=[a,b]")
+    assert given == {"time.exposure_offsets": [0.0, 1e-5], "bag.topics": ["a", "b"]}
     assert str(refusal(ParameterError, parse_driver_parameters, "simulated.sag=false")) == (
         "launch argument 'driver_parameters': 'simulated.sag=false' is not a parameter, name:=value."
     )
@@ -165,6 +168,7 @@ def test_unknown_parameter_of_chain_node_is_reported_with_its_line(rig_copy: Pat
         tasks_of(parser().parse_args(["bag", "--arm", str(path)]))
     change(rig_copy, "aceleration_window: 0.1", "use_sim_time: true")
     assert arm_programs(load_arm_file(path))[0].parameters["use_sim_time"] is True
+    assert Settings.of_arm(load_arm_file(path)).load_chain() is not None  # offline there is no clock
 
 
 def test_parameters_of_a_joint_go_to_its_posor_node(rig_copy: Path) -> None:

@@ -62,6 +62,8 @@ def test_arm_launch_file_uses_existing_functions_and_attributes() -> None:
         assert hasattr(importlib.import_module(module), name)
     used = {node.attr for node in nodes if isinstance(node, ast.Attribute) and ast.unparse(node.value) == "program"}
     assert used == {"package", "executable", "namespace", "parameters", "enclave", "ends"}
+    (observer,) = (node for node in nodes if isinstance(node, ast.Call) and ast.unparse(node.func) == "GraphObserver")
+    assert ast.unparse(observer.args[0]).startswith("enclave_of_arm(")
     (call,) = (node for node in nodes if isinstance(node, ast.Call) and ast.unparse(node.func) == "check_arm")
     assert {keyword.arg for keyword in call.keywords} <= set(inspect.signature(check_arm).parameters)
     for program in arm_programs(load_checked_arm("five_axis")):

@@ -27,6 +27,7 @@ SCRIPTS = {
     "ends": "echo done",
     "fails": 'echo working; echo "[ERROR] [1795235842.1] [some.node]: the sky is green; expected blue." >&2; exit 4',
     "crashes": "kill -SEGV $$",
+    "ends_by_36": "kill -36 $$",
     "prints_arguments": 'printf "%s\\n" "$@"',
 }
 
@@ -86,6 +87,7 @@ def test_leaving_the_block_ends_all(folder: Path) -> None:
         (program("ends"), "ends: ended with exit code 0: done."),
         (program("fails", ends=True), "fails: ended with exit code 4: the sky is green; expected blue."),
         (program("crashes"), "crashes: was ended by SIGSEGV; log: it wrote nothing."),
+        (program("ends_by_36"), "ends_by_36: was ended by signal 36; log: it wrote nothing."),
     ],
 )
 def test_check_reports_a_program_that_failed_or_ended_early(

@@ -111,6 +111,18 @@ def test_log_is_bounded_and_says_what_it_leaves_out() -> None:
     assert rows[-1]["end_utc"] == ""
 
 
+def test_a_cause_that_lasts_all_night_keeps_its_begin() -> None:
+    log = EventLog()
+    log.update("report", T0_NS, [LOST])
+    for number in range(EVENTS + 5):
+        log.note(T0_NS + number * NS, f"note {number}")
+    end_ns = T0_NS + EVENTS * NS
+    assert log.begin_ns(LOST, end_ns) == T0_NS
+    log.update("report", end_ns, [])
+    assert [event.end_ns for event in log.events() if event.cause == LOST] == [end_ns]
+    assert (len(list(log.events())), log.left_out) == (EVENTS, 6)
+
+
 def test_table_of_events_can_be_read_back() -> None:
     log = EventLog()
     log.update("state", T0_NS, [Cause("LOST", 'a "text", with signs', ("base", "elbow"))])

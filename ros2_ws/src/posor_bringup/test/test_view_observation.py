@@ -136,6 +136,15 @@ def test_angle_of_the_encoder_is_interpolated_at_the_stamp_of_the_scan_and_not_e
     assert scan.encoders[0] == angle
 
 
+def test_an_encoder_among_several_without_names_is_not_shown(rig: Rig) -> None:
+    rig.add_scan(1.0)
+    for stamp_s in (0.99, 1.01):
+        rig.add(ENCODERS, JointState(position=[9.0, 0.1]), 1.02, stamp_s)
+    scan = rig.observe(1.02).scan
+    assert scan is not None
+    assert math.isnan(scan.encoders[0])
+
+
 def test_diagnostics_of_the_joint_and_their_silence(rig: Rig) -> None:
     array = DiagnosticArray()
     for name, level, message in (

@@ -152,7 +152,7 @@ def render_outcome_page(title: str, verdict: ProcedureVerdict, outcome: Outcome)
     ]
     notes = [Section("Notes", bullet_list(verdict.notes))] if verdict.notes else []
     sections = [
-        Section("ProcedureVerdict", bullet_list(verdict.findings)),
+        Section("Verdict", bullet_list(verdict.findings)),
         *notes,
         *([Section("Charts", Markup(""), [_plot(each) for each in outcome.figures])] if outcome.figures else []),
         Section("Fits", paragraph(f"Method: {outcome.method}.") + table(header, rows)),

@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING
 from posor.arm_names import describe_argument
 from posor.calibration.calibration_file import load_calibration
 from posor.chain.arm_file import load_arm_file
-from posor.errors import ParameterError
 from posor.estimation.posor import Posor
 from posor.output_files import make_folder, write_files
 from posor.reporting.command_line_parser import CommandLineParser
@@ -29,6 +28,7 @@ from posor.uncertainty.reliability import joint_reliability
 
 from posor_design.budget_report import BudgetReport, render_budget_page
 from posor_design.monte_carlo import BATCH, monte_carlo, validate
+from posor_design.statement_poses import check_angles
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -117,9 +117,7 @@ def _arm_reliability(name: str, given: Sequence[float] | None) -> ArmReliability
     chain = arm.chain()
     names = [joint.name for joint in chain.joints]
     angles = [0.0] * len(names) if given is None else given
-    if len(angles) != len(names):
-        expected = f"{len(names)}: {','.join(names)}"
-        raise ParameterError(f"{len(angles)} angles", where="budget, --angles", expected=expected)
+    check_angles(angles, names, "budget, --angles")
     calibrations = {name: arm.calibration(name) for name in names}
     return arm_reliability(chain, calibrations, dict(zip(names, angles, strict=True)))
 

@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import csv
 import math
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
@@ -15,6 +14,7 @@ from posor.bags.provenance import custom_data, differences
 from posor.bags.reprocess_task import Settings
 from posor.errors import BagError, ChainError, DataFileError, ParameterError
 from posor.model.fault import USABLE_STATES, Fault, State
+from posor.tables.named_rows import read_named_rows
 from scipy.spatial.transform import Rotation
 
 if TYPE_CHECKING:
@@ -71,34 +71,22 @@ def path_poses(model: ArmUncertainty, path: Path) -> StatementPoses:
 
     Raises DataFileError: the file cannot be read, lacks a joint, or has an invalid angle.
     """
-    try:
-        with path.open(encoding="utf-8-sig", newline="") as file:
-            reader = csv.DictReader(file)
-            rows = list(reader)
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        reason = error.strerror if isinstance(error, OSError) else error
-        raise DataFileError(f"cannot be read: {reason}", where=str(path), expected="a table (CSV)") from error
-    columns = [name.strip() for name in reader.fieldnames or ()]
-    if sorted(columns) != sorted(model.joints):
-        named = ", ".join(columns) or "none"
-        expected = f"one column for each joint: {','.join(model.joints)}"
-        raise DataFileError(f"columns {named}", where=f"{path}, line 1", expected=expected)
-    if not 0 < len(rows) <= MOST_POSES:
-        raise DataFileError(f"{len(rows)} poses", where=str(path), expected=f"1 to {MOST_POSES}")
-    angles = np.full((len(rows), len(model.joints)), np.nan)
-    for n, row in enumerate(rows):
-        where = f"{path}, line {n + 2}"
-        stripped = {str(name).strip(): cell for name, cell in row.items()}
+    rows = read_named_rows(path, model.joints)
+    if len(rows) > MOST_POSES:
+        raise DataFileError(f"{len(rows)} poses", where=str(path), expected=f"at most {MOST_POSES}")
+    angles = np.empty((len(rows), len(model.joints)))
+    for n, (line, cells) in enumerate(rows):
+        where = f"{path}, line {line}"
         for j, joint in enumerate(model.joints):
             try:
-                angles[n, j] = float(stripped[joint])
-            except (TypeError, ValueError):
+                angles[n, j] = float(cells[joint])
+            except ValueError:
                 angles[n, j] = math.nan
-            if not math.isfinite(angles[n, j]) or None in row:
-                what = f"angle of {joint} is '{stripped[joint] or ''}'" if None not in row else "too many cells"
-                raise DataFileError(what, where=where, expected=f"{len(model.joints)} angles in rad")
+            if not math.isfinite(angles[n, j]):
+                what, expected = f"angle of {joint} is '{cells[joint]}'", f"{len(model.joints)} angles in rad"
+                raise DataFileError(what, where=where, expected=expected)
         check_angles(angles[n].tolist(), model.joints, where)
-    lines = range(2, len(rows) + 2)
+    lines = [row.line for row in rows]
     return StatementPoses(angles, [f"line {line} of {path.name}" for line in lines], lines=lines)
 
 

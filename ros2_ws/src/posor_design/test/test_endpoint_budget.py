@@ -10,12 +10,15 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from posor.calibration.designs import design, sized_design
+from posor.calibration.quantity import Quantity
+from posor.calibration.shared_terms import SharedTerm
 from posor.chain.beams_file import BeamsFile
 from posor.chain.kinematic_chain import Chain
-from posor.errors import ChainError
+from posor.errors import CalibrationError, ChainError
 from posor.uncertainty.budget_poses import model_covariances
 from posor_design.endpoint_budget import BEAMS, SHARED, Spread, configurations, disturbed, endpoint_budget, monte_carlo
 from posor_lab.harness.beams import beams_file, quantity, tube, uncertainty
+from posor_lab.harness.case_tables import refusal
 
 INCH = 0.0254
 DRAWS = 4_000
@@ -169,6 +172,24 @@ def test_model_covariances_are_split_into_noise_and_calibration(straight: Chain)
     for covariance in (*random.values(), *systematic.values()):
         assert np.all(np.linalg.eigvalsh(covariance) > 0.0)
         assert np.all(np.sqrt(np.diagonal(covariance)) < 10e-6)
+
+
+def test_calibrations_of_one_name_may_not_contradict_one_another(straight: Chain) -> None:
+    calibrations = {
+        name: sized_design("triad_bumpy_ring", 6.0 * INCH, frames=(f"{name}_r", f"{name}_t"), title="same").model_copy(
+            update={
+                "shared": {
+                    "scale": SharedTerm(
+                        uncertainty=Quantity(value=size, unit="1"),
+                        relative={"sensors.0.gap": Quantity(value=1.0, unit="1")},
+                    )
+                }
+            }
+        )
+        for name, size in zip(STILL, (1e-4, 5e-4), strict=True)
+    }
+    error = refusal(CalibrationError, model_covariances, calibrations, straight, STILL)
+    assert (error.where, error.expected) == ("calibration of lift", "0.0001 1, as in calibration of turn")
 
 
 def test_a_joint_without_a_valid_pose_is_named(straight: Chain) -> None:

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 from posor.errors import PosorError
 from posor.messages.message_definitions import MessageTypes
 from posor.parameter_model import help_text
+from posor.plugins import registered
 from posor.ros_names import RAW_TOPIC
 from posor_ros.diagnostics import Level
 from posor_ros.freshness import InputMonitor
@@ -35,7 +36,7 @@ from posor_drivers.driver_parameters import (
 )
 from posor_drivers.live_publisher import LivePublisher
 from posor_drivers.replay_publisher import ReplayPublisher, schedule_replay
-from posor_drivers.sources.source import LiveSource, RecordedSource, load_source_class, registered_sources
+from posor_drivers.sources.source import ENTRY_POINT_GROUP, LiveSource, RecordedSource, load_source_class
 from posor_drivers.stated_times import state_times
 from posor_drivers.tick_scheduler import RunCalls, RunState
 
@@ -86,7 +87,7 @@ class DriverNode(PosorNode[DriverParameters]):
         """Return the help of the node and of every source."""
         sources = [
             f"Parameters of source '{name}':\n{help_text(load_source_class(name).Parameters, f'{name}.')}"
-            for name in registered_sources()
+            for name in registered(ENTRY_POINT_GROUP)
         ]
         return "\n\n".join([super().help(), *sources])
 

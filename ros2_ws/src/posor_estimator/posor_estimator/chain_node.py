@@ -17,7 +17,6 @@ every 0.08 s during a silence of the input; it and the diagnostics name the join
 from __future__ import annotations
 
 import math
-import struct
 import time
 from functools import partial
 from pathlib import Path
@@ -33,7 +32,7 @@ from posor.chain.time_synchroniser import MAX_OPEN_SCANS, TimeSynchroniser
 from posor.errors import TopicError
 from posor.messages.cdr_schema import LITTLE_ENDIAN, STAMP
 from posor.messages.endpoint_messages import EndpointStateWriter, EndpointVerdict, EndpointWriter
-from posor.messages.joint_transform import JointTransformFormat, TransformConstants, stamp_ns_of
+from posor.messages.joint_transform import JointTransformFormat, TransformConstants, stamp_ns_of, stamp_of
 from posor.model.fault import State
 from posor.node_parameters import ChainParameters
 from posor.numerics.stamps import NO_TIME, NS, time_ns
@@ -83,7 +82,6 @@ if TYPE_CHECKING:
 
 
 OK = int(State.OK)
-_STAMP = struct.Struct("<iI")
 LATE_CHECK_S = 0.5
 """Longest time between two checks for late joints; each takes the interpreter lock from the thread of the scans."""
 
@@ -371,7 +369,7 @@ class ChainNode(PosorNode[ChainParameters]):
             if too_old := self._inputs.stamp_limits.fault(stamp_ns):
                 reason = f"{reason}; {too_old}"
             verdict = EndpointVerdict(EndpointState.STATE_LOST, 0, missing[0], reason)
-            self._publish_state(_STAMP.pack(*divmod(stamp_ns, NS)), stamp_ns, verdict)
+            self._publish_state(stamp_of(stamp_ns), stamp_ns, verdict)
             if not self._inputs.silent:
                 self._report_refused_scan(verdict)
 

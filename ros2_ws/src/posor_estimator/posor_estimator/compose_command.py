@@ -10,12 +10,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from posor.errors import NodeError, ParameterError, PosorError
+from posor.plugins import registered
 from posor.reporting.program_errors import reports_errors
 from posor_ros.node_program import NodeGroup, non_ros_arguments, ros_context
 from posor_ros.parameter_files import check_sections, parameter_files_of
 from rclpy.logging import get_logger
 
-from posor_estimator.composition_file import error_location, load_composition, registered_nodes
+from posor_estimator.composition_file import NODE_ENTRY_POINTS, error_location, load_composition
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -48,7 +49,7 @@ def _compose(arguments: Sequence[str]) -> None:
     with ros_context(arguments) as stop:
         own = non_ros_arguments(arguments)
         if own in (["-h"], ["--help"]):
-            sys.stdout.write(HELP.format(nodes=", ".join(registered_nodes())) + "\n")
+            sys.stdout.write(HELP.format(nodes=", ".join(registered(NODE_ENTRY_POINTS))) + "\n")
             return
         if len(own) != 1:
             raise ParameterError(f"{len(own)} arguments", where="compose", expected="one, a composition file")

@@ -12,13 +12,14 @@ Versions of the format:
 from __future__ import annotations
 
 import re
-from importlib.metadata import EntryPoint, entry_points
+from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 from posor.calibration.file_model import EntryError, FrozenModel, format_value
 from posor.calibration.yaml_document import load_document
 from posor.errors import ParameterError
 from posor.node_parameters import RealtimeParameters
+from posor.plugins import load_class, registered
 from posor_ros.lifecycle_node import PosorNode
 from posor_ros.ros_arguments import ros_arguments
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
@@ -35,31 +36,20 @@ NODE_ENTRY_POINTS = "posor_estimator.nodes"
 _SCALAR = bool | int | float | str
 
 
-def registered_nodes() -> dict[str, EntryPoint]:
-    """Return the registered node classes by name, without loading them."""
-    return {entry.name: entry for entry in sorted(entry_points(group=NODE_ENTRY_POINTS), key=lambda entry: entry.name)}
-
-
 def load_node_class(name: str) -> type[PosorNode[Any]]:
     """Return the registered node class ``name``.
 
     Raises ParameterError: the name is unknown, or the class cannot be loaded.
     """
-    entries, where = registered_nodes(), f"node '{name}'"
+    entries, where = registered(NODE_ENTRY_POINTS), f"node '{name}'"
     if name not in entries:
         raise ParameterError("is unknown", where=where, expected=f"one of {', '.join(map(repr, entries))}")
-    try:
-        loaded = entries[name].load()
-    except Exception as error:  # the module of another package may raise anything
-        reason = str(error).partition("\n")[0]
-        raise ParameterError(f"cannot be loaded: {reason}", where=f"{where} ({entries[name].value})") from error
-    if not (isinstance(loaded, type) and issubclass(loaded, PosorNode)):
-        raise ParameterError("is not a node of this stack", where=where, expected="a subclass of PosorNode")
-    return loaded
+    found: type[PosorNode[Any]] = load_class(entries[name], PosorNode, partial(ParameterError, where=where))
+    return found
 
 
 def _check_node(name: str) -> str:
-    if name not in (known := registered_nodes()):
+    if name not in (known := registered(NODE_ENTRY_POINTS)):
         raise EntryError(f"node {format_value(name)} is unknown", expected=f"one of {', '.join(map(repr, known))}")
     return name
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from posor.errors import PosorError, TopicError
+from posor.messages.joint_position import joint_position
 from posor.numerics.stamps import time_ns
 from posor_ros.qos import input_qos
 from sensor_msgs.msg import JointState
@@ -32,7 +33,7 @@ def subscribe_to_encoder(
             return
         encoder, stamp = node.parameters.encoder, message.header.stamp
         try:
-            theta = encoder_position(message, encoder.joint)
+            theta = joint_position(message.name, message.position, encoder.joint)
             stamp_ns = time_ns(stamp.sec, stamp.nanosec)
             if fault := inputs.stamp_limits.fault(stamp_ns):
                 raise TopicError(fault)
@@ -43,19 +44,3 @@ def subscribe_to_encoder(
     topic = node.parameters.encoder.topic
     subscription = node.create_subscription(JointState, topic, on_message, input_qos(node.parameters))
     node.add_cleanup(node.destroy_subscription, subscription)
-
-
-def encoder_position(message: JointState, joint: str) -> float:
-    """Return the position of a joint [rad], without a name that of the only one.
-
-    Raises TopicError: the message does not hold the position.
-    """
-    names = list(message.name)
-    if joint and joint not in names:
-        raise TopicError(f"no joint '{joint}' among {', '.join(names)}")
-    if not joint and len(message.position) != 1:
-        raise TopicError(f"{len(message.position)} positions", expected="one, or the parameter 'encoder.joint'")
-    index = names.index(joint) if joint else 0
-    if index >= len(message.position):
-        raise TopicError(f"no position of joint '{joint}'")
-    return float(message.position[index])

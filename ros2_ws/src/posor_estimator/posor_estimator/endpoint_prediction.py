@@ -16,7 +16,7 @@ from posor.chain.endpoint_predictor import EndpointPredictor
 from posor.chain.joint_measurements import FAULT_TEXTS
 from posor.errors import TopicError
 from posor.messages.endpoint_messages import COVARIANCE_POSE, EndpointStateWriter, EndpointVerdict, MessageWriter
-from posor.messages.joint_transform import JointTransformFormat, stamp_ns_of
+from posor.messages.joint_transform import JointTransformFormat, stamp_ns_of, stamp_of
 from posor.messages.message_table import LEAD
 from posor.model.fault import USABLE_STATES, State
 from posor.numerics.stamps import NO_TIME, NS
@@ -172,8 +172,7 @@ class EndpointPrediction:
             if self._lead_ns and self._ahead_publisher.has_subscriptions:
                 own = self._predictor.ahead
                 np.add(own.covariance_random, own.covariance_systematic, self._covariances[1])
-                later = np.array(divmod(stamp_ns + self._lead_ns, NS), dtype=np.uint32).tobytes()
-                self._ahead_publisher.publish(self._ahead_writer.write(later))
+                self._ahead_publisher.publish(self._ahead_writer.write(stamp_of(stamp_ns + self._lead_ns)))
             self.counts["predictions"] += 1  # type: ignore[operator]
         self._publish_state(stamp, stamp_ns, verdict)
 

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
+from posor.messages.joint_transform import stamp_of
 from posor.numerics.stamps import NS
 from posor.ros_names import ROBOT_DESCRIPTION_TOPIC, TF_STATIC_TOPIC, TF_TOPIC
 from posor_ros.intra_process import IntraProcessPublisher
@@ -70,9 +71,8 @@ class FramePublisher:
         self.publisher = IntraProcessPublisher(node, TFMessage, TF_TOPIC, TF_QOS)
         fixed = TransformWriter([(prefix + each.parent, prefix + each.child) for each in chain.fixed_transforms])
         poses = [pin.SE3ToXYZQUAT(each.T_parent_child) for each in chain.fixed_transforms]
-        stamp = np.array(divmod(node.timing.now_ns(), NS), dtype=np.uint32).tobytes()
         static = node.create_publisher(TFMessage, TF_STATIC_TOPIC, LATCHED_QOS)
-        static.publish(fixed.write(stamp, np.array(poses).reshape(-1, 7)))
+        static.publish(fixed.write(stamp_of(node.timing.now_ns()), np.array(poses).reshape(-1, 7)))
         description = node.create_publisher(String, ROBOT_DESCRIPTION_TOPIC, LATCHED_QOS)
         description.publish(schema_of_class(String).serialize(String(data=chain.urdf)))
         for publisher in (static, description):

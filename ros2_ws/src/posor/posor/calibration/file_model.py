@@ -119,14 +119,15 @@ class FrozenModel(BaseModel):
         return data
 
 
-def select_model_by_key(key: str, models: Mapping[str, type[FrozenModel]]) -> BeforeValidator:
+def select_model_by_key(key: str, models: Mapping[str, type[FrozenModel] | EntryError]) -> BeforeValidator:
     """Return the annotation of a union whose member is selected by the value of ``key``.
 
-    Unlike pydantic's discriminated union it leaves the location of an error unchanged.
+    ``models``: the model of each value, or why there is none. Unlike pydantic's discriminated union it leaves the
+    location of an error unchanged.
     """
 
     def select(part: object) -> object:
-        if isinstance(part, tuple(models.values())):
+        if isinstance(part, FrozenModel):
             return part
         if not isinstance(part, dict):
             raise EntryError(format_value(part), expected="a mapping")
@@ -137,7 +138,9 @@ def select_model_by_key(key: str, models: Mapping[str, type[FrozenModel]]) -> Be
         name = part[key]
         if not isinstance(name, str) or name not in models:
             raise EntryError(f"{key} {format_value(name)}", key=(key,), expected=expected)
-        return models[name].model_validate(part)
+        if isinstance(model := models[name], EntryError):
+            raise model
+        return model.model_validate(part)
 
     return BeforeValidator(select)
 

@@ -270,14 +270,17 @@ def posor_parameters(arm: ArmFile, joint: str, *, checked: bool = True) -> dict[
 def _checked(
     arm: ArmFile, joint: str, model: type[ParameterGroup], parameters: dict[str, ParameterValue]
 ) -> dict[str, ParameterValue]:
-    """Return the parameters if the node (of a joint; '': chain_node) accepts them; raise an error for each."""
+    """Return the parameters that are not ROS's own if the node (of a joint; '': chain_node) accepts them.
+
+    Raises NodeError: an error for each that it refuses.
+    """
     own = {name: value for name, value in parameters.items() if not name.startswith(ROS_OWN_PARAMETERS)}
     node = f"{joint}/{POSOR_NODE}" if joint else CHAIN_NODE
     try:
         validate_parameters(model, own, node=node)
     except ParameterError as error:
         raise node_errors(error.parts, node, arm.node_locations(joint), str(arm.path)) from error
-    return parameters
+    return own
 
 
 def node_errors(errors: Sequence[PosorError], node: str, places: Mapping[str, str], otherwise: str) -> NodeError:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from posor.calibration.causes import AMBIENT_CAUSES, GAIN_CAUSES, Pattern, Readings, all_causes
+from posor.calibration.causes import AMBIENT_CAUSES, GAIN_CAUSES, MAX_CAUSES, Pattern, Readings, all_causes
 from posor.errors import CalibrationError
 from posor.estimation.fault_model import (
     ALWAYS,
@@ -50,7 +50,7 @@ class Hypotheses(NamedTuple):
 
     @staticmethod
     def of(calibration: Calibration, stack: Stack) -> Hypotheses:
-        """Return the hypotheses of a calibration. Raises CalibrationError: they need too many columns."""
+        """Return the hypotheses of a calibration. Raises CalibrationError: too many causes or columns."""
         causes: list[Cause] = []
         of_columns, names, columns = [], [], []
         for cause in all_causes(calibration.causes, _reduced_bounds(calibration)):
@@ -63,9 +63,12 @@ class Hypotheses(NamedTuple):
                     of_columns.append(len(causes) - 1)
                     names.append(f"{cause.name}: {part}" if part else cause.name)
                     columns.append((parameter, cause.limit, kind | (SECOND if number else 0)))
+        where = f"calibration '{calibration.name}'"
         if len(columns) > MAX_EFFECTS:
-            what, where = f"causes with {len(columns)} parameters", f"calibration '{calibration.name}'"
+            what = f"causes with {len(columns)} parameters"
             raise CalibrationError(what, where=where, expected=f"at most {MAX_EFFECTS}; 'some probes' has the most")
+        if len(causes) > MAX_CAUSES:
+            raise CalibrationError(f"{len(causes)} causes", where=where, expected=f"at most {MAX_CAUSES}")
         return Hypotheses(tuple(causes), tuple(of_columns), tuple(names), FaultModel.of(columns, stack.readings))
 
     def joint_causes(self) -> JointCauses:

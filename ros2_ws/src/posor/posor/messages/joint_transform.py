@@ -20,7 +20,7 @@ from posor.messages.cdr_schema import LITTLE_ENDIAN, STAMP
 from posor.messages.message_definitions import installed_schema
 from posor.messages.message_table import LEAD, MessageRows, MessageTable, TableLayout
 from posor.numerics.compiled import in_place, inlined, record_view
-from posor.numerics.stamps import time_ns
+from posor.numerics.stamps import NS, time_ns
 from posor.ros_names import JOINT_TRANSFORM
 
 if TYPE_CHECKING:
@@ -160,6 +160,11 @@ def pack_joint_transforms(layout: TableLayout, estimates: Estimates) -> MessageT
 
 
 @lru_cache(maxsize=16)
+def stamp_of(stamp_ns: int) -> bytes:
+    """Return the serialised stamp of a time [ns], also of one before 1970."""
+    return _STAMP.pack(*divmod(stamp_ns, NS))
+
+
 def stamp_ns_of(stamp: bytes) -> int:
     """Return a serialised stamp, ``data[STAMP]``, in nanoseconds; 0 for an invalid stamp.
 

@@ -11,4 +11,4 @@ from rich.console import Console
 
 def report_console(width: int) -> Console:
     """Return a console on standard output, as wide as the terminal, elsewhere of ``width`` columns."""
-    return Console(highlight=False, width=None if sys.stdout.isatty() else width)
+    return Console(highlight=False, emoji=False, width=None if sys.stdout.isatty() else width)

@@ -8,11 +8,12 @@ calibration files use.
 
 from __future__ import annotations
 
-from functools import cache
+from functools import cache, partial
 from importlib.metadata import entry_points
 from typing import get_args
 
 from posor.errors import CalibrationError
+from posor.plugins import load_class
 from posor.sensors.base import SensorCalibration
 
 GROUP = "posor.sensors"
@@ -27,15 +28,8 @@ def sensor_types() -> dict[str, type[SensorCalibration]]:
     """
     found: dict[str, type[SensorCalibration]] = {}
     for entry in entry_points(group=GROUP):
-        where = f"sensor type '{entry.name}' ({entry.value})"
-        try:
-            loaded = entry.load()
-        except Exception as error:
-            # Somebody else's module: anything can go wrong in it.
-            reason = str(error).partition("\n")[0]
-            raise CalibrationError(f"cannot be loaded: {reason}", where=where) from error
-        if not (isinstance(loaded, type) and issubclass(loaded, SensorCalibration)):
-            raise CalibrationError("is not a sensor", where=where, expected="a subclass of SensorCalibration")
+        where = f"sensor type '{entry.name}'"
+        loaded = load_class(entry, SensorCalibration, partial(CalibrationError, where=where))
         declared = loaded.model_fields.get("type")
         if declared is None or get_args(declared.annotation) != (entry.name,):
             expected = f"the field type: Literal['{entry.name}'] in the class"

@@ -162,7 +162,7 @@ def model_covariances(
 
     Raises ChainError: a POSOR has no valid pose at its angle; CalibrationError: a shared term has two uncertainties.
     """
-    files = {f"calibration '{calibration.name}'": calibration.shared for calibration in calibrations.values()}
+    files = {f"calibration of {joint}": calibration.shared for joint, calibration in calibrations.items()}
     check_same_terms({"the beams file": chain.shared, **files})
     random, systematic, shared = {}, {}, {}
     for joint in chain.joints:

@@ -10,11 +10,12 @@ from typing import Any
 import pytest
 import yaml
 from posor.calibration.calibration_file import calibration_from, parse_calibration
-from posor.calibration.causes import DEFAULT_CAUSES, FALSE_ALARM, MOVES, Cause
+from posor.calibration.causes import DEFAULT_CAUSES, FALSE_ALARM, MAX_CAUSES, MOVES, Cause
 from posor.calibration.designs import DesignName, design
 from posor.errors import CalibrationError
 from posor.estimation.posor import Posor
 from posor.node_parameters import ChainParameters, PosorParameters
+from posor_lab.harness.case_tables import refusal
 
 VALID: dict[str, Any] = {
     "name": "reference",
@@ -92,6 +93,13 @@ def test_every_default_is_a_valid_entry_and_every_phrase_has_readings() -> None:
             stack: DesignName = "quad_bumpy_ring" if "ring" in moves else "quad_diodes"
             names = Posor(calibration_from({**content(), **_sensors(stack), "causes": [entry.model_dump()]}))
             assert any(each.split(":")[0] == "x" for each in names.hypotheses.names), moves
+
+
+def test_more_causes_than_a_message_holds_are_refused() -> None:
+    causes = [{**VALID, "name": f"cause {number}", "moves": "all gap probes"} for number in range(MAX_CAUSES)]
+    Posor(calibration_from(content(*causes[:40])))
+    error = refusal(CalibrationError, Posor, calibration_from(content(*causes)))
+    assert error.expected == f"at most {MAX_CAUSES}"
 
 
 def _sensors(stack: DesignName) -> dict[str, Any]:

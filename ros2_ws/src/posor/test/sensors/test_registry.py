@@ -64,10 +64,10 @@ def test_our_own_and_a_third_package(tmp_path: Path, monkeypatch: pytest.MonkeyP
         (
             ["lever = lever_a:Missing"],
             MODULE,
-            "sensor type 'lever' (lever_a:Missing): cannot be loaded: module 'lever_a' has no attribute 'Missing'.",
+            "sensor type 'lever': lever_a:Missing cannot be loaded, module 'lever_a' has no attribute 'Missing'.",
         ),
-        (["lever = lever_b:Sound"], "1 / 0\n", "(lever_b:Sound): cannot be loaded: division by zero."),
-        (["lever = lever_c:Foreign"], MODULE, "is not a sensor; expected a subclass of SensorCalibration."),
+        (["lever = lever_b:Sound"], "1 / 0\n", "lever_b:Sound cannot be loaded, division by zero."),
+        (["lever = lever_c:Foreign"], MODULE, "is another class; expected a subclass of SensorCalibration."),
         (["arm = lever_d:Sound"], MODULE, "expected the field type: Literal['arm'] in the class."),
         (["lever = lever_e:Nameless"], MODULE, "does not declare its name"),
         (["lever = lever_f:Sound", "lever = lever_g:Sound"], MODULE, "is there twice, also as lever_"),

@@ -13,6 +13,7 @@ from posor.bags.block_reader import read_messages
 from posor.bags.calibration_recording import bag_sha256, read_scans
 from posor.bags.recording import Track
 from posor.errors import BagError
+from posor.messages.joint_position import joint_position
 from posor.messages.message_definitions import schema_of_topic
 from posor.numerics.stamps import time_ns
 from posor.ros_names import COMMISSIONING_STEP, JOINT_STATE, POINT_STAMPED
@@ -112,13 +113,12 @@ def _read(reader: OrderedReader, topic: str, kind: str, where: str) -> list[tupl
 
 
 def _encoder_track(messages: Sequence[tuple[int, Mapping[str, Any]]], name: str, where: str) -> Track | None:
-    """Return the angles of a joint; None: no message holds it."""
+    """Return the angles of a joint; None: no message holds it. Raises TopicError: a message holds several, unnamed."""
     found: dict[int, float] = {}
     for stamp, values in messages:
         names, positions = list(values["name"]), list(values["position"])
-        index = names.index(name) if name in names else 0 if not name else -1
-        if 0 <= index < len(positions):
-            found[stamp] = positions[index]
+        if positions and not (name and name not in names):  # otherwise efforts, or other joints of the topic
+            found[stamp] = joint_position(names, positions, name)
     if not found:
         return None
     stamps = sorted(found)

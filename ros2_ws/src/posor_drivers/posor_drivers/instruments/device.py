@@ -22,13 +22,14 @@ import re
 from abc import ABC, abstractmethod
 from contextlib import suppress
 from dataclasses import dataclass
-from importlib.metadata import entry_points
+from functools import partial
 from ipaddress import ip_address
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Generic, Literal, TypeVar
 
 from posor.calibration.file_model import EntryError, FrozenModel
 from posor.calibration.quantity import Quantity, measured
 from posor.errors import PosorError
+from posor.plugins import load_class, registered
 from pydantic import AfterValidator, Field
 
 from posor_drivers.instruments.channel_exposures import ExposureEntry, Exposures, find_exposures
@@ -262,7 +263,26 @@ def refuse_repeated_numbers(numbers: Mapping[str, int]) -> None:
             raise EntryError(f"number {number}, used twice", key=("channels", name), expected="a number for each")
 
 
-def device_classes() -> dict[str, type[Device[Any]]]:
-    """Return the classes of all kinds of devices by name."""
-    entries = sorted(entry_points(group=ENTRY_POINT_GROUP), key=lambda entry: entry.name)
-    return {entry.name: entry.load() for entry in entries}
+def device_kinds() -> tuple[str, ...]:
+    """Return the names of all kinds of devices."""
+    return tuple(registered(ENTRY_POINT_GROUP))
+
+
+def device_class(kind: str) -> type[Device[Any]]:
+    """Return the class of a kind of devices. Raises EntryError: it cannot be loaded."""
+    found: type[Device[Any]] = load_class(
+        registered(ENTRY_POINT_GROUP)[kind], Device, partial(EntryError, key=("kind",))
+    )
+    return found
+
+
+def settings_of_kinds() -> dict[str, type[DeviceSettings] | EntryError]:
+    """Return the class of the settings of each kind of devices, or why it cannot be loaded."""
+
+    def settings(kind: str) -> type[DeviceSettings] | EntryError:
+        try:
+            return device_class(kind).Settings
+        except EntryError as error:
+            return error
+
+    return {kind: settings(kind) for kind in device_kinds()}

@@ -21,7 +21,7 @@ from posor.reporting.command_line_parser import CommandLineParser
 from posor.reporting.program_errors import reports_errors
 
 from posor_drivers.instruments.calibrated_readings import readings_of
-from posor_drivers.instruments.device import DeviceError, device_classes
+from posor_drivers.instruments.device import DeviceError, device_class, device_kinds
 from posor_drivers.instruments.device_reader import DeviceReader
 from posor_drivers.instruments.instruments_file import READINGS, WHOLE_NUMBERS, InstrumentsFile, load_instruments
 from posor_drivers.instruments.reading_noise import calibration_in_motion, noise_in_motion
@@ -97,7 +97,7 @@ def _list(file: InstrumentsFile) -> None:
     for joint, readings in file.joints.items():
         for _, (name, *index), entry in readings.entries():
             uses.setdefault(entry.channel, []).append(f"{joint} {name}" + "".join(f"[{n}]" for n in index))
-    print(f"kinds of devices: {', '.join(device_classes())}")
+    print(f"kinds of devices: {', '.join(device_kinds())}")
     for name, device in file.new_devices().items():
         print(f"{name}: {device.settings.kind} at {device.address}, {device.frame_rate:g} frames per second")
         for channel, offset_s in zip(device.channels, device.exposures.offsets_s, strict=True):
@@ -207,12 +207,12 @@ def _add_device(
     content: dict[str, Any], entry: dict[str, Any], device: str, kind: str, readings: Mapping[str, str]
 ) -> None:
     """Add a device with channels for some readings, and these readings to a joint."""
-    classes = device_classes()
-    if kind not in classes:
-        raise ParameterError(f"kind '{kind}'", where="instruments start", expected=f"one of {', '.join(classes)}")
+    if kind not in (kinds := device_kinds()):
+        raise ParameterError(f"kind '{kind}'", where="instruments start", expected=f"one of {', '.join(kinds)}")
+    device_type = device_class(kind)
     units = {name: READINGS[reading] for name, reading in readings.items()}
-    settings = {"kind": kind, **classes[kind].starting_settings(units)}
-    made = classes[kind](device, classes[kind].Settings.model_validate(settings))
+    settings = {"kind": kind, **device_type.starting_settings(units)}
+    made = device_type(device, device_type.Settings.model_validate(settings))
     content["devices"][device] = settings
     units_of_device = {channel.name: channel.unit for channel in made.channels}
     for name, reading in readings.items():

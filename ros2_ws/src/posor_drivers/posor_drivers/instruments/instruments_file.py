@@ -43,7 +43,7 @@ from posor.calibration.yaml_document import load_document
 from posor.ros_names import ROS_NAME_RULE, is_ros_name
 from pydantic import Field, model_validator
 
-from posor_drivers.instruments.device import Device, DeviceSettings, device_classes
+from posor_drivers.instruments.device import Device, DeviceSettings, device_class, settings_of_kinds
 from posor_drivers.instruments.device_reader import CAPACITY
 from posor_drivers.instruments.reference_entry import ChannelEntry, ReferenceEntry
 from posor_drivers.quantity_limits import NOT_NEGATIVE, Delay, TickRate
@@ -129,7 +129,7 @@ class ThermometerEntry(ChannelEntry):
     joint: str
 
 
-SETTINGS: Any = select_model_by_key("kind", {kind: device.Settings for kind, device in device_classes().items()})
+SETTINGS: Any = select_model_by_key("kind", settings_of_kinds())
 
 
 class InstrumentsFile(FrozenModel):
@@ -205,8 +205,7 @@ class InstrumentsFile(FrozenModel):
 
     def new_devices(self) -> dict[str, Device[Any]]:
         """Return the devices, not connected."""
-        classes = device_classes()
-        return {name: classes[settings.kind](name, settings) for name, settings in self.devices.items()}
+        return {name: device_class(settings.kind)(name, settings) for name, settings in self.devices.items()}
 
 
 def _check_units(unit: str, entry: ChannelEntry, units: dict[str, str], key: tuple[str | int, ...]) -> None:

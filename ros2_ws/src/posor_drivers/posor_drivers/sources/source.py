@@ -18,12 +18,13 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from importlib.metadata import EntryPoint, entry_points
+from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, NamedTuple, TypeVar
 
 from posor.errors import ParameterError
 from posor.numerics.stamps import first_tick_after, tick_stamp_ns
 from posor.parameter_model import ParameterGroup
+from posor.plugins import load_class, registered
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -197,11 +198,6 @@ class LiveSource(Source[ParametersT]):
         return tick_stamp_ns(tick, self.rate)
 
 
-def registered_sources() -> dict[str, EntryPoint]:
-    """Return the entry points of all sources by name."""
-    return {entry.name: entry for entry in sorted(entry_points(group=ENTRY_POINT_GROUP), key=lambda entry: entry.name)}
-
-
 def load_source_class(name: str) -> type[Source[Any]]:
     """Return the source registered as ``name``.
 
@@ -210,17 +206,11 @@ def load_source_class(name: str) -> type[Source[Any]]:
 
     """
     where = "parameter 'source'"
-    entries = registered_sources()
+    entries = registered(ENTRY_POINT_GROUP)
     if name not in entries:
         names = ", ".join(f"'{known}'" for known in entries)
         expected = f"one of {names}"
         raise ParameterError(f"source '{name}' is unknown", where=where, expected=expected, parameter="source")
-    try:
-        found = entries[name].load()
-    except (ImportError, AttributeError) as error:
-        what = f"source '{name}' cannot be loaded, {error}"
-        raise ParameterError(what, where=where, parameter="source") from None
-    if not (isinstance(found, type) and issubclass(found, Source)):
-        what = f"the entry point of source '{name}' is not a source"
-        raise ParameterError(what, where=where, expected="a subclass of Source", parameter="source")
+    refuse = partial(ParameterError, where=f"{where}, '{name}'", parameter="source")
+    found: type[Source[Any]] = load_class(entries[name], Source, refuse)
     return found

@@ -48,14 +48,14 @@ def test_live_source_has_the_ticks_of_the_clock_and_no_inputs_by_default() -> No
 @pytest.mark.parametrize(
     ("value", "sentence"),
     [
-        ("no_such_module:Box", "source 'box' cannot be loaded, No module named 'no_such_module'."),
-        ("pathlib:Box", "source 'box' cannot be loaded, module 'pathlib' has no attribute 'Box'."),
-        ("pathlib:Path", "the entry point of source 'box' is not a source; expected a subclass of Source."),
+        ("no_such_module:Box", "no_such_module:Box cannot be loaded, No module named 'no_such_module'."),
+        ("pathlib:Box", "pathlib:Box cannot be loaded, module 'pathlib' has no attribute 'Box'."),
+        ("pathlib:Path", "pathlib:Path is another class; expected a subclass of Source."),
     ],
 )
 def test_invalid_entry_point_is_refused(monkeypatch: pytest.MonkeyPatch, value: str, sentence: str) -> None:
     entry = EntryPoint("box", value, source.ENTRY_POINT_GROUP)
-    monkeypatch.setattr(source, "registered_sources", lambda: {"box": entry})
+    monkeypatch.setattr(source, "registered", lambda _group: {"box": entry})
     with pytest.raises(ParameterError) as refused:
         load_source_class("box")
-    assert str(refused.value) == f"parameter 'source': {sentence}"
+    assert str(refused.value) == f"parameter 'source', 'box': {sentence}"

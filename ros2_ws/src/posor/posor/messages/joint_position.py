@@ -1,0 +1,27 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Position of one joint in a sensor_msgs/JointState."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from posor.errors import TopicError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+
+def joint_position(names: Sequence[str], positions: Sequence[float], joint: str) -> float:
+    """Return the position of a joint [rad], without a name that of the only one.
+
+    Raises TopicError: the message does not hold the position.
+    """
+    if joint and joint not in names:
+        raise TopicError(f"no joint '{joint}' among {', '.join(names)}")
+    if not joint and len(positions) != 1:
+        raise TopicError(f"{len(positions)} positions", expected="one, or the parameter 'encoder.joint'")
+    index = names.index(joint) if joint else 0
+    if index >= len(positions):
+        raise TopicError(f"no position of joint '{joint}'")
+    return float(positions[index])
