@@ -31,6 +31,7 @@ from posor_bringup.view_recording import Recording
 from posor_drivers.message_builder import SimulatedMessages
 from posor_drivers.simulator.arm_simulation import ArmSimulation
 from posor_drivers.simulator.faults import SimulatedFault
+from posor_lab.harness.beams import quantity
 from posor_lab.harness.message_conversion import recorded_scans
 from posor_msgs.msg import RawScan
 from posor_ros.qos import RELIABLE_QOS
@@ -57,8 +58,8 @@ def simulated_fault(
 ) -> SimulatedFault:
     """Return a fault of the simulator."""
     entry: dict[str, object] = {"joint": joint, "kind": kind, "channel": channel}
-    entry |= {"from": {"value": begin_s, "unit": "s"}, "until": {"value": end_s, "unit": "s"}}
-    return SimulatedFault.model_validate(entry | ({} if volts is None else {"size": {"value": volts, "unit": "V"}}))
+    entry |= {"from": quantity(begin_s, "s"), "until": quantity(end_s, "s")}
+    return SimulatedFault.model_validate(entry | ({} if volts is None else {"size": quantity(volts, "V")}))
 
 
 def without_effects(estimates: Estimates) -> Estimates:

@@ -16,10 +16,10 @@ from posor.chain.kinematic_chain import Chain
 from posor.estimation.posor import Posor
 from posor_bringup.installed import Bag, CalibrationName, bag_path, calibration_path, urdf_path
 from posor_lab.harness.message_conversion import estimate_with_effects, is_usable, scan_from_message, transform_message
+from posor_lab.harness.recorded_messages import read_bag
 from posor_lab.replay_1985.replay import ReplayPlan
 from posor_msgs.msg import JointTransform, RawScan
 from rclpy.serialization import deserialize_message
-from rosbags.rosbag2 import Reader
 
 
 def make_plan(
@@ -32,9 +32,8 @@ def make_plan(
 
 def read_bag_messages(bag: Path) -> dict[str, list[bytes]]:
     messages: dict[str, list[bytes]] = {}
-    with Reader(bag) as reader:
-        for connection, _, data in reader.messages():
-            messages.setdefault(connection.topic, []).append(bytes(data))
+    for topic, _, data in read_bag(bag):
+        messages.setdefault(topic, []).append(data)
     return messages
 
 

@@ -15,9 +15,8 @@ from typing import Any
 import numpy as np
 import pytest
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
-from posor.arm_names import find_arm
 from posor.bags.reprocess_command import main as reprocess
-from posor.chain.arm_file import ArmFile, DriverFile
+from posor.chain.arm_file import DriverFile
 from posor.numerics.array_types import FloatArray
 from posor_bringup.arm_programs import arm_programs
 from posor_bringup.arms import load_checked_arm
@@ -51,13 +50,6 @@ OTHERS = {  # what the nodes publish beside the endpoint
 TICKS, RATE, START_NS = 2000, 200, 1_767_225_600_000_000_000
 LOSSLESS: dict[str, Parameter] = {"lossless": True}
 WITHIN = 1e-12  # what another machine's arithmetic may differ by, in metres, radians and quaternions
-
-
-def recorded_arm() -> ArmFile:
-    """Return the arm with the probability of a false alarm that the poses of the bag were recorded with."""
-    arm = load_checked_arm("five_axis")
-    stated = {joint: {**arm.posor_parameters.get(joint, {}), "false_alarm": 0.1} for joint in JOINTS}
-    return replace(arm, posor_parameters=stated)
 
 
 @cache
@@ -120,7 +112,7 @@ def test_the_bag_holds_one_cycle_of_the_scenario() -> None:
 
 def test_the_scans_of_the_bag_give_its_poses() -> None:
     known = messages(BAG)[POSE]
-    estimated = arm_endpoints(recorded_arm(), {joint: messages(BAG)[RAW[joint]] for joint in JOINTS})
+    estimated = arm_endpoints(load_checked_arm("five_axis"), {joint: messages(BAG)[RAW[joint]] for joint in JOINTS})
     assert [stamp_ns(pose) for pose in known] == estimated.stamps_ns.tolist()
     np.testing.assert_allclose([leaves(pose.pose) for pose in known], estimated.poses, rtol=0.0, atol=WITHIN)
 
@@ -128,11 +120,10 @@ def test_the_scans_of_the_bag_give_its_poses() -> None:
 @pytest.mark.long
 @pytest.mark.usefixtures("ros_domain")
 def test_the_bag_replays_bit_for_bit(tmp_path: Path) -> None:
-    options = ["--arm", str(find_arm("five_axis")), "--false-alarm", "1e-3"]
-    assert reprocess([str(BAG), *options, "--output", str(tmp_path / "out")]) == 0
+    assert reprocess([str(BAG), "--arm", "five_axis", "--output", str(tmp_path / "out")]) == 0
     offline = read_bag_messages(tmp_path / "out")
     assert set(offline) == {*OTHERS, POSE, f"{POSE}_with_covariance"}
-    arm = recorded_arm()
+    arm = load_checked_arm("five_axis")
     parameters: dict[str, Parameter] = {
         "bag.path": str(BAG),
         "bag.topic": "/{arm}/{joint}/raw",
@@ -157,7 +148,7 @@ def test_the_bag_replays_bit_for_bit(tmp_path: Path) -> None:
         replaying = [stack.enter_context(Program(program.command())) for program in drivers]
         scans = {topic: graph.collect(RawScan, topic, raw=True) for topic in RAW.values()}
         raw_messages = {joint: messages(BAG)[topic] for joint, topic in RAW.items()}
-        expected = arm_endpoints(recorded_arm(), raw_messages)
+        expected = arm_endpoints(load_checked_arm("five_axis"), raw_messages)
         graph.wait_until(lambda: all(len(scans[topic]) == len(raw[topic]) for topic in scans), "all scans")
         graph.wait_until(lambda: len(poses) == len(with_covariance) == len(expected), "all poses")
         graph.wait_until(lambda: all(len(others[topic]) == len(offline[topic]) for topic in OTHERS), "all else")

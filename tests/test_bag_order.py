@@ -27,20 +27,20 @@ from posor.errors import BagError
 from posor.messages.estimate_arrays import ArmEstimates
 from posor.messages.message_definitions import MessageTypes
 from posor.messages.raw_scan import ScanTemplate, scan_of
+from posor.numerics.stamps import NS
 from posor_bringup.arms import load_checked_arm
 from posor_bringup.view_messages import BagTopics
 from posor_drivers.sources.bag_source import BagParameters, BagSource
 from posor_drivers.sources.looped_source import LoopedParameters, LoopedSource
 from posor_lab.harness.graph import Graph
 from posor_lab.harness.program import Program, installed
+from posor_lab.harness.recorded_messages import read_bag
 from posor_msgs.msg import RawScan
 from posor_ros.ros_arguments import ros_arguments
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 
 BAG = Path(__file__).resolve().parents[1] / "bags/five_axis"
 ELBOW = "/five_axis/elbow/raw"
-NS = 1_000_000_000
-SHIFT_NS = 20 * NS
 Record = tuple[str, int, bytes]  # topic, log time [ns], message
 Files = dict[str, list[Record]]  # in the order in which metadata.yaml lists them
 
@@ -48,12 +48,7 @@ Files = dict[str, list[Record]]  # in the order in which metadata.yaml lists the
 @pytest.fixture(scope="module")
 def records() -> list[Record]:
     """Return the raw scans and the endpoint of the bag."""
-    with Reader(BAG) as reader:
-        return [
-            (connection.topic, time_ns, bytes(data))
-            for connection, time_ns, data in reader.messages()
-            if connection.topic.endswith(("/raw", "/endpoint/pose"))
-        ]
+    return [each for each in read_bag(BAG) if each[0].endswith(("/raw", "/endpoint/pose"))]
 
 
 def write(folder: Path, files: Mapping[str, Sequence[Record]], storage: StoragePlugin = StoragePlugin.MCAP) -> Path:
@@ -148,7 +143,7 @@ def as_recorded(reader: str) -> list[Any]:
 
 @cache
 def estimates_as_recorded() -> ArmEstimates:
-    return load_arm(find_arm("five_axis")).estimate(BAG)
+    return load_arm("five_axis").estimate(BAG)
 
 
 @pytest.mark.parametrize(
@@ -164,7 +159,7 @@ def test_no_arrangement_of_a_recording_costs_anything(
     bag = write(tmp_path / "bag", ARRANGEMENTS[arrangement](records), storage)
     for name, read in READERS.items():
         assert read(bag) == as_recorded(name), name
-    found, expected = load_arm(find_arm("five_axis")).estimate(bag), estimates_as_recorded()
+    found, expected = load_arm("five_axis").estimate(bag), estimates_as_recorded()
     np.testing.assert_array_equal(found.endpoint.poses, expected.endpoint.poses)
     for joint, estimates in expected.joints.items():
         np.testing.assert_array_equal(found.joints[joint].poses, estimates.poses)

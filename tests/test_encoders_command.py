@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from posor.arm_names import find_arm
 from posor.bags.recorded_encoders import RecordedEncoders, read_encoders
 from posor.chain.arm_file import load_arm_file
 from posor.errors import ParameterError
@@ -24,7 +23,7 @@ OPTIONS = ["five_axis", "--bag", str(BAG), "--topic", "/five_axis/encoders"]
 
 
 def test_the_backlash_of_the_recorded_arm_is_found(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    scenario = load_scenario(load_arm_file(find_arm("five_axis")).scenario or Path())
+    scenario = load_scenario(load_arm_file("five_axis").scenario or Path())
     output = tmp_path / "new" / "encoders.csv"
     assert main([*OPTIONS, "--output", str(output), "--bins", "12"]) == 0
     text = capsys.readouterr().out

@@ -124,7 +124,7 @@ def test_an_unsuitable_option_is_refused(
 def test_the_interpolation_error_goes_into_the_noise_of_the_calibrations(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    arm = load_arm_file(find_arm("test_rig"))
+    arm = load_arm_file("test_rig")
     assert instruments(["start", str(arm.path), "--device", "stream"]) == 0
     content = yaml.safe_load(capsys.readouterr().out)
     (joint,) = content["joints"].values()

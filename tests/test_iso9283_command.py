@@ -20,6 +20,7 @@ from posor.messages.message_definitions import MessageTypes
 from posor.numerics.stamps import NS
 from posor.ros_names import POSE_STAMPED
 from posor_bringup.iso9283_command import OUTPUT_FILES, main
+from posor_lab.harness.beams import quantity
 from posor_lab.harness.full_disk import full_disk_changes_nothing
 from posor_lab.harness.iso9283_by_hand import figures_of
 from posor_ros.qos import RELIABLE_QOS
@@ -37,11 +38,11 @@ REST_S, MOVE_S, RATE_HZ = 0.3, 0.25, 100
 
 def motion() -> list[Any]:
     """Rest at zero, then in turn at each angle."""
-    still = {"kind": "rest", "duration": {"value": REST_S, "unit": "s"}}
+    still = {"kind": "rest", "duration": quantity(REST_S, "s")}
     phases: list[Any] = [still]
     for angle in ANGLES * CYCLES:
-        through = {"value": [[angle]], "unit": "rad"}
-        move = {"kind": "spline", "duration": {"value": MOVE_S, "unit": "s"}, "joints": ["joint1"], "through": through}
+        through = quantity([[angle]], "rad")
+        move = {"kind": "spline", "duration": quantity(MOVE_S, "s"), "joints": ["joint1"], "through": through}
         phases += [move, still]
     return phases
 
@@ -51,7 +52,7 @@ def arm(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("rig")
     scenario = yaml.safe_load((RIG / "scenario.yaml").read_text(encoding="utf-8"))
     duration = REST_S + len(ANGLES) * CYCLES * (REST_S + MOVE_S)
-    scenario |= {"motion": motion(), "duration": {"value": round(duration, 6), "unit": "s"}}
+    scenario |= {"motion": motion(), "duration": quantity(round(duration, 6), "s")}
     scenario["rate"]["value"] = RATE_HZ
     del scenario["electronics"]["zero_drift"], scenario["electronics"]["dropouts"]
     del scenario["electronics"]["supply"]

@@ -8,7 +8,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
@@ -22,6 +21,7 @@ from posor.lazy_program import EXIT_INTERRUPTED
 from posor_bringup.arms import load_checked_arm
 from posor_bringup.installed import bag_path, calibration_path
 from posor_lab.benchmark.offline_benchmark import repeat_bag
+from posor_lab.harness.full_disk import contents_of
 from posor_lab.harness.program import Program, installed, wait_until, writes_below
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -52,12 +52,6 @@ def at_work(worker: Program) -> bool:
     return writes_below(worker.process.pid, UNFINISHED)
 
 
-def files(folder: Path) -> Iterator[tuple[str, bytes]]:
-    for path in sorted(folder.rglob("*")):
-        if path.is_file():
-            yield str(path.relative_to(folder)), path.read_bytes()
-
-
 @pytest.mark.long
 def test_the_results_are_whole_and_the_same_though_a_worker_is_killed(bags: Path, tmp_path: Path) -> None:
     given = [*(str(bags / name) for name in BAGS), *ARM]
@@ -71,14 +65,14 @@ def test_the_results_are_whole_and_the_same_though_a_worker_is_killed(bags: Path
             worker.wait_for_line("Registered to:")
         command = [*given, "--output", str(tmp_path / "cluster"), "--scheduler", address]
         client = stack.enter_context(Program([*installed("posor", "reprocess"), *command]))
-        wait_until(lambda: any(map(at_work, workers)), "a worker at work", lambda: time.sleep(0.01))
+        wait_until(lambda: any(map(at_work, workers)), "a worker at work")
         victim = next(worker for worker in workers if at_work(worker))
         os.kill(victim.process.pid, signal.SIGKILL)
         assert victim.wait() == -signal.SIGKILL
         assert any((tmp_path / "cluster").glob(f"{UNFINISHED}*"))
         assert client.process.wait(240) == 0, client.stderr
     assert sorted(path.name for path in (tmp_path / "cluster").iterdir()) == list(BAGS)
-    assert dict(files(tmp_path / "cluster")) == dict(files(tmp_path / "alone"))
+    assert contents_of(tmp_path / "cluster") == contents_of(tmp_path / "alone")
 
 
 @pytest.mark.long
@@ -91,7 +85,7 @@ def test_an_interruption_is_one_line_and_leaves_no_results(bags: Path, tmp_path:
         worker.wait_for_line("Registered to:")
         given = [*(str(bags / name) for name in BAGS), *ARM, "--output", str(tmp_path / "out"), "--scheduler", address]
         client = stack.enter_context(Program([*installed("posor", "reprocess"), *given]))
-        wait_until(lambda: at_work(worker), "a worker at work", lambda: time.sleep(0.01))
+        wait_until(lambda: at_work(worker), "a worker at work")
         assert client.end(signal.SIGINT) == EXIT_INTERRUPTED
         assert client.errors[-1] == "reprocess: interrupted; what was not finished is not there."
         assert not any("Traceback" in line for line in client.errors)
@@ -134,7 +128,7 @@ def test_a_cluster_with_tls_has_the_same_results_and_refuses_others(
         )
         dask.config.refresh(paths=[str(certificates / "dask.yaml")])
         assert main([*cluster, "--output", str(tmp_path / "cluster" / "ymo")]) == 0
-        assert dict(files(tmp_path / "cluster")) == dict(files(tmp_path / "alone"))
+        assert contents_of(tmp_path / "cluster") == contents_of(tmp_path / "alone")
         plain = address.replace("tls", "tcp")
         assert said(capsys, *given, "--scheduler", plain) == (
             f"option --scheduler: {plain} is not encrypted; expected tls://, as Dask's configuration says."

@@ -6,8 +6,7 @@ from __future__ import annotations
 
 import os
 import signal
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -65,10 +64,6 @@ def at_work(run: Program) -> list[int]:
     return [pid for pid in workers(run) if writes_below(pid, UNFINISHED)]
 
 
-def until(condition: Callable[[], bool], what: str) -> None:
-    wait_until(condition, what, lambda: time.sleep(0.005))
-
-
 def there(output: Path) -> list[str]:
     return sorted(path.name for path in output.iterdir())
 
@@ -82,20 +77,20 @@ def test_an_interrupt_ends_all_at_once(bags: Path, tmp_path: Path, number: signa
     output = tmp_path / "out"
     with program(bags, ("a", *LONG), output) as run:
         run.wait_for_line(f"written to {output / 'a'}")
-        until(lambda: len(at_work(run)) == 2, "two bags in the making after the first")
+        wait_until(lambda: len(at_work(run)) == 2, "two bags in the making after the first")
         pids = children(run)
         send(run, number, to)
         assert run.wait() == 130
         assert run.stderr == [INTERRUPTED]
         assert [line for line in run.stdout if "written to" in line] == [f"written to {output / 'a'}"]
     assert there(output) == ["a"]
-    until(lambda: not any(Path(f"/proc/{pid}").exists() for pid in pids), "the end of all processes")
+    wait_until(lambda: not any(Path(f"/proc/{pid}").exists() for pid in pids), "the end of all processes")
 
 
 @WAYS
 def test_an_interrupt_during_the_start_ends_all(bags: Path, tmp_path: Path, number: signal.Signals, to: str) -> None:
     with program(bags, LONG, tmp_path / "out") as run:
-        until(lambda: len(workers(run)) == 2, "two processes")
+        wait_until(lambda: len(workers(run)) == 2, "two processes")
         send(run, number, to)
         assert run.wait() == 130
         assert run.stderr == [INTERRUPTED]
@@ -105,7 +100,7 @@ def test_an_interrupt_during_the_start_ends_all(bags: Path, tmp_path: Path, numb
 @pytest.fixture
 def started(bags: Path, tmp_path: Path) -> Iterator[Program]:
     with program(bags, LONG, tmp_path / "out") as run:
-        until(lambda: len(at_work(run)) == 2, "two bags in the making")
+        wait_until(lambda: len(at_work(run)) == 2, "two bags in the making")
         yield run
     assert there(tmp_path / "out") == []
 
@@ -121,7 +116,7 @@ def test_repeated_interrupts_do_not_disturb_the_clean_up(started: Program) -> No
 def test_an_interrupt_of_one_bag_leaves_nothing(bags: Path, tmp_path: Path) -> None:
     output = tmp_path / "results" / "out"
     with program(bags, ("b",), output) as run:
-        until(lambda: any(output.parent.glob(f"{UNFINISHED}*/new/out/*.mcap")), "a bag in the making")
+        wait_until(lambda: any(output.parent.glob(f"{UNFINISHED}*/new/out/*.mcap")), "a bag in the making")
         assert run.end(signal.SIGTERM) == 130
         assert run.stderr == [INTERRUPTED]
     assert there(output.parent) == []
@@ -144,6 +139,6 @@ def test_processes_end_when_the_program_is_killed(started: Program) -> None:
     pids = workers(started)
     send(started, signal.SIGKILL, "parent")
     assert started.wait() == -signal.SIGKILL
-    until(lambda: not any(Path(f"/proc/{pid}").exists() for pid in pids), "the end of all processes")
+    wait_until(lambda: not any(Path(f"/proc/{pid}").exists() for pid in pids), "the end of all processes")
     # Python's own resource tracker reports the semaphores of the killed program; the workers say nothing.
     assert all("resource_tracker" in line or line.startswith("  warnings.warn") for line in started.stderr)

@@ -27,14 +27,14 @@ ROOT = Path(__file__).resolve().parents[1]
 BAG = ROOT / "bags" / "five_axis"  # simulated
 
 
-def write_bag(path: Path, hashes: Mapping[str, str], scans: int = 100) -> Path:
+def write_bag(path: Path, hashes: Mapping[str, str]) -> Path:
     """Write the first raw scans of the five-axis arm as the recorder would."""
     definition = MessageTypes().definition(RAW_SCAN)
     with BagWriter(path, hashes) as writer, Reader(BAG) as reader:
         topics = [connection for connection in reader.connections if connection.msgtype == RAW_SCAN]
         for topic in topics:
             writer.add_topic(topic.topic, RAW_SCAN, definition, [])
-        for number, (topic, time_ns, data) in enumerate(islice(reader.messages(topics), scans)):
+        for number, (topic, time_ns, data) in enumerate(islice(reader.messages(topics), 100)):
             writer.write(topic.topic, time_ns, data)
             if number % 20 == 19:
                 writer.flush()
@@ -88,7 +88,7 @@ def test_another_version_of_the_software_is_named_and_a_bag_without_hashes_is_no
 @pytest.mark.long
 @pytest.mark.timeout(900)
 def test_no_flipped_bit_changes_results_without_an_error(tmp_path: Path) -> None:
-    arm, bag = load_arm(find_arm("five_axis")), write_bag(tmp_path / "bag", {})
+    arm, bag = load_arm("five_axis"), write_bag(tmp_path / "bag", {})
 
     def results() -> bytes | str:
         try:

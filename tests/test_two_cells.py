@@ -8,7 +8,6 @@ import re
 import shutil
 import signal
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import pytest
 from posor.errors import ParameterError
@@ -21,9 +20,6 @@ from posor_lab.harness.graph import Graph
 from posor_lab.harness.program import Program, installed
 from posor_msgs.msg import EndpointState
 from tf2_msgs.msg import TFMessage
-
-if TYPE_CHECKING:
-    pass
 
 CELLS = ("cell1", "hall/cell2")
 ENCODER = "parameters: {encoder.sigma: 0.001, encoder.joint: joint1, encoder.topic: '{namespace}/encoders'}"

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from posor.arm_names import ARM_FILE
 from posor.chain.arm_file import load_arm_file
 from posor.errors import ParameterError
 from posor.estimation.posor import Posor
@@ -21,7 +22,7 @@ from posor.model.native_coordinates import native_from_rotation, native_jacobian
 from posor.numerics.vector import wrapped_angles
 from posor.reporting.program_errors import reports_errors
 from posor_design.layout_evaluation import random_poses
-from posor_design.posor_output import ARM_FILE, JOINT, REQUIREMENT
+from posor_design.posor_output import JOINT, REQUIREMENT
 from posor_design.requirement import FREEDOMS, load_requirement
 from rich.console import Console
 from rich.progress import Progress

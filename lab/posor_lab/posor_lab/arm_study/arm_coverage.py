@@ -85,9 +85,7 @@ class Coverage:
     inside_independent: MeanEstimate | None = None  # ``inside`` with shared terms taken as independent; None: no terms
 
 
-def arm_coverage(
-    arm: ArmFile, arms: int = ARMS, poses: int = POSES, *, on_drawn: Callable[[int], None] = lambda _: None
-) -> Coverage:
+def arm_coverage(arm: ArmFile, arms: int, *, on_drawn: Callable[[int], None] = lambda _: None) -> Coverage:
     """Return how published uncertainty and predicted sag hold for many arms with the files of ``arm``.
 
     The seeds of the arms follow the seed of the scenario, which is that of the live run; the poses are evenly spread
@@ -95,9 +93,9 @@ def arm_coverage(
 
     Raises PosorError: the arm has no scenario or no beams file, or a file is invalid.
     """
-    predicted = ArmSampler(arm, poses).predicted_shift()[:, :3]
+    predicted = ArmSampler(arm, POSES).predicted_shift()[:, :3]
     seed = 0 if arm.scenario is None else load_scenario(arm.scenario).seed + 1
-    return coverage_figures(sample_arms(arm, arms, poses, seed, on_drawn=on_drawn), predicted)
+    return coverage_figures(sample_arms(arm, arms, POSES, seed, on_drawn=on_drawn), predicted)
 
 
 def coverage_figures(sample: ArmSample, predicted: FloatArray) -> Coverage:

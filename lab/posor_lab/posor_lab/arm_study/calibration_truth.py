@@ -25,6 +25,7 @@ from scipy.special import chdtri
 
 from posor_lab.arm_study.shared_arm import write_shared_arm
 from posor_lab.arm_study.statement_truth import DrawnArm, StatementTruth
+from posor_lab.harness.beams import quantity
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -42,12 +43,12 @@ REFLECTORS = {"smr1": (0.0, 0.0, 0.05), "smr2": (0.0, 0.08, 0.0), "smr3": (0.1, 
 DIMENSIONS = 6
 
 
-def write_assembled_arm(arm: ArmFile, folder: Path, sigma: float = ASSEMBLED) -> Path:
+def write_assembled_arm(arm: ArmFile, folder: Path) -> Path:
     """Write a copy of an arm with shared errors, whose beams are as uncertain as when assembled; return its file."""
     path = write_shared_arm(arm, folder)
     beams = folder / "beams.yaml"
     changes = {
-        f"beams[{n}].uncertainty.{name}": {"value": [sigma] * 3, "unit": unit}
+        f"beams[{n}].uncertainty.{name}": quantity([ASSEMBLED] * 3, unit)
         for n in range(len(load_beams(beams).beams))
         for name, unit in (("position", "m"), ("orientation", "rad"))
     }

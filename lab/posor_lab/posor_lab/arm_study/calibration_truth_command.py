@@ -40,10 +40,10 @@ def _outcomes(path: Path, used: int, tested: int, draws: range) -> list[Outcome]
     return _truth(path, used, tested).outcomes(draws)
 
 
-def calibrated_arms(path: Path, used: int, tested: int, arms: int, *, workers: int = 0) -> list[Outcome]:
-    """Return the outcomes of drawn arms; ``workers``: number of processes, 0: one for each processor."""
+def calibrated_arms(path: Path, used: int, tested: int, arms: int) -> list[Outcome]:
+    """Return the outcomes of drawn arms."""
     batches = [range(begin, min(begin + BATCH, SEED + arms)) for begin in range(SEED, SEED + arms, BATCH)]
-    found = ordered_map(partial(_outcomes, path, used, tested), batches, workers, lambda _: None)
+    found = ordered_map(partial(_outcomes, path, used, tested), batches)
     return [outcome for batch in found for outcome in batch]
 
 

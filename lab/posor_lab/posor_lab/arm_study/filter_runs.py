@@ -52,11 +52,11 @@ class FilterRun:
     truth: FloatArray  # position of the endpoint in the base [m], (n, 3)
 
 
-def filter_runs(arm: ArmFile, arms: int, poses: int, scans: int, seed: int = 0) -> Iterator[FilterRun]:
+def filter_runs(arm: ArmFile, arms: int, poses: int, scans: int) -> Iterator[FilterRun]:
     """Yield the runs of ``arms`` drawn arms: at each of ``poses`` poses of the scenario one at rest, one in motion.
 
-    ``scans``: of each run; the seeds of the arms count from ``seed``. Raises ParameterError: the arm has no scenario,
-    or a POSOR cannot measure a pose.
+    ``scans``: of each run; the seeds of the arms count from 0. Raises ParameterError: the arm has no scenario, or a
+    POSOR cannot measure a pose.
     """
     if arm.scenario is None:
         raise ParameterError("has no scenario", where=str(arm.path), expected="a simulated arm")
@@ -70,7 +70,7 @@ def filter_runs(arm: ArmFile, arms: int, poses: int, scans: int, seed: int = 0) 
     turned = JOINT_RATE * (times_s[:, None] + LEAD_S) * signs
     commanded = np.concatenate([start + moves * turned for start in starts for moves in (0.0, 1.0)])
     stamps_ns = tick_stamp_ns(np.arange(len(commanded)), RATE)
-    for own_seed in range(seed, seed + arms):
+    for own_seed in range(arms):
         drawn, random = scenario.model_copy(update={"seed": own_seed}), np.random.default_rng(own_seed)
         truth = true_cycle(drawn, chain, nominal, commanded, DRAWN, geometry)
         readings = {

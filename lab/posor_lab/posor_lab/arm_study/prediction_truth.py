@@ -45,6 +45,7 @@ LEAD_S = 0.01
 GAP_S, GAP_PERIOD_S = 0.05, 0.25  # of one joint after the other
 REST_S, REST_POSES = 0.3, 6
 SETTLED_S = 0.1  # after the first reading, from which the errors count
+READINGS = 5000  # whose time is measured
 IN_MOTION = DRAWN.model_copy(update={"inertia": True})
 SCANS, BETWEEN, AHEAD, GAPS = "at scans", "between scans", "10 ms ahead", "one joint missing for 50 ms"
 
@@ -184,12 +185,12 @@ class PredictionTruth:
             GAPS: _sample(gaps.poses[held], gaps.covariances[held], run.truth.select(held)),
         }
 
-    def reading_cost(self, count: int = 5000) -> float:
+    def reading_cost(self) -> float:
         """Return the median time of a reading of all encoders with both predictions [s]."""
         run = self.runs(0, at_rest=True)[0]
-        predictor, times = EndpointPredictor(self._chain, self.parameters), np.empty(count)
+        predictor, times = EndpointPredictor(self._chain, self.parameters), np.empty(READINGS)
         transforms = run.transforms
-        for n in range(count):
+        for n in range(READINGS):
             stamp_ns = int(transforms.stamps_ns[0]) + n * NS // RATE
             if n % TICKS_PER_SCAN == 1:
                 predictor.measurements.poses[0] = transforms.poses[0]

@@ -24,19 +24,21 @@ LABORATORY = CommonErrors(length_scale=1e-6, temperature=1.0)
 COMMENT = "Made by posor_lab arm --shared-terms."
 
 
-def write_shared_arm(arm: ArmFile, folder: Path, errors: CommonErrors = LABORATORY) -> Path:
-    """Write a copy of an arm with these errors stated; return the path of its arm file.
+def write_shared_arm(arm: ArmFile, folder: Path) -> Path:
+    """Write a copy of an arm with the errors of ``LABORATORY`` stated; return the path of its arm file.
 
     Raises PosorError: a file of the arm is invalid.
     """
-    texts = {f"{name}.yaml": errors.calibration_with(load_calibration(path)) for name, path in arm.calibrations.items()}
+    texts = {
+        f"{name}.yaml": LABORATORY.calibration_with(load_calibration(path)) for name, path in arm.calibrations.items()
+    }
     files = {name: document_text(each.model_dump(mode="json"), COMMENT) for name, each in texts.items()}
     changes = {f"joints.{name}.calibration": str((folder / f"{name}.yaml").absolute()) for name in arm.calibrations}
     for key, path in (("urdf", arm.urdf), ("scenario", arm.scenario)):
         if path is not None:
             changes[key] = str(path.absolute())
     if arm.beams is not None:
-        beams = errors.beams_with(load_beams(arm.beams))
+        beams = LABORATORY.beams_with(load_beams(arm.beams))
         files["beams.yaml"] = document_text(beams.model_dump(mode="json"), COMMENT)
         changes["beams"] = str((folder / "beams.yaml").absolute())
     files["arm.yaml"] = edit_document(read_text(arm.path, "arm file"), str(arm.path), changes)

@@ -46,11 +46,11 @@ def _errors(path: Path, poses: int, seed: int, deviation: float, draws: range) -
     return _truth(path, poses, seed, deviation).errors(draws)
 
 
-def draw_arm(path: Path, poses: int, draws: int, seed: int, deviation: float, *, workers: int = 0) -> Drawn:
-    """Draw arms with the files of an arm; ``workers``: number of processes, 0: one for each processor."""
+def draw_arm(path: Path, poses: int, draws: int, seed: int, deviation: float) -> Drawn:
+    """Draw arms with the files of an arm."""
     batches = [range(begin, min(begin + BATCH, seed + draws)) for begin in range(seed, seed + draws, BATCH)]
     task = partial(_errors, path, poses, seed, deviation)
-    errors = np.concatenate(ordered_map(task, batches, workers, lambda _: None))
+    errors = np.concatenate(ordered_map(task, batches))
     return Drawn(_truth(path, poses, seed, deviation).stated, errors)
 
 

@@ -31,6 +31,7 @@ from posor_lab.arm_study.calibration_truth import (
     TRACKER,
     write_assembled_arm,
 )
+from posor_lab.harness.beams import quantity
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -54,18 +55,16 @@ def write_calibration_recording(arm: ArmFile, folder: Path, poses: int, seed: in
     assert arm.scenario is not None  # noqa: S101  of a simulated arm
     joints = list(arm.calibrations)
     angles = np.round(random.uniform(-REACH, REACH, (poses, len(joints))), 3)
-    motion: list[dict[str, object]] = [{"kind": "rest", "duration": {"value": REST_S, "unit": "s"}}]
+    motion: list[dict[str, object]] = [{"kind": "rest", "duration": quantity(REST_S, "s")}]
     for row in [*angles, np.zeros(len(joints))]:
-        through = {"value": [row.tolist()], "unit": "rad"}
-        motion.append(
-            {"kind": "spline", "duration": {"value": MOVE_S, "unit": "s"}, "joints": joints, "through": through}
-        )
-        motion.append({"kind": "rest", "duration": {"value": REST_S, "unit": "s"}})
+        through = quantity([row.tolist()], "rad")
+        motion.append({"kind": "spline", "duration": quantity(MOVE_S, "s"), "joints": joints, "through": through})
+        motion.append({"kind": "rest", "duration": quantity(REST_S, "s")})
     duration = REST_S + (MOVE_S + REST_S) * (poses + 1)
     changes = {
         "motion": motion,
-        "duration": {"value": round(duration, 6), "unit": "s"},
-        "rate": {"value": RATE, "unit": "Hz"},
+        "duration": quantity(round(duration, 6), "s"),
+        "rate": quantity(RATE, "Hz"),
         "seed": seed,
     }
     scenario = edit_document(read_text(arm.scenario, "scenario"), str(arm.scenario), changes)

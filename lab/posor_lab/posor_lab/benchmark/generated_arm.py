@@ -28,7 +28,7 @@ from posor_drivers.simulator.arm_simulation import ArmSimulation
 from posor_drivers.simulator.imperfections import Imperfections
 from posor_ros.qos import result_qos
 
-from posor_lab.instruments.simulated_readings import quantity
+from posor_lab.harness.beams import quantity
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

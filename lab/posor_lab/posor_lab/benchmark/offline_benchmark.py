@@ -44,9 +44,7 @@ START = 1_767_225_600
 FREE_FACTOR = 8  # free disk space needed for the bags, in sizes of the long bag
 
 
-def offline_figures(
-    arm: ArmFile, bag: Path, folder: Path, seconds: int = SECONDS, rounds: int = ROUNDS
-) -> dict[str, float | list[float]]:
+def offline_figures(arm: ArmFile, bag: Path, folder: Path, seconds: int) -> dict[str, float | list[float]]:
     """Return the speed of offline processing of an arm's scans, in scans per second of processor time.
 
     ``bag`` has scans of all joints that end where they begin; the long bag of ``seconds`` and the results are removed.
@@ -64,7 +62,7 @@ def offline_figures(
     try:
         repeat_bag(arm, bag, long, seconds)
         loop_speeds, runs = list[float](), []
-        for _ in range(rounds):
+        for _ in range(ROUNDS):
             shutil.rmtree(looped, ignore_errors=True)
             shutil.rmtree(reprocessed, ignore_errors=True)
             loop_speeds.append(run_message_loop(arm, long, looped))
@@ -89,7 +87,7 @@ def offline_figures(
             shutil.rmtree(temporary, ignore_errors=True)
 
 
-def repeat_bag(arm: ArmFile, bag: Path, long: Path, seconds: int, rate: int = RATE) -> None:
+def repeat_bag(arm: ArmFile, bag: Path, long: Path, seconds: int) -> None:
     """Write a bag that repeats the scans of another bag with increasing stamps and scan numbers.
 
     Raises OSError: there is not enough free disk space.
@@ -105,18 +103,18 @@ def repeat_bag(arm: ArmFile, bag: Path, long: Path, seconds: int, rate: int = RA
         joint: MessageTable(found[0].layout, np.concatenate([table.rows for table in found]))
         for joint, found in tables.items()
     }
-    size = seconds * rate * sum(table.rows.shape[1] + 31 for table in scans.values())
+    size = seconds * RATE * sum(table.rows.shape[1] + 31 for table in scans.values())
     if shutil.disk_usage(long.parent).free < FREE_FACTOR * size:
         raise OSError(f"{long.parent}: the bags of the benchmark need {FREE_FACTOR * size >> 20} MB of free disk space")
     definition = MessageTypes().definition(RAW_SCAN)
     with BagWriter(long) as writer:
         channels = {joint: writer.add_topic(topic, RAW_SCAN, definition) for joint, topic in topics.items()}
-        for begin in range(0, seconds * rate, rate):
-            ticks = START * rate + np.arange(begin, begin + rate)
-            stamps = tick_stamp_ns(ticks, rate)
+        for begin in range(0, seconds * RATE, RATE):
+            ticks = START * RATE + np.arange(begin, begin + RATE)
+            stamps = tick_stamp_ns(ticks, RATE)
             parts = []
             for joint, table in scans.items():
-                some = table.select((ticks - START * rate) % len(table))
+                some = table.select((ticks - START * RATE) % len(table))
                 some["header.stamp.sec"], some["header.stamp.nanosec"] = stamps // NS, stamps % NS
                 some["scan"] = ticks
                 parts.append(TopicMessages(channels[joint], stamps, some.messages))

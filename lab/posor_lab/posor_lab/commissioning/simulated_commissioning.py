@@ -29,7 +29,7 @@ from posor_drivers.message_builder import header, point_stamped
 from posor_drivers.simulator.arm_simulation import ArmSimulation
 from posor_drivers.simulator.imperfections import Imperfections
 
-from posor_lab.instruments.simulated_readings import quantity
+from posor_lab.harness.beams import quantity
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -121,7 +121,7 @@ class SimulatedCommissioning:
         def move(names: list[str], through: list[list[float]], duration_s: float) -> None:
             nonlocal now_s
             spline = {"kind": "spline", "duration": quantity(duration_s, "s"), "joints": names}
-            motion.append(spline | {"through": {"value": through, "unit": "rad"}})
+            motion.append(spline | {"through": quantity(through, "rad")})
             now_s += duration_s
 
         for step in steps:

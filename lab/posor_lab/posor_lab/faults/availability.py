@@ -13,7 +13,6 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
-from posor.arm_names import find_arm
 from posor.chain.arm_file import load_arm_file
 from posor.estimation.posor import Posor
 from posor.model.fault import State
@@ -64,7 +63,7 @@ def arm_availability(
     name: ArmName, arms: int, seed: int, on_drawn: Callable[[int], None], ticks: int = TICKS
 ) -> Availability:
     """Return the figures of ``arms`` drawn arms, whose seeds follow ``seed``; ``on_drawn`` is called after each."""
-    arm = load_arm_file(find_arm(name))
+    arm = load_arm_file(name)
     simulation, model = ArmSimulation(arm, IMPERFECTIONS, truth="independent"), TrueArm(arm.path)
     numbers = np.arange(ticks)
     poses = simulation.truth(numbers).T_parent_child

@@ -18,7 +18,7 @@ from posor.calibration.designs import design
 from posor.chain.arm_file import ArmFile, load_arm_file
 from posor_drivers.simulator.imperfections import Imperfections
 
-from posor_lab.instruments.simulated_readings import quantity
+from posor_lab.harness.beams import quantity
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -89,7 +89,7 @@ def write_fault_arm(
     for through in np.split(waypoints, parts):
         spline = {"kind": "spline", "duration": quantity(part_s, "s"), "joints": joints}
         motion += [{"kind": "rest", "duration": quantity(REST_S, "s")}] if rests else []
-        motion.append({**spline, "through": {"value": through.tolist(), "unit": "rad"}})
+        motion.append({**spline, "through": quantity(through.tolist(), "rad")})
     content |= {
         "seed": seed,
         "rate": quantity(rate or RATES[name], "Hz"),

@@ -7,7 +7,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from posor.arm_names import find_arm
 from posor.calibration.causes import DEFAULT_CAUSES
 from posor.chain.arm_file import load_arm_file
 from posor.chain.beams_file import BeamsFile, load_beams
@@ -48,7 +47,7 @@ class RestingArm(NamedTuple):
 
 def levels_at_rest(name: str, postures: int = POSTURES) -> RestingArm:
     """Return the levels of an arm of ``AIMS`` with beams and thermometers within ``DEVIATION_K``, without encoders."""
-    arm = load_arm_file(find_arm("six_axis" if name == TWO_DIODES else name))
+    arm = load_arm_file("six_axis" if name == TWO_DIODES else name)
     content = load_beams(arm.beams).model_dump(mode="json") if arm.beams else {}
     for beam in content["beams"]:
         if beam["temperature"]:

@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pinocchio as pin
-from posor.arm_names import find_arm
 from posor.calibration.designs import sized_design
 from posor.chain.arm_file import load_arm_file
 from posor.errors import PosorError
@@ -70,7 +69,7 @@ def _probe_cases(
     row: FaultRow, cases: int, random: np.random.Generator
 ) -> tuple[int, tuple[FloatArray, FloatArray, FloatArray]]:
     """Return the number of cases without a pose; errors, protection levels and standard deviations of the others."""
-    posor = Posor(load_arm_file(find_arm(row.arm)).calibration(JOINT))
+    posor = Posor(load_arm_file(row.arm).calibration(JOINT))
     real = TruePosor(posor.calibration)
     truth = draw_joint_poses(cases, random)
     gap_sensor: Any = posor.calibration.sensors[0]
@@ -112,7 +111,7 @@ def _warm_beam_cases(
 
     The joints are taken as exact: the error of the endpoint comes from the beams alone.
     """
-    arm = load_arm_file(find_arm("six_axis"))
+    arm = load_arm_file("six_axis")
     chain = arm.chain()
     posors = {joint.name: Posor(arm.calibration(joint.name)) for joint in chain.joints}
     estimator = chain.estimator()
@@ -159,7 +158,7 @@ def describe_levels(errors: FloatArray, levels: FloatArray) -> str:
 
 def run_ambient(row: FaultRow, seed: int, positions: int = 12) -> RowResult:
     """Return the result of ambient light from the first scan on, in shares of a source's light, at random angles."""
-    calibration, random = load_arm_file(find_arm(row.arm)).calibration(JOINT), np.random.default_rng(seed)
+    calibration, random = load_arm_file(row.arm).calibration(JOINT), np.random.default_rng(seed)
     wrong, named, poses = 0, list[bool](), 0
     for theta in random.uniform(-math.pi, math.pi, positions):
         truth = PoseArray.from_axis_angles(2, theta + 1e-3 * np.arange(AMBIENT_SCANS) / SLIP_SCANS)

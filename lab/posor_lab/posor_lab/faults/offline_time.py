@@ -40,7 +40,7 @@ from scipy.spatial.transform import Rotation
 
 from posor_lab.faults.fault_table import IMPERFECTIONS, RowResult, fault_entry, write_fault_arm
 from posor_lab.faults.pose_judge import SIGMAS, estimated_poses, true_poses
-from posor_lab.instruments.simulated_readings import quantity
+from posor_lab.harness.beams import quantity
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence

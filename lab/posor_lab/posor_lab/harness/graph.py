@@ -154,13 +154,13 @@ def wait_for_value(graph: Graph, name: str, key: str, text: str) -> DiagnosticSt
     return graph.latest(name)
 
 
-def scan_message(scan: Scan, frame: str = "receiving") -> Any:
+def scan_message(scan: Scan) -> Any:
     """Return a scan of one sample as its message."""
     message = RawScan(scan=scan.number, samples=1, status=scan.status & DARK_SUBTRACTED)
     for name in ("supply_voltage", "temperature", "reference_voltage"):
         setattr(message, name, getattr(scan, name))
     message.header.stamp.sec, message.header.stamp.nanosec = divmod(scan.stamp_ns, NS)
-    message.header.frame_id = frame
+    message.header.frame_id = "receiving"
     message.gap_voltages, message.ring_voltages = scan.gap_voltages, scan.ring_voltages
     message.diode_currents, message.lit_sources = scan.diode_currents.ravel(), list(scan.lit_sources)
     return message

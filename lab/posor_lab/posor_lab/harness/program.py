@@ -152,7 +152,9 @@ def writes_below(pid: int, text: str) -> bool:
         return False
 
 
-def wait_until(condition: Callable[[], bool], what: str, meanwhile: Callable[[], None]) -> None:
+def wait_until(
+    condition: Callable[[], bool], what: str, meanwhile: Callable[[], None] = lambda: time.sleep(0.005)
+) -> None:
     """Call ``meanwhile`` until ``condition`` holds. Raises AssertionError: the wait for ``what`` timed out."""
     deadline = time.monotonic() + TIMEOUT_S
     while not condition():

@@ -83,13 +83,13 @@ def run_case(name: str, case: tuple[str, Ageing], tests: int, seed: int) -> Outc
     return Outcome(part or "sound", len(chart.ratios), len(alarms), int(alarms[0]) - BEGIN + 1, named, right=right)
 
 
-def study(name: str, years: int, *, workers: int = 0) -> list[Outcome]:
+def study(name: str, years: int) -> list[Outcome]:
     """Return the outcomes of sound years and of all changes of an arm."""
     sound = [("", Ageing())] * -(-years // LIFE)
     jobs = [(case, LIFE * MONTHS + REFERENCE_TESTS) for case in sound] + [
         (case, TESTS) for case in cases_of(name, SEED)
     ]
-    return ordered_map(partial(_run, name), list(enumerate(jobs)), workers)
+    return ordered_map(partial(_run, name), list(enumerate(jobs)))
 
 
 def _run(name: str, job: tuple[int, tuple[tuple[str, Ageing], int]]) -> Outcome:

@@ -25,7 +25,7 @@ from posor_lab.device_servers.capancdt_server import CapaNcdtServer
 from posor_lab.device_servers.labjack_server import LabJackServer, LabJackStreamServer
 from posor_lab.device_servers.scpi_server import FIRST_CHANNEL, ScpiServer
 from posor_lab.device_servers.stream_server import LEAD, MAGIC, StreamServer
-from posor_lab.instruments.simulated_readings import quantity
+from posor_lab.harness.beams import quantity
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

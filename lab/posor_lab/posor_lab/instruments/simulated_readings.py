@@ -24,11 +24,6 @@ SIMULATED_RATE = 1000  # rate of the tables [Hz]; between their rows readings an
 SEED = 1985
 
 
-def quantity(value: object, unit: str) -> dict[str, Any]:
-    """Return an entry of a file."""
-    return {"value": value, "unit": unit}
-
-
 class ReadingChannel(NamedTuple):
     """One reading of a joint."""
 

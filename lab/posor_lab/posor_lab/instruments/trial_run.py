@@ -22,8 +22,9 @@ from posor_bringup.arms import load_checked_arm
 from scipy.stats import chi2
 
 from posor_lab.accuracy.consistency import REGION, normalised_squares
+from posor_lab.harness.beams import quantity
 from posor_lab.harness.message_conversion import stamp_ns
-from posor_lab.instruments.simulated_readings import SimulatedReadings, quantity
+from posor_lab.instruments.simulated_readings import SimulatedReadings
 from posor_lab.reports.arrival_receiver import ArrivalReceiver
 from posor_lab.reports.graph_receiver import running_graph
 

@@ -20,7 +20,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import pinocchio as pin
 import yaml
-from posor.arm_names import find_arm
 from posor.calibration.calibration_file import parse_calibration
 from posor.calibration.designs import THETA_OF_TWO_SOURCES, DesignName, design
 from posor.chain.arm_file import load_arm_file
@@ -97,10 +96,10 @@ class CheckResult(NamedTuple):
         return self.figure <= self.limit
 
 
-def generic_file(name: DesignName, seed: int = SEED) -> str:
+def generic_file(name: DesignName) -> str:
     """Return the text of a generic calibration file of a design."""
     content = design(name).model_dump(mode="json", exclude_none=True)
-    random = np.random.default_rng([seed, *name.encode()])
+    random = np.random.default_rng([SEED, *name.encode()])
     for sensor in content["sensors"]:
         _make_generic(sensor, random)
         if "target_plane" in sensor:
@@ -188,7 +187,7 @@ def compare_covariance(name: DesignName) -> dict[str, CheckResult]:
 
 def compare_arm(name: str, count: int) -> dict[str, CheckResult]:
     """Return the checks of an arm: its endpoint with exact poses of its joints, and the covariance of the endpoint."""
-    arm = load_arm_file(find_arm(name))
+    arm = load_arm_file(name)
     truth, chain, random = TrueArm(arm.path), arm.chain(), np.random.default_rng([SEED, *name.encode()])
     poses = [[_near(origin, random) for origin in truth.origins] for _ in range(count)]
     rotations = np.array([[pose.rotation for pose in row] for row in poses])
@@ -255,15 +254,15 @@ def compare_golden(stack: StackName, count: int) -> dict[str, CheckResult]:
     return {f"golden {stack}": CheckResult(float(np.max(errors)), GOLDEN_LIMIT)}
 
 
-def run_checks(*, covariances: bool, count: int = POSES) -> dict[str, CheckResult]:
-    """Return the checks with a number of poses each; an error of the product fails the check in which it occurs.
+def run_checks(*, covariances: bool) -> dict[str, CheckResult]:
+    """Return the checks; an error of the product fails the check in which it occurs.
 
     ``covariances``: whether to include those of covariances, which take ten times as long as the others.
     """
     checks: dict[str, Callable[[], dict[str, CheckResult]]] = {
-        **{f"pose {name}": partial(compare_stack, name, count) for name in STACKS},
-        **{f"endpoint {name}": partial(compare_arm, name, count) for name in ARMS},
-        **{f"golden {name}": partial(compare_golden, name, count) for name in GOLDEN_STACKS},
+        **{f"pose {name}": partial(compare_stack, name, POSES) for name in STACKS},
+        **{f"endpoint {name}": partial(compare_arm, name, POSES) for name in ARMS},
+        **{f"golden {name}": partial(compare_golden, name, POSES) for name in GOLDEN_STACKS},
         **{f"covariance {name}": partial(compare_covariance, name) for name in COVARIANCE_STACKS if covariances},
     }
     results: dict[str, CheckResult] = {}

@@ -14,6 +14,8 @@ from posor.errors import ParameterError
 from posor.output_files import write_files
 from posor_drivers.simulator.scenario import load_scenario
 
+from posor_lab.harness.beams import quantity
+
 if TYPE_CHECKING:
     from pathlib import Path
 
@@ -26,11 +28,6 @@ OFFSET_K, STEP_K = 8.0, 0.4
 REFERENCE_K = 293.15  # temperature at which the URDF holds
 WIDTH_M = 0.1  # of a beam without a tube
 COMMENT = "Made by posor_lab shop."
-
-
-def quantity(value: Any, unit: str) -> dict[str, Any]:
-    """Return a quantity as in a file."""
-    return {"value": value, "unit": unit}
 
 
 def _temperature(joint: str, neighbour: str, coefficient: float, *, has_tube: bool) -> dict[str, Any]:

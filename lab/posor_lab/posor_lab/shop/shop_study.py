@@ -115,12 +115,10 @@ def _draw(path: Path, poses: int, swing: bool, seeds: range) -> dict[str, CaseSa
     return _sampler(path, poses, swing).draw(seeds)
 
 
-def sample_shop(
-    path: Path, arms: int, poses: int, seed: int, *, swing: bool = False, workers: int = 0
-) -> dict[str, CaseSample]:
-    """Draw many arms, see ``ShopSampler``; ``workers``: number of processes, 0: one for each processor."""
+def sample_shop(path: Path, arms: int, poses: int, seed: int, *, swing: bool = False) -> dict[str, CaseSample]:
+    """Draw many arms, see ``ShopSampler``."""
     batches = [range(begin, min(begin + BATCH, seed + arms)) for begin in range(seed, seed + arms, BATCH)]
-    parts = ordered_map(partial(_draw, path, poses, swing), batches, workers, lambda _: None)
+    parts = ordered_map(partial(_draw, path, poses, swing), batches)
     return {
         case: CaseSample(
             *(np.concatenate([getattr(part[case], name) for part in parts]) for name in ("errors", "normalised"))

@@ -15,7 +15,7 @@ from posor.errors import ParameterError
 from posor.output_files import write_files
 from posor_design import beam_frequencies
 
-from posor_lab.shop.shop_arm import quantity
+from posor_lab.harness.beams import quantity
 
 if TYPE_CHECKING:
     from pathlib import Path

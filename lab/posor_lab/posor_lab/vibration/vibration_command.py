@@ -14,7 +14,6 @@ import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from posor.arm_names import find_arm
 from posor.chain.arm_file import load_arm_file
 from posor.errors import ParameterError
 from posor.reporting.command_line_parser import CommandLineParser
@@ -90,7 +89,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for path in filter(None, (options.output, options.figure)):
         check_writable(path)
     with tempfile.TemporaryDirectory() as name:
-        arm, folder = load_arm_file(find_arm(ARM)), Path(name)
+        arm, folder = load_arm_file(ARM), Path(name)
         path = write_vibrating_arm(arm, folder / "stated")
         limit_hz = VibrationStudy(path).limit_hz
         found = {each: sample_vibration(path, each, options.arms, SEED) for each in FREQUENCIES_HZ}

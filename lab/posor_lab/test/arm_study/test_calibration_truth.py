@@ -14,7 +14,6 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 import pytest
-from posor.arm_names import find_arm
 from posor.chain.arm_file import load_arm_file
 from posor.errors import PosorError
 from posor.numerics.array_types import FloatArray
@@ -57,7 +56,7 @@ class Case(NamedTuple):
 
 @pytest.fixture(scope="module")
 def case(tmp_path_factory: pytest.TempPathFactory) -> Case:
-    path = write_assembled_arm(load_arm_file(find_arm("five_axis")), tmp_path_factory.mktemp("assembled"))
+    path = write_assembled_arm(load_arm_file("five_axis"), tmp_path_factory.mktemp("assembled"))
     truth = CalibrationTruth(path, USED, TESTED, 5)
     drawn = truth.draw(range(7, 8))[0]
     references, _ = truth.readings(drawn, np.random.default_rng(11))
@@ -185,7 +184,7 @@ def test_lengths_from_a_fixed_ball_determine_beams(case: Case, kind: str) -> Non
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("recorded")
-    write_calibration_recording(load_arm_file(find_arm("five_axis")), folder, 7, 3)
+    write_calibration_recording(load_arm_file("five_axis"), folder, 7, 3)
     return folder
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 from posor.errors import PosorError
-from posor.numerics.stamps import tick_stamp_ns
+from posor.numerics.stamps import NS, tick_stamp_ns
 from posor_lab.benchmark.tick_statistics import (
     COUNTERS,
     MeasuredRun,
@@ -17,7 +17,6 @@ from posor_lab.benchmark.tick_statistics import (
     run_figures,
 )
 
-SECOND_NS = 1_000_000_000
 RATE = 2000
 FIRST = 1_800_000_000 * RATE
 TICKS = np.arange(FIRST, FIRST + 1000)
@@ -44,7 +43,7 @@ def test_only_ticks_of_the_window_count() -> None:
 
 @pytest.mark.parametrize("rate", [3, 7, 2000, 9999])
 def test_adjacent_windows_hold_every_tick_once(rate: int) -> None:
-    begin, middle, end = (1_800_000_000 * SECOND_NS + part for part in (123_456_789, 400_000_000, 999_999_999))
+    begin, middle, end = (1_800_000_000 * NS + part for part in (123_456_789, 400_000_000, 999_999_999))
     parts = [TickWindow(begin, middle, rate).stamps_ns, TickWindow(middle, end, rate).stamps_ns]
     assert np.array_equal(np.concatenate(parts), TickWindow(begin, end, rate).stamps_ns)
     edge = tick_stamp_ns(1_800_000_000 * rate + 1, rate)

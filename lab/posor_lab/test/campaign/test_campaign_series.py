@@ -23,16 +23,16 @@ from posor_lab.reports.findings import Verdict
 from scipy.stats import binomtest
 
 
-def make_results(scale: float, *, count: int = 80, campaigns: int = 30) -> list[CampaignResult]:
+def make_results(scale: float) -> list[CampaignResult]:
     """Return the results of campaigns whose errors are ``scale`` times as large as stated."""
     rng = np.random.default_rng(5)
     results = []
-    for seed in range(campaigns):
+    for seed in range(30):
         parameters = tuple(
             EstimatedParameter(
                 f"sensors[0].probes[{k % 3}].tip[{k}]", "gap probe tip", "m", 0.0, (0.0, 1.0), error, 1.0, "bundle"
             )
-            for k, error in enumerate(scale * rng.normal(size=count))
+            for k, error in enumerate(scale * rng.normal(size=80))
         )
         squares = scale**2 * rng.chisquare(6, size=VALIDATION_POSES)
         noise_free = scale * rng.normal(size=120)

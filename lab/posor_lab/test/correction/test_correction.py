@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from posor.arm_names import find_arm
 from posor.chain.arm_file import load_arm_file
 from posor.correction.correct_command import main
 from posor.correction.joint_path import JointPath, read_path
@@ -61,7 +60,7 @@ def test_a_recorded_program_is_corrected_by_the_errors_of_the_true_arm(
     assert main([*arguments, "--encoders", "/five_axis/encoders"]) == 0
     corrected, printed = read_path(output), capsys.readouterr().out
     assert " endpoints used; the first one " in printed
-    arm = load_arm_file(find_arm("five_axis"))
+    arm = load_arm_file("five_axis")
     truth = ArmSimulation(arm).truth(np.arange(2000)).endpoint
     robot = NominalRobot(arm.chain(), LeastSquares(rotation_length=0.01))
     targets = [robot.endpoint(row).translation for row in planned.angles]

@@ -15,7 +15,6 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet
 import pytest
-from posor.arm_names import find_arm
 from posor.chain.arm_file import load_arm_file
 from posor.errors import DataFileError, OutputError
 from posor_bringup.health_command import NO_VERDICT, main
@@ -208,7 +207,7 @@ def test_the_program_makes_a_history_from_a_bag_and_adds_no_test_twice(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     files, path = tmp_path / "files", tmp_path / "history.parquet"
-    write_calibration_recording(load_arm_file(find_arm(ARM)), files, 4, 3)
+    write_calibration_recording(load_arm_file(ARM), files, 4, 3)
     options = [str(files / "arm.yaml"), "--history", str(path), "--output", str(tmp_path / "page")]
     seen = ["--bag", str(files / "bag"), "--table", str(files / "tracker.csv"), "--map", str(files / "map.yaml")]
     balls = {"smr1": "0,0,0.05", "smr2": "0,0.08,0", "smr3": "0.1,0,0.02"}

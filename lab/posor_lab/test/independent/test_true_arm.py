@@ -11,13 +11,13 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import yaml
-from posor.arm_names import find_arm
 from posor.chain.arm_file import load_arm_file
 from posor.errors import CalibrationError
 from posor_drivers.simulator.arm_simulation import ArmSimulation
 from posor_drivers.simulator.beam_heat import BeamHeat
 from posor_drivers.simulator.imperfections import Imperfections
 from posor_lab.faults.fault_table import write_fault_arm
+from posor_lab.harness.beams import quantity
 from posor_lab.independent.finite_elements import end_motions, sag_gains
 from posor_lab.independent.true_arm import TrueArm
 from posor_lab.mutations.model_checks import ARMS
@@ -31,10 +31,6 @@ PER_LENGTH = DENSITY * np.pi * (OUTER**2 - INNER**2) / 4.0
 
 def sag(gimbals: list[float], density: float, masses: list[float]) -> dict[str, Any]:
     """Return the entry of a beam with masses at its ends."""
-
-    def quantity(value: object, unit: str) -> dict[str, Any]:
-        return {"value": value, "unit": unit}
-
     tube = {"outer_diameter": quantity(OUTER, "m"), "inner_diameter": quantity(INNER, "m")}
     plates = [
         {"at": quantity(at, "m"), "mass": quantity(mass, "kg")} for at, mass in zip((0.0, LENGTH), masses, strict=True)
@@ -68,7 +64,7 @@ def test_only_the_field_across_the_beam_bends_it_and_the_tangent_leans_toward_th
 
 @pytest.mark.parametrize("name", ARMS)
 def test_without_gravity_the_endpoint_is_that_of_pinocchio(name: str) -> None:
-    arm = load_arm_file(find_arm(name))
+    arm = load_arm_file(name)
     truth = TrueArm(arm.path)
     truth.gravity = np.zeros(3)
     model = pin.buildModelFromUrdf(str(arm.urdf))
@@ -114,7 +110,7 @@ def test_a_truth_that_cannot_be_used_is_named(tmp_path: Path, file: str, change:
 
 
 def test_a_warm_beam_grows_and_bends_as_the_simulator_computes(tmp_path: Path) -> None:
-    path = write_shop_arm(load_arm_file(find_arm("five_axis")), tmp_path)
+    path = write_shop_arm(load_arm_file("five_axis"), tmp_path)
     truth, chain = TrueArm(path), load_arm_file(path).chain()
     kelvins, across = np.array([-10.0, 0.0, 7.0]), np.array([3.0, -2.0])
     beams = [(true, known.beam) for true, known in zip(truth.links, chain.links, strict=True) if known.beam is not None]

@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from posor import load_arm
-from posor.arm_names import find_arm
 from posor.bags.arm_estimator import ArmEstimator
 from posor.bags.bag_writer import BagWriter
 from posor.bags.data_frames import endpoint_columns
@@ -28,12 +27,11 @@ from posor_lab.shop.shop_command import failures, figures
 from posor_lab.shop.shop_study import IN_THE_SHOP, WITH, WITHOUT, WRONG_SIGN, CaseSample, ShopSampler
 
 ARMS, POSES = 16, 3
-MOST_SIGMAS = 4.0
 
 
 @pytest.fixture(scope="module")
 def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_shop_arm(load_arm_file(find_arm("five_axis")), tmp_path_factory.mktemp("shop"))
+    return write_shop_arm(load_arm_file("five_axis"), tmp_path_factory.mktemp("shop"))
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from posor.arm_names import find_arm
 from posor.chain.arm_file import load_arm_file
 from posor_lab.independent.finite_elements import end_motions
 from posor_lab.independent.true_arm import TrueArm
@@ -21,13 +20,13 @@ ARMS, SEED, BELOW_HZ, BEYOND_HZ = 1, 1985, 75.0, 120.0
 
 @pytest.fixture(scope="module")
 def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_vibrating_arm(load_arm_file(find_arm("five_axis")), tmp_path_factory.mktemp("arm"))
+    return write_vibrating_arm(load_arm_file("five_axis"), tmp_path_factory.mktemp("arm"))
 
 
 def test_the_dynamic_chain_holds_below_the_limit_and_says_so_beyond(path: Path, tmp_path: Path) -> None:
     limit_hz = VibrationStudy(path).limit_hz
     found = {each: sample_vibration(path, each, ARMS, SEED, workers=1) for each in (BELOW_HZ, BEYOND_HZ)}
-    wrong = write_vibrating_arm(load_arm_file(find_arm("five_axis")), tmp_path, frequency_error=CONTROL_ERROR)
+    wrong = write_vibrating_arm(load_arm_file("five_axis"), tmp_path, frequency_error=CONTROL_ERROR)
     control = sample_vibration(path, BELOW_HZ, ARMS, SEED, chain=wrong, workers=1)[DYNAMIC]
     below, beyond = found[BELOW_HZ], found[BEYOND_HZ]
     assert below[DYNAMIC].rms_m < 0.1 * below[STATIC].rms_m

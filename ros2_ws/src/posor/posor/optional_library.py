@@ -13,11 +13,14 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 
-def optional_library(name: str, extra: str, path: Path) -> Any:
-    """Return a module that reads a file. Raises ParameterError: it is not installed; ``posor[extra]`` installs it."""
+def optional_library(name: str, extra: str, where: Path | str) -> Any:
+    """Return a module. Raises ParameterError: it is not installed, but ``where`` needs it.
+
+    ``extra``: ``posor[extra]`` installs it. ``where``: file that it reads, or function that uses it.
+    """
     try:
         return import_module(name)
     except ImportError:
         package = name.partition(".")[0]
         what = f"the Python library '{package}' is not installed"
-        raise ParameterError(what, where=str(path), expected=f"pip install 'posor[{extra}]'") from None
+        raise ParameterError(what, where=str(where), expected=f"pip install 'posor[{extra}]'") from None

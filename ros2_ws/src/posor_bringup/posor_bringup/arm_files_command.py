@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections import Counter
 from functools import partial
 from pathlib import Path
@@ -13,19 +12,18 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 from posor.arm_names import describe_argument
 from posor.chain.commissioning_record import load_record
-from posor.chain.identity import ArmIdentity, calibration_id, file_sha256
 from posor.errors import ParameterError, PosorError
 from posor.reporting.command_line_parser import CommandLineParser
 from posor.reporting.program_errors import reports_errors
 from posor.ros_names import ROS_NAME_RULE, is_ros_name
 from posor.uncertainty.protection_level import arm_reliability
+from posor_calibration.commissioning.file_checks import arm_identity
 from posor_drivers.instruments.calibrated_readings import readings_of
 from posor_drivers.instruments.instruments_file import load_instruments
-from posor_ros.parameter_files import OPTION
 
 from posor_bringup.arm_programs import DRIVER_NODE
 from posor_bringup.arms import check_arm
-from posor_bringup.bringup_options import add_driver_parameters
+from posor_bringup.bringup_options import add_arm_parameters
 from posor_bringup.new_arm import AXES, COMMON_AXES, LONGEST, SENSORS, SHORTEST, arm_texts, new_joints, write_arm
 
 if TYPE_CHECKING:
@@ -57,10 +55,7 @@ def _parse_options(arguments: Sequence[str] | None) -> Namespace:
     summary = "check all files and parameters of an arm; print everything that is wrong, or a summary"
     check = actions.add_parser("check", help=summary, description=summary)
     check.add_argument("arm", metavar="ARM", help=describe_argument())
-    check.add_argument("--no-driver", action="store_true", help="do not check the drivers")
-    add_driver_parameters(check)
-    text = "ROS parameter file of the nodes; may be repeated"
-    check.add_argument(OPTION, action="append", default=[], type=Path, metavar="FILE", help=text)
+    add_arm_parameters(check)
     return parser.parse_args(arguments)
 
 
@@ -148,9 +143,7 @@ def _summary(checked: CheckedArm) -> Iterator[str]:
         yield "commissioning: none; 'posor commission' makes the record"
         return
     record = load_record(arm.commissioning)
-    files = ArmIdentity({}, file_sha256(arm.urdf), file_sha256(arm.beams))
-    ids = {joint: calibration_id(calibration) for joint, calibration in calibrations.items()}
-    found = files.with_calibrations(ids, record.parts().record).differences(record.parts())
+    found = arm_identity(arm, calibrations).differences(record.parts())
     state = f"not as commissioned: {'; '.join(found.values())}" if found else "as commissioned"
     yield f"commissioning: {record.date}, {state}"
 
@@ -181,7 +174,3 @@ def _levels(checked: CheckedArm, angles: dict[str, float]) -> str:
     axes = zip(("x", "y", "z", "alpha", "beta", "gamma"), level, found.set_by, strict=True)
     causes = dict.fromkeys(f"{cause} of {joint}" for _, size, (joint, cause) in axes if not np.isfinite(size))
     return f"{what}: not finite, because no reading shows {', '.join(causes)}"
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -23,7 +23,7 @@ from rich.console import Console
 
 from posor_bringup.arm_programs import LAYOUTS, endpoint_frame_of, frame_prefix_of, full_name, group_programs
 from posor_bringup.arms import check_arm
-from posor_bringup.bringup_options import LOGS, add_driver_parameters, add_namespace, prepare_output_folder
+from posor_bringup.bringup_options import LOGS, add_arm_parameters, add_namespace, prepare_output_folder
 from posor_bringup.graph_observer import GraphObserver, enclave_of_arm
 from posor_bringup.supervisor import Supervisor
 from posor_bringup.tool_views import VIEWS, write_views
@@ -46,7 +46,6 @@ def parse_options(arguments: Sequence[str]) -> Namespace:
         prog="posor bringup", description="Start all nodes of an arm and watch them until Ctrl-C."
     )
     parser.add_argument("arm", metavar="ARM", help=describe_argument())
-    parser.add_argument("--no-driver", action="store_true", help="without drivers: the scans come from elsewhere")
     parser.add_argument("--recording", action="store_true", help="accept stamps of any age, as those of a bag")
     parser.add_argument("--use-sim-time", action="store_true", help="all nodes take the time from /clock")
     parser.add_argument(
@@ -58,15 +57,7 @@ def parse_options(arguments: Sequence[str]) -> Namespace:
     add_namespace(parser)
     text = "prefix of the frames of chain_node, such as cell1/, for arms of one URDF; default: that of the arm file"
     parser.add_argument("--frame-prefix", metavar="PREFIX", help=text)
-    add_driver_parameters(parser)
-    parser.add_argument(
-        OPTION,
-        action="append",
-        default=[],
-        type=Path,
-        metavar="FILE",
-        help="ROS parameter file, whose sections name nodes of the arm; may be repeated",
-    )
+    add_arm_parameters(parser)
     parser.add_argument(
         "--output",
         type=Path,
@@ -153,7 +144,3 @@ def _watch(
             drivers.remove(driver)
             console.print(f"{driver.program.name}: has ended; all scans are played, or it was stopped")
         time.sleep(SPIN_TIMEOUT_S)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -5,16 +5,17 @@
 from __future__ import annotations
 
 from argparse import ArgumentParser, ArgumentTypeError
+from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
 from posor.bags.result_folder import prepare_outputs
 from posor.calibration.yaml_document import parse_yaml
 from posor.errors import CalibrationError, ParameterError
 from posor.output_files import writing
+from posor_ros.parameter_files import OPTION
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
-    from pathlib import Path
 
     from posor_bringup.supervisor import Parameter
 
@@ -38,6 +39,14 @@ def add_namespace(parser: ArgumentParser) -> None:
     """Add the option ``--namespace``."""
     text = "namespace around that of the arm, such as cell1, for two arms of one name; default: none"
     parser.add_argument("--namespace", default="", metavar="NAME", help=text)
+
+
+def add_arm_parameters(parser: ArgumentParser) -> None:
+    """Add the options of the nodes' parameters, and ``--no-driver``."""
+    parser.add_argument("--no-driver", action="store_true", help="without drivers: the scans come from elsewhere")
+    add_driver_parameters(parser)
+    text = "ROS parameter file, whose sections name nodes of the arm; may be repeated"
+    parser.add_argument(OPTION, action="append", default=[], type=Path, metavar="FILE", help=text)
 
 
 def add_driver_parameters(parser: ArgumentParser) -> None:

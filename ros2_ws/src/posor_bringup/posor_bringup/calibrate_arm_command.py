@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import datetime as dt
 import math
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -26,7 +25,7 @@ from posor.reporting.report_table import ReportTable
 from posor.tables.table_readings import load_readings
 from posor_calibration.arm.arm_files import JSON_FILE, Provenance, calibration_json, check_output, make_files, save_arm
 from posor_calibration.arm.arm_fit import ArmProblem, Tool, calibrate_arm
-from posor_calibration.arm.arm_model import AXES, ArmModel
+from posor_calibration.arm.arm_model import ArmModel
 from posor_calibration.arm.arm_poses import poses_at, recorded_poses, select_poses
 from posor_calibration.arm.endpoint_references import (
     EndpointReferences,
@@ -36,6 +35,7 @@ from posor_calibration.arm.endpoint_references import (
     references_of,
 )
 from posor_calibration.calibration_certificate import certificate_of_arm
+from posor_calibration.data_checks import POSE_AXES
 from posor_design.arm_uncertainty import ArmUncertainty
 from posor_design.statement_poses import path_poses
 
@@ -204,9 +204,9 @@ def _grouped(names: Sequence[str]) -> list[str]:
     """Return the names of parameters with those of one part together; of all six of a part its name alone."""
     parts: dict[str, list[str]] = {}
     for name in names:
-        axis = next((axis for axis in sorted(AXES, key=len, reverse=True) if name.endswith(f" {axis}")), "")
+        axis = next((axis for axis in sorted(POSE_AXES, key=len, reverse=True) if name.endswith(f" {axis}")), "")
         parts.setdefault(name.removesuffix(f" {axis}") if axis else name, []).append(axis)
-    whole = ([""], list(AXES))
+    whole = ([""], list(POSE_AXES))
     return [name if axes in whole else f"{name} ({', '.join(axes)})" for name, axes in parts.items()]
 
 
@@ -245,7 +245,3 @@ def _print_selection(arm: Arm, options: argparse.Namespace, console: Console) ->
     console.print(",".join(model.joints), soft_wrap=True, markup=False, highlight=False)
     for pose in chosen:
         console.print(",".join(f"{angle:.6g}" for angle in angles[pose]), soft_wrap=True, markup=False, highlight=False)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -195,7 +195,3 @@ def _keep_record(
     print(f"record {path}, identity {record.identity}" + (f"; the old one is {kept}" if kept else ""))
     if arm.commissioning is None:
         print(f"chain_node compares the arm with it once {arm.path} has the key: commissioning: {path.name}")
-
-
-if __name__ == "__main__":
-    sys.exit(main())

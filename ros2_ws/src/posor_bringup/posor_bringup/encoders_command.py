@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import csv
 import math
-import sys
 from io import StringIO
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -159,7 +158,3 @@ def main(arguments: Sequence[str] | None = None) -> int:
         console.print(f"No motion: {', '.join(still)}.", markup=False)
     console.print(f"by angle and direction: {options.output}", soft_wrap=True, markup=False)
     return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import math
-import sys
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -167,7 +166,3 @@ def _with_test(
         raise DataFileError(what, where=str(options.bag), expected=expected)
     history = history or HealthHistory(arm.name, arm_identity(arm, calibrations), T, balls)
     return history.with_test(test, str(options.bag))
-
-
-if __name__ == "__main__":
-    sys.exit(main())

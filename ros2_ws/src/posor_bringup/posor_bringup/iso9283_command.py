@@ -6,9 +6,7 @@ from __future__ import annotations
 
 import argparse
 import csv
-import json
 import math
-import sys
 from io import StringIO
 from itertools import pairwise
 from pathlib import Path
@@ -24,6 +22,7 @@ from posor.errors import BagError, DataFileError, ParameterError
 from posor.numerics.stamps import NS
 from posor.output_files import make_folder, write_files
 from posor.reporting.command_line_parser import CommandLineParser
+from posor.reporting.json_text import json_text
 from posor.reporting.program_errors import reports_errors
 from posor.reporting.report_console import report_console
 from posor.reporting.report_table import ReportTable
@@ -196,10 +195,6 @@ def _table(title: str, rows: Mapping[str, Figures]) -> ReportTable:
     return ReportTable(title, header, cells)
 
 
-def _json(figures: Figures) -> dict[str, float | None]:
-    return {name: number if math.isfinite(number) else None for name, number in figures.items()}
-
-
 def _points_csv(found: Iterable[Cycles]) -> str:
     """Return all points with all digits: cycle 0, dwell 0 is the commanded one."""
     text = StringIO()
@@ -258,20 +253,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "version": 1,
         "bag": {"path": str(options.bag), "sha256": bag_sha256(options.bag), "reference": options.reference},
         "dwells": dwells,
-        "poses": {name: _json(figures) for name, figures in of_poses.items()},
-        "distances": {name: _json(figures) for name, figures in of_distances.items()},
-        "paths": {name: _json(figures) for name, figures in of_paths.items()},
+        "poses": of_poses,
+        "distances": of_distances,
+        "paths": of_paths,
         "notes": notes,
     }
     make_folder(options.output)
     json_file, points_file = (options.output / name for name in OUTPUT_FILES)
-    write_files({json_file: json.dumps(content, indent=2) + "\n", points_file: _points_csv((*usable, *paths))})
+    write_files({json_file: json_text(content, indent=2), points_file: _points_csv((*usable, *paths))})
     console = report_console(WIDTH)
     tables = ("Poses", of_poses), ("Distances", of_distances), ("Paths", of_paths)
     _print(console, tables, notes)
     console.print(f"figures and points: {options.output}", soft_wrap=True, markup=False)
     return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import argparse
 import math
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -129,7 +128,3 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if stated is not None:
         console.print(f"certificate: {options.dcc}", soft_wrap=True, markup=False)
     return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

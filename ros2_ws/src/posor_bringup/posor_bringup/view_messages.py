@@ -38,8 +38,8 @@ from posor.ros_names import (
     TRANSFORM_TOPIC,
 )
 from posor_ros.message_classes import message_class, schema_of_class
+from posor_ros.polled_subscription import PolledSubscription
 from posor_ros.qos import RELIABLE_QOS, SENSOR_QOS
-from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
@@ -218,36 +218,25 @@ class LiveTopics:
     def __init__(self, store: MessageStore, topics: ArmTopics) -> None:
         self._store, self._topics = store, topics
         self._node = Node("view", enable_rosout=False, start_parameter_services=False)
-        self._subscriptions: list[Any] = []
+        self._subscriptions: list[PolledSubscription] = []
         self._store.clear(time.monotonic())
         special = {DIAGNOSTICS_TOPIC: DIAGNOSTICS_QOS, self._topics.endpoint: STATE_QOS}
         special |= {topic: ENCODER_QOS for topic, _ in self._topics.encoders.values()}
         for topic, name in self._topics.types.items():
             qos = special.get(topic, RELIABLE_QOS)
-            events = SubscriptionEventCallbacks(use_default_callbacks=False)
-            subscription = self._node.create_subscription(
-                message_class(name), topic, _no_callback, qos, raw=True, event_callbacks=events
-            )
-            self._subscriptions.append(subscription)
+            self._subscriptions.append(PolledSubscription(self._node, message_class(name), topic, qos))
 
     def take(self) -> float:
         """Store the messages that have arrived; return the present time (steady clock) [s]."""
         now_s = time.monotonic()
         for subscription, topic in zip(self._subscriptions, self._topics.types, strict=False):
-            handle = subscription.handle
-            with handle:
-                while (message := handle.take_message(subscription.msg_type, subscription.raw)) is not None:
-                    data, info = message
-                    self._store.add(topic, now_s, info["received_timestamp"], data)
+            for data, info in subscription.take():
+                self._store.add(topic, now_s, info["received_timestamp"], data)
         return now_s
 
     def close(self) -> None:
         """Leave the graph."""
         self._node.destroy_node()
-
-
-def _no_callback(_data: bytes) -> None:
-    """No-op callback required by rclpy."""
 
 
 class BagTopics:

@@ -28,7 +28,7 @@ from posor.messages.message_table import TableLayout
 from posor.model.fault import State
 from posor.numerics.stamps import NS
 from posor.ros_names import ENDPOINT_STATE, ENDPOINT_STATE_TOPIC, JOINT_TRANSFORM, RAW_TOPIC, TRANSFORM_TOPIC
-from posor_estimator.endpoint_verdict import SOUND, JointStatus, degraded_verdict, unusable_verdict, with_beam_faults
+from posor_estimator.endpoint_verdict import SOUND, JointStatus, degraded_by, degraded_verdict, unusable_verdict
 from posor_ros.qos import RELIABLE_QOS
 
 if TYPE_CHECKING:
@@ -110,7 +110,7 @@ class EndpointStates:
             first = rows[0]
             verdict = self._verdict(list(joints), states[first], faults[first], has_pose=bool(place[first] >= 0))
             if verdict.has_pose:
-                verdict = with_beam_faults(verdict, reasons[first])
+                verdict = degraded_by(verdict, reasons[first])
             set_by = self._endpoint.set_by(bounds, int(place[first])) if verdict.has_pose else ()
             table = self._table(verdict, set_by, len(rows))
             table["header.stamp.sec"], table["header.stamp.nanosec"] = np.divmod(stamps[rows], NS)

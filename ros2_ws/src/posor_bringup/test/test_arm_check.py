@@ -25,7 +25,7 @@ from posor_drivers.instruments.instruments_command import main as instruments
 from posor_drivers.instruments.instruments_file import JointEntry
 from posor_drivers.simulator.arm_simulation import ArmSimulation
 from posor_lab.harness.case_tables import edited, refusal
-from posor_lab.harness.full_disk import file_size_limit
+from posor_lab.harness.full_disk import contents_of, file_size_limit
 
 MISTAKES = yaml.safe_load(Path(__file__).with_name("arm_mistakes.yaml").read_text(encoding="utf-8"))
 LENGTHS = (0.5, 0.3, 0.2)
@@ -97,10 +97,10 @@ def test_options_choose_axes_lengths_sensors_and_names(
     assert "nominal reach: 0.65" in printed
     assert "200 scans per second" in printed
     assert "not finite" in printed  # two diodes and no dark scans do not show every cause
-    before = {path: path.read_bytes() for path in Path("two").rglob("*") if path.is_file()}
+    before = contents_of(Path("two"))
     assert main(["new", "two", "--joints", "1"]) == 1
     assert capsys.readouterr().err == "two: exists already; expected another name, or --folder.\n"
-    assert {path: path.read_bytes() for path in Path("two").rglob("*") if path.is_file()} == before
+    assert contents_of(Path("two")) == before
     assert sorted(path.name for path in tmp_path.iterdir()) == ["two"]
 
 

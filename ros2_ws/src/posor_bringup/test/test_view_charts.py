@@ -6,6 +6,7 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 import pytest
+from posor.numerics.stamps import NS
 from posor_bringup.view_charts import Axis, Chart, Series, draw_charts
 from posor_bringup.view_history import POINTS, History
 from posor_bringup.view_record import STATE_COLOURS, ArmRecord, Since
@@ -19,15 +20,15 @@ STATE = 3
 LETTER = 11.0  # height of a label
 
 
-def filled(times_s: np.typing.ArrayLike, windows_s: tuple[float, ...] = (30.0,)) -> History:
-    history = History(4, windows_s)
+def filled(times_s: np.typing.ArrayLike) -> History:
+    history = History(4, (30.0,))
     for number, time_s in enumerate(np.asarray(times_s)):
         history.add(time_s, np.array([float(number), 2.0, 0.5, 0.0]))
     return history
 
 
-def drawn(history: History, axis: Axis, window: int = 0) -> ET.Element:
-    picture = draw_charts(history.points(window), axis, CHARTS, STATE, STATE_COLOURS, history.run)
+def drawn(history: History, axis: Axis) -> ET.Element:
+    picture = draw_charts(history.points(0), axis, CHARTS, STATE, STATE_COLOURS, history.run)
     return ET.fromstring(picture)  # noqa: S314  drawn by this program
 
 
@@ -114,7 +115,7 @@ def test_charts_without_points_are_empty() -> None:
 def test_another_identity_is_another_run() -> None:
     record = ArmRecord(["elbow"], (30.0,))
     for second, identity in enumerate(("a" * 64, "", "a" * 64, "b" * 64)):
-        record.add_state(second * 1_000_000_000, "OK", [], identity)
+        record.add_state(second * NS, "OK", [], identity)
     (event,) = record.log.events()
     assert event.cause.text == "the arm has changed: identity aaaaaaaa became bbbbbbbb"
     assert record.history.run == 1

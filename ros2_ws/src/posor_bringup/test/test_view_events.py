@@ -7,6 +7,7 @@ import io
 
 import pytest
 from posor.model.fault import Fault
+from posor.numerics.stamps import NS
 from posor_bringup.view_events import (
     EVENTS,
     FAULT_TEXTS,
@@ -20,7 +21,6 @@ from posor_bringup.view_events import (
 from posor_estimator.endpoint_verdict import JointStatus, degraded_verdict, unusable_verdict
 
 JOINTS = ("base", "elbow", "wrist_roll")
-NS = 1_000_000_000
 T0_NS = 1_767_225_600 * NS
 LOST = Cause("LOST", "dark", ("elbow",))
 

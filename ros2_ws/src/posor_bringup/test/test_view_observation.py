@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from posor.numerics.stamps import NS
 from posor_bringup.arms import load_checked_arm
 from posor_bringup.view_events import Cause
 from posor_bringup.view_messages import ArmTopics, MessageStore
@@ -16,7 +17,7 @@ from posor_ros.message_classes import schema_of_class
 from scipy.special import chdtri
 from sensor_msgs.msg import JointState
 
-PERIOD_S, NS = 0.01, 1_000_000_000
+PERIOD_S = 0.01
 STATE, TRANSFORM, ENCODERS = "/test_rig/endpoint/state", "/test_rig/joint1/transform", "/test_rig/encoders"
 
 

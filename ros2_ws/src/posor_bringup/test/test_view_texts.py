@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from posor.numerics.stamps import NS
 from posor_bringup.view_events import NOTE, Cause, EventLog
 from posor_bringup.view_observation import SILENT_NODE, EndpointView, Observation
 from posor_bringup.view_record import ArmRecord
 from posor_bringup.view_texts import causes_table, events_table, numbers_table, statement
 
-NS = 1_000_000_000
 POSE = np.array([1.23456789, -0.5, 0.0, 0.0, 0.0, 0.0, 1.0])
 SIGMAS = np.array([1e-6, 2e-6, 5.7e-6, 1e-6, 2e-6, 3e-6])
 ENDPOINT = EndpointView(

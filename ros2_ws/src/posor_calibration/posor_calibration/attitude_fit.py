@@ -19,11 +19,12 @@ from posor.errors import FitError, TrackError
 from posor.estimation.posor import Posor
 from posor.model.native_coordinates import native_from_rotation, native_jacobian
 from posor.model.scan import PROBES_ESTIMATED, SATURATED
+from posor.sensors.base import READING_KINDS
 from posor.uncertainty.reading_sensitivity import sensitivity_at
 from pydantic import Field
 
 from posor_calibration.calibration_parameters import FixedParameters, replace_values
-from posor_calibration.data_checks import READING_KINDS, check_axis, check_channels_vary, check_clock, check_unit
+from posor_calibration.data_checks import check_axis, check_channels_vary, check_clock, check_unit
 from posor_calibration.fit_report import check_spread, describe_fit, enlarge_if_improbable, table_row
 from posor_calibration.least_squares import Fit, fit_parameters
 from posor_calibration.procedure import (

@@ -15,12 +15,13 @@ from posor.model.fault import USABLE_STATES, State
 from posor.model.native_coordinates import native_from_rotation
 from posor.numerics.stamps import NS
 from posor.numerics.vector import thetas_of
+from posor.sensors.base import READING_KINDS
 from pydantic import Field
 
 from posor_calibration.bundle_problem import BundleData, PoseReference
-from posor_calibration.data_checks import READING_KINDS, check_axis, check_channels_vary, check_unit
-from posor_calibration.dwells import Settle, Still, average_dwells, find_dwells, scans_with_reference
-from posor_calibration.procedure import LongestGapOption, Options
+from posor_calibration.data_checks import check_axis, check_channels_vary, check_unit
+from posor_calibration.dwells import RestOptions, Settle, Still, average_dwells, scans_with_reference
+from posor_calibration.procedure import LongestGapOption
 
 if TYPE_CHECKING:
     from posor.bags.recording import Recording, Track
@@ -34,7 +35,7 @@ MIN_COMPARED = 4
 MIN_POSES = 8
 
 
-class BundleDataOptions(Options):
+class BundleDataOptions(RestOptions):
     """Options of the bundle fit that select its data."""
 
     reference: str = Field(
@@ -73,8 +74,7 @@ def make_bundle_data(recording: Recording, calibration: Calibration, options: Bu
         return _thin_out(data, options.at_most, recording.source)
     track = recording.find_track(options.reference, POSE)
     if options.least_dwell > 0.0:
-        dwells = find_dwells(track, options.still, int(options.least_dwell * NS), settle_ns=int(options.settle * NS))
-        means = average_dwells(recording.scans, track, dwells, source=recording.source)
+        means = average_dwells(recording.scans, track, options.dwells(track), source=recording.source)
         scans, counts, left_out = means.scans, means.counts.astype(float), 0
         values, sigmas, warnings = means.reference, means.reference_sigmas, means.warnings
     else:

@@ -21,6 +21,7 @@ from posor.errors import FitError
 from posor.estimation.solver import LENGTH, TOLERANCE
 from scipy.linalg import block_diag
 
+from posor_calibration.data_checks import POSE_AXES
 from posor_calibration.least_squares import Fit, fit_parameters
 
 if TYPE_CHECKING:
@@ -38,7 +39,6 @@ UNKNOWN_SIGMA = 1e-2
 """Standard uncertainty [m, rad] of a direction that a reference does not measure, far above that of the readings."""
 LEAST_SIGMA = 1e-10  # least standard uncertainty of a reference [m, rad]: the size of an atom
 LEVER = np.array([1.0, 1.0, 1.0, 1.0 / LENGTH, 1.0 / LENGTH, 1.0 / LENGTH])  # scales the tangent to lengths
-AXES = ("x", "y", "z", "about x", "about y", "about z")
 
 
 class OutOfRangeError(Exception):
@@ -113,7 +113,7 @@ class BundleProblem:
         self._roots = np.sqrt(data.counts[:, None] / stack.linearise(scans).variances)
         mounting = np.zeros(0) if reference is None else reference.mounting_sigmas
         self._mounted = np.flatnonzero(mounting > 0.0)
-        plates = [(("receiving", "target")[i // POSE_SIZE], AXES[i % POSE_SIZE]) for i in self._mounted.tolist()]
+        plates = [(("receiving", "target")[i // POSE_SIZE], POSE_AXES[i % POSE_SIZE]) for i in self._mounted.tolist()]
         mounting_names = [f"mounting of the reference on the {plate} plate, {axis}" for plate, axis in plates]
         self.names = (*free.names, *mounting_names)
         self.units = (*free.units, *("rad" if axis.startswith("about") else "m" for _, axis in plates))

@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -263,7 +262,3 @@ def _parse_sigmas(topic: str, text: str) -> list[float]:
         expected = "standard uncertainties of zero or more, separated by commas"
         raise ParameterError(f"'{topic}={text}'", where="option --uncertainty", expected=expected)
     return numbers
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from posor.errors import FitError, TrackError
+from posor.sensors.diodes import CONTACT_LETTERS
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -16,9 +17,7 @@ if TYPE_CHECKING:
     from posor.model.scan import Scans
     from posor.numerics.array_types import BoolArray, FloatArray, IntArray
 
-READING_KINDS = ("gap_voltages", "ring_voltages", "diode_currents")
-"""Fields of ``Scans`` that hold the channels of sensors."""
-CONTACTS = "ABCD"
+POSE_AXES = ("x", "y", "z", "about x", "about y", "about z")
 MOST_OUTLIERS = 0.1  # share of outliers beyond which data are refused
 ROUNDING = 1e-12  # relative rounding error of a mean of equal numbers
 
@@ -64,8 +63,8 @@ def check_count(count: int, least: int, what: str, where: str) -> None:
 def channel_name(kind: str, channel: int) -> str:
     """Return the name of a channel of a scan: ``gap voltage 2``, ``current C of diode 1``."""
     if kind == "diode_currents":
-        diode, contact = divmod(channel, len(CONTACTS))
-        return f"current {CONTACTS[contact]} of diode {diode + 1}"
+        diode, contact = divmod(channel, len(CONTACT_LETTERS))
+        return f"current {CONTACT_LETTERS[contact]} of diode {diode + 1}"
     return f"{kind.removesuffix('s').replace('_', ' ')} {channel + 1}"
 
 
@@ -78,7 +77,7 @@ def check_channels_vary(scans: Scans, kinds: Sequence[str], where: str) -> None:
     for kind in kinds:
         readings = getattr(scans, kind).reshape(len(scans), -1)
         count = readings.shape[1]
-        size = len(CONTACTS) if kind == "diode_currents" else count
+        size = len(CONTACT_LETTERS) if kind == "diode_currents" else count
         for channel in range(count):
             first, last = _longest_constant_run(readings[:, channel])
             if last + 1 - first < STUCK_SCANS:

@@ -12,12 +12,11 @@ from posor.errors import FitError
 from posor.estimation.sensor_stack import Stack
 from posor.model.reading_rows import evaluate_poses
 from posor.model.scan import DIODES_ESTIMATED, SATURATED
-from posor.numerics.stamps import NS
 
 from posor_calibration.calibration_parameters import first_parameter, replace_values
 from posor_calibration.data_checks import check_axis, check_channels_vary, check_count, check_unit
-from posor_calibration.dwells import DwellMeans, LeastDwell, Settle, Still, average_dwells, find_dwells
-from posor_calibration.procedure import LossOption, Options
+from posor_calibration.dwells import DwellMeans, RestOptions, average_dwells
+from posor_calibration.procedure import LossOption
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -34,12 +33,9 @@ CLEAR_MOTION = 10.0  # travel of a spot over its noise above which it is compare
 OF_ONE_DIODE = ("origins", "x_axes", "y_axes", "maps")  # parameters of a diode sensor that each diode has for itself
 
 
-class StageOptions(Options):
+class StageOptions(RestOptions):
     """Options of procedures with diodes and a stage that rests at dwells."""
 
-    still: Still = 5e-6
-    least_dwell: LeastDwell = 0.2
-    settle: Settle = 0.0
     loss: LossOption = "linear"
 
 
@@ -150,15 +146,13 @@ class DwellSpots:
         ]
 
 
-def average_stage_dwells(
-    recording: Recording, track: Track, least: int, *, still: float, least_dwell: float, settle: float, what: str
-) -> DwellMeans:
+def average_stage_dwells(recording: Recording, track: Track, least: int, options: RestOptions, what: str) -> DwellMeans:
     """Return the mean scans at ``least`` or more dwells of a stage, without substituted or saturated readings.
 
     Raises TrackError: the reference is unusable; FitError: there are too few dwells, or a channel is stuck.
     """
     scans = recording.without_status(DIODES_ESTIMATED | SATURATED).scans
-    dwells = find_dwells(track, still, round(least_dwell * NS), settle_ns=round(settle * NS))
+    dwells = options.dwells(track)
     check_count(len(dwells), least, "dwells of the reference", f"{what}, {track.source}")
     check_channels_vary(scans, ("diode_currents",), recording.source)
     return average_dwells(scans, track, dwells, source=recording.source, kinds=("diode_currents",))
@@ -171,8 +165,7 @@ def find_dwell_spots(
 
     Raises TrackError: the reference is unusable; FitError: there are too few dwells, or no diode sees a source.
     """
-    limits = options.model_dump(include={"still", "least_dwell", "settle"})
-    means = average_stage_dwells(recording, track, MIN_DWELLS, **limits, what=what)
+    means = average_stage_dwells(recording, track, MIN_DWELLS, options, what)
     count = means.scans.diode_currents.shape[1]
     if count != len(part.diodes):
         raise FitError(f"scans of {count} diodes", where=what, expected=f"{len(part.diodes)}, as in the calibration")

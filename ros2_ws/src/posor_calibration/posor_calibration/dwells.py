@@ -16,10 +16,11 @@ from posor.bags.recording import POSE
 from posor.errors import FitError, TrackError
 from posor.model.scan import Scans
 from posor.numerics.stamps import NS
+from posor.sensors.base import READING_KINDS
 from pydantic import Field
 from scipy.ndimage import median
 
-from posor_calibration.data_checks import MOST_OUTLIERS, READING_KINDS, ROUNDING, channel_name
+from posor_calibration.data_checks import MOST_OUTLIERS, ROUNDING, channel_name
 from posor_calibration.procedure import Options
 
 if TYPE_CHECKING:
@@ -83,6 +84,18 @@ def find_dwells(track: Track, tolerance: float, least_ns: int, *, settle_ns: int
     return found
 
 
+class RestOptions(Options):
+    """Options of a procedure whose reference, or another quantity, rests at dwells."""
+
+    still: Still = 5e-6
+    least_dwell: LeastDwell = 0.2
+    settle: Settle = 0.0
+
+    def dwells(self, track: Track) -> list[Dwell]:
+        """Return the times during which a track stood still as the options ask for; raises as ``find_dwells``."""
+        return find_dwells(track, self.still, round(self.least_dwell * NS), settle_ns=round(self.settle * NS))
+
+
 @dataclass(frozen=True)
 class DwellMeans:
     """One mean scan for each dwell, and the reference there."""
@@ -116,7 +129,7 @@ class DwellMeans:
 
 
 def average_dwells(
-    scans: Scans, track: Track, dwells: Sequence[Dwell], *, source: str = "", kinds: Sequence[str] = READING_KINDS
+    scans: Scans, track: Track, dwells: Sequence[Dwell], *, source: str, kinds: Sequence[str] = READING_KINDS
 ) -> DwellMeans:
     """Return the mean scan of each dwell that holds scans, without the outliers.
 
@@ -124,7 +137,6 @@ def average_dwells(
     Outliers of ``kinds``, fields of ``Scans``, are left out. Raises TrackError: no dwell holds a scan, or the lit
     source changes within a dwell; FitError: more than a tenth of the readings of a channel are outliers.
     """
-    source = source or track.source
     bounds = [
         (int(np.searchsorted(scans.stamps_ns, d.begin_ns)), int(np.searchsorted(scans.stamps_ns, d.end_ns, "right")))
         for d in dwells
@@ -262,7 +274,7 @@ def _describe_outliers(bad: BoolArray, numbers: FloatArray, channel: str, source
     )
 
 
-class DwellOptions(Options):
+class DwellOptions(RestOptions):
     """Options of a procedure whose reference moves from dwell to dwell."""
 
     reference: str = Field(default="", description="topic of the reference; empty: the only one that fits")
@@ -308,7 +320,7 @@ def average_recording(
             reference=values,
             reference_sigmas=np.tile(track.sigmas, (len(scans), 1)),
         )
-    dwells = find_dwells(track, options.still, round(options.least_dwell * NS), settle_ns=round(options.settle * NS))
+    dwells = options.dwells(track)
     if not dwells:
         raise TrackError(
             f"never stands still within {options.still:g} for {options.least_dwell:g} s",

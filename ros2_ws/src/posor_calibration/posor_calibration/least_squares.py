@@ -32,6 +32,7 @@ MAX_EVALUATIONS = 200
 DIFFERENCE_STEP = 1e-4  # step of central differences over the scale of a parameter
 UNDETERMINED = 1e-9  # singular values below this share of the largest one count as zero
 WEAK = 0.5  # a direction is weak if the fit leaves more than this share of its prior standard uncertainty
+FALSE_OUTLIER = 1e-3  # probability of a false outlier among all residuals of a fit (Bonferroni)
 NAMED_SHARE = 0.3  # parameters with at least this component in a direction are named
 
 
@@ -95,9 +96,9 @@ class Fit:
             cross_covariance=self.cross_covariance[:count],
         )
 
-    def outliers(self, probability: float = 1e-3) -> BoolArray:
-        """Return which residuals are outliers, (n,); ``probability`` of a false one among all (Bonferroni)."""
-        limit = -ndtri(0.5 * probability / max(len(self.residuals), 1))
+    def outliers(self) -> BoolArray:
+        """Return which residuals are outliers, (n,)."""
+        limit = -ndtri(0.5 * FALSE_OUTLIER / max(len(self.residuals), 1))
         # Normal distribution: median of the absolute values over the standard deviation.
         scatter = float(np.median(np.abs(self.residuals)) / ndtri(0.75))
         return np.asarray(np.abs(self.residuals) > limit * max(1.0, scatter))

@@ -4,16 +4,15 @@
 
 from __future__ import annotations
 
-import json
-import math
 import textwrap
 from dataclasses import asdict, dataclass
 from itertools import cycle
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from markupsafe import Markup
 from posor.reporting.figure_style import BLUE, GREEN, GREY, LIGHT_BLUE, ORANGE
 from posor.reporting.html_page import Section, bullet_list, paragraph, render_page, table
+from posor.reporting.json_text import json_text
 
 from posor_calibration.fit_report import IMPROBABLE
 from posor_calibration.least_squares import WEAK
@@ -204,12 +203,4 @@ def outcome_json(name: str, verdict: ProcedureVerdict, outcome: Outcome) -> str:
             for each in outcome.figures
         ],
     }
-    return json.dumps(_without_nan(content), indent=1, allow_nan=False) + "\n"
-
-
-def _without_nan(part: Any) -> Any:
-    if isinstance(part, dict):
-        return {key: _without_nan(value) for key, value in part.items()}
-    if isinstance(part, list | tuple):
-        return [_without_nan(value) for value in part]
-    return None if isinstance(part, float) and not math.isfinite(part) else part
+    return json_text(content, indent=1)

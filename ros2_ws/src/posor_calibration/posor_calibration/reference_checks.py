@@ -20,10 +20,11 @@ import numpy as np
 from posor.bags.recording import POSE
 from posor.errors import FitError, PosorError, TrackError
 from posor.numerics.stamps import NS
+from posor.sensors.base import READING_KINDS
 from scipy.ndimage import median_filter
 from scipy.spatial.transform import Rotation
 
-from posor_calibration.data_checks import MOST_OUTLIERS, READING_KINDS
+from posor_calibration.data_checks import MOST_OUTLIERS
 from posor_calibration.diode_spots import current_ratios
 from posor_calibration.procedure import ANGLES, LARGEST_DRIFT, DriftTest
 

@@ -11,6 +11,7 @@ from posor.errors import FitError, TrackError
 from posor.estimation.forward import empty_scans
 from posor.model.scan import Scans
 from posor.numerics.array_types import FloatArray
+from posor.numerics.stamps import NS
 from posor_calibration.dwells import (
     Dwell,
     DwellOptions,
@@ -21,7 +22,6 @@ from posor_calibration.dwells import (
     scans_with_reference,
 )
 
-SECOND = 1_000_000_000
 GAPS = ("gap_voltages",)
 SOURCE = "bag, topic /reference"
 
@@ -50,7 +50,7 @@ def test_slow_motion_is_no_dwell() -> None:
 
 def test_the_beginning_of_a_dwell_is_left_out_while_it_settles() -> None:
     reference = stepped((0.0, 10), (1.004, 3), (1.0, 17))
-    (found,) = find_dwells(reference, 0.01, 1_000_000_000, settle_ns=300_000_000)
+    (found,) = find_dwells(reference, 0.01, NS, settle_ns=300_000_000)
     assert (found.mean[0], found.deviation[0], found.samples) == (1.0, 0.0, 17)
 
 
@@ -82,7 +82,7 @@ REFERENCE = track(np.zeros((2, 1)), 1)
 
 def test_means_are_of_the_scans_within_each_dwell() -> None:
     scans = scans_of(np.array([[9.0], [1.0], [3.0], [9.0], [5.0], [9.0]]), [10, 20, 30, 40, 50, 60])
-    found = average_dwells(scans, REFERENCE, [dwell(20, 30), dwell(45, 55), dwell(56, 59)])
+    found = average_dwells(scans, REFERENCE, [dwell(20, 30), dwell(45, 55), dwell(56, 59)], source="bag")
     assert found.scans.gap_voltages[:, 0].tolist() == [2.0, 5.0]
     assert found.scans.stamps_ns.tolist() == [25, 50]
     assert (found.counts.tolist(), len(found)) == ([2, 1], 2)
@@ -91,7 +91,7 @@ def test_means_are_of_the_scans_within_each_dwell() -> None:
 def test_uncertainty_of_means_is_pooled_over_the_dwells(rng: np.random.Generator) -> None:
     volts = rng.normal(size=(60, 2)) * [1e-3, 5e-3] + np.repeat([[1.0, 2.0], [3.0, -1.0], [0.0, 0.0]], 20, axis=0)
     dwells = [dwell(1, 20), dwell(21, 40), dwell(41, 60)]
-    found = average_dwells(scans_of(volts, list(range(1, 61))), REFERENCE, dwells)
+    found = average_dwells(scans_of(volts, list(range(1, 61))), REFERENCE, dwells, source="bag")
     pooled = np.sqrt(np.mean(volts.reshape(3, 20, 2).var(axis=1, ddof=1), axis=0))
     np.testing.assert_allclose(found.deviations["gap_voltages"], pooled)
     np.testing.assert_allclose(found.sigmas("gap_voltages"), np.tile(pooled / np.sqrt(20.0), (3, 1)))
@@ -100,7 +100,7 @@ def test_uncertainty_of_means_is_pooled_over_the_dwells(rng: np.random.Generator
 def test_uncertainty_of_the_reference_includes_its_scatter() -> None:
     scans = scans_of(np.zeros((4, 1)), [10, 20, 30, 40])
     reference = track(np.zeros((2, 1)), 1, sigma=3e-6)
-    found = average_dwells(scans, reference, [dwell(10, 40, mean=0.5, deviation=8e-6, samples=4)])
+    found = average_dwells(scans, reference, [dwell(10, 40, mean=0.5, deviation=8e-6, samples=4)], source="bag")
     np.testing.assert_allclose(found.reference, [[0.5]])
     np.testing.assert_allclose(found.reference_sigmas, [[5e-6]])
 
@@ -116,7 +116,7 @@ def test_dwell_without_a_usable_scan_is_refused(
     lit: list[list[int]] | None, ends: tuple[int, int], sentence: str
 ) -> None:
     with pytest.raises(TrackError) as caught:
-        average_dwells(scans_of(np.zeros((2, 1)), [10, 20], lit), REFERENCE, [dwell(*ends)])
+        average_dwells(scans_of(np.zeros((2, 1)), [10, 20], lit), REFERENCE, [dwell(*ends)], source=SOURCE)
     assert str(caught.value).startswith(f"bag, topic /reference: {sentence}")
 
 
@@ -138,8 +138,8 @@ def test_without_a_least_dwell_each_scan_is_one() -> None:
 
 
 def test_reference_that_never_rests_is_refused() -> None:
-    moving = track(np.arange(100.0)[:, None], SECOND)
-    recording = Recording(scans_of(np.zeros((1, 1)), [SECOND]), {"/reference": moving}, "bag")
+    moving = track(np.arange(100.0)[:, None], NS)
+    recording = Recording(scans_of(np.zeros((1, 1)), [NS]), {"/reference": moving}, "bag")
     sentence = r"^bag, topic /reference: never stands still within 0\.1 for 0\.2 s; expected dwells"
     with pytest.raises(TrackError, match=sentence):
         average_recording(recording, moving, DwellOptions(still=0.1))

@@ -28,8 +28,8 @@ ORDER: dict[str, Any] = {"order": 4, "highest_order": 4}
 UNTESTED = "Drift of the reference is not tested (/reference): return to the start, more often or for longer."
 
 
-def recorded(travel: str, seed: int = 1) -> Recording:
-    found = lifted_recording(diode_calibration(), TRAVELS[travel], np.random.default_rng(seed), scans_each=20)
+def recorded(travel: str) -> Recording:
+    found = lifted_recording(diode_calibration(), TRAVELS[travel], np.random.default_rng(1), scans_each=20)
     [(topic, track)] = found.tracks.items()
     return replace(found, tracks={topic: replace(track, sigmas=np.array([SIGMA]))})
 
@@ -44,8 +44,8 @@ def track_of(recording: Recording) -> Track:
     return track
 
 
-def drifting(travel: str, size: float, seed: int = 1) -> FitResult:
-    recording = recorded(travel, seed)
+def drifting(travel: str, size: float) -> FitResult:
+    recording = recorded(travel)
     values = track_of(recording).values
     share = np.linspace(0.0, 1.0, len(values))[:, None]
     return fit(

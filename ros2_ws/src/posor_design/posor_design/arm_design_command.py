@@ -9,7 +9,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
-from posor.arm_names import describe_argument
+from posor.arm_names import ARM_FILE, describe_argument
 from posor.chain.arm_file import load_arm_file
 from posor.errors import ParameterError
 from posor.reporting.command_line_parser import CommandLineParser
@@ -21,7 +21,7 @@ from posor_design.arm_design_page import allotment_tables, render_arm_page
 from posor_design.arm_output import BEAMS, allotment_json, allotted_beams, arm_files, joint_requirements
 from posor_design.endpoint_budget import configurations
 from posor_design.nearest_requirement import search_layouts
-from posor_design.posor_output import ARM_FILE, add_output_options, output_folder, requirement_text, write_design
+from posor_design.posor_output import add_output_options, output_folder, requirement_text, write_design
 from posor_design.quantity_text import parse_quantity, split_list
 
 if TYPE_CHECKING:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree as ET
 
 import numpy as np
+from posor.arm_names import ARM_FILE
 from posor.calibration.document_text import document_text
 from posor.calibration.edit import edit_document
 from posor.calibration.yaml_document import read_text
@@ -17,7 +18,7 @@ from posor.errors import ChainError
 from posor.uncertainty.budget_quantities import NATIVE
 
 from posor_design.arm_allotment import beams_with
-from posor_design.posor_output import ARM_FILE, SCENARIO, arm_text, made_by
+from posor_design.posor_output import SCENARIO, arm_text, made_by
 from posor_design.reliability_report import AXES
 from posor_design.requirement import Requirement, requirement_content
 

@@ -5,9 +5,7 @@
 from __future__ import annotations
 
 import argparse
-import json
 import math
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,6 +15,7 @@ from posor.chain.arm_file import load_arm_file
 from posor.estimation.posor import Posor
 from posor.output_files import make_folder, write_files
 from posor.reporting.command_line_parser import CommandLineParser
+from posor.reporting.json_text import json_text
 from posor.reporting.program_errors import reports_errors
 from posor.reporting.progress import progress_display
 from posor.reporting.report_console import report_console
@@ -153,7 +152,7 @@ def compute_budget(options: argparse.Namespace, progress: Callable[[int], None] 
 
 def write_budget(report: BudgetReport, folder: Path) -> None:
     """Write table, figures and page into an existing folder. Raises OutputError: one cannot be written."""
-    texts = report.as_csv(), json.dumps(report.as_json(), indent=2) + "\n", render_budget_page(report)
+    texts = report.as_csv(), json_text(report.as_json(), indent=2), render_budget_page(report)
     write_files({folder / name: text for name, text in zip(OUTPUT_FILES, texts, strict=True)})
 
 
@@ -183,7 +182,3 @@ def main(arguments: Sequence[str] | None = None) -> int:
     print_budget(report, console)
     console.print(f"page and files: {options.output}", soft_wrap=True, markup=False)
     return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -153,7 +153,3 @@ def _print_values(fields: Sequence[Value], values: dict[str, Any]) -> None:
 
 def _json_values(fields: Sequence[Value], values: dict[str, Any]) -> dict[str, Any]:
     return {each.name: {"value": values[each.name], "unit": unit_of(each.kind)} for each in fields}
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -18,6 +18,7 @@ from posor.errors import FitError, ParameterError
 from posor.estimation.solver import CONVERGED
 from posor.model.scan import Scans
 from posor.sensors.base import RowSensor
+from posor.uncertainty.budget_poses import require_forward_model
 from posor.uncertainty.budget_quantities import THETA, Output, Outputs
 from scipy.special import ndtri
 
@@ -35,6 +36,7 @@ COVERAGE = 0.95  # coverage probability of the compared intervals
 COVERAGE_FACTOR = float(ndtri(0.5 + 0.5 * COVERAGE))
 BATCH = 10_000  # draws between two tests of stability (JCGM 101, 7.9.4: at least 10^4)
 MAX_LOST_SHARE = 0.01  # largest share of draws without a pose
+DIGITS = 1  # significant digits of an uncertainty, which set the numerical tolerance
 STABLE_SHARE = 0.2  # stability is required to this share of the numerical tolerance (JCGM 101, 8.2)
 PROGRESS_DRAWS = 500  # draws between two calls of ``progress``
 
@@ -61,7 +63,7 @@ def monte_carlo(
     *,
     seed: int,
     max_draws: int = 10 * BATCH,
-    digits: int = 1,
+    digits: int = DIGITS,
     progress: Callable[[int], None] | None = None,
 ) -> MonteCarlo:
     """Draw in batches until the results are stable (JCGM 101, 7.9), or ``max_draws`` draws are made.
@@ -70,8 +72,8 @@ def monte_carlo(
     theta stays in its bump. ``points``: points of the plate whose gaps are outputs besides the six native coordinates.
     ``seed``: of the random numbers. ``max_draws``: largest number of draws, at least two batches. ``digits``:
     significant digits of an uncertainty, which set the numerical tolerance. ``progress``: called with the number of
-    draws made so far. Raises ParameterError: the noise of a sensor in plain Python cannot be drawn, or ``max_draws`` is
-    too small. Raises FitError: more than 1 % of the draws give no pose.
+    draws made so far. Raises ParameterError: a sensor has no forward model, or ``max_draws`` is too small. Raises
+    FitError: more than 1 % of the draws give no pose.
     """
     if max_draws < 2 * BATCH:
         raise ParameterError(f"{max_draws} draws", expected=f"at least {2 * BATCH}, two batches of JCGM 101")
@@ -115,8 +117,10 @@ class _Draws:
         self, posor: Posor, scan: Scan, T_R_T: pin.SE3, points: Sequence[PlatePoint], random: np.random.Generator
     ) -> None:
         stack = posor.stack
+        require_forward_model(posor)
         self.outputs = Outputs(stack, points)
         self._stack = stack.with_parameter_values(stack.parameter_values)  # each draw overwrites them
+        self._sensors = [sensor for sensor in self._stack.sensors if isinstance(sensor, RowSensor)]
         self._scans = Scans.of([scan] * BATCH)
         self._rotation, self._translation = T_R_T.rotation.copy(), T_R_T.translation.copy()
         self._theta = self.outputs.values(self._rotation, self._translation)[THETA]
@@ -126,10 +130,7 @@ class _Draws:
     def noisy_scans(self) -> list[Scans]:
         """Return a batch of scans with noise, one by one."""
         scans = self._scans
-        for sensor in self._stack.sensors:
-            if not isinstance(sensor, RowSensor):
-                what = f"the noise of {type(sensor).__name__} cannot be drawn"
-                raise ParameterError(what, where="Monte Carlo", expected="sensors with a forward model (RowSensor)")
+        for sensor in self._sensors:
             scans = scans.with_fields(sensor.disturbed(scans, self._random))
         return [scans.part(n, n + 1) for n in range(BATCH)]
 
@@ -198,18 +199,15 @@ def numerical_tolerance(sigma: float, digits: int) -> float:
     return 0.5 * 10.0**last
 
 
-def validate(budget: ErrorBudget, drawn: MonteCarlo, digits: int = 1) -> tuple[Validation, ...]:
-    """Compare the two 95 % intervals of each output.
-
-    ``drawn``: draws of the same POSOR at the same pose and points. ``digits``: significant digits of an uncertainty.
-    """
+def validate(budget: ErrorBudget, drawn: MonteCarlo) -> tuple[Validation, ...]:
+    """Compare the two 95 % intervals of each output; ``drawn``: draws of the same POSOR at the same pose and points."""
     found = []
     for i, output in enumerate(budget.outputs):
         expanded = COVERAGE_FACTOR * budget.sigmas[i]
         found.append(
             Validation(
                 name=output.name,
-                tolerance=numerical_tolerance(float(budget.sigmas[i]), digits),
+                tolerance=numerical_tolerance(float(budget.sigmas[i]), DIGITS),
                 low=float(abs(budget.values[i] - expanded - drawn.low[i])),
                 high=float(abs(budget.values[i] + expanded - drawn.high[i])),
                 stable=bool(drawn.stable[i]),

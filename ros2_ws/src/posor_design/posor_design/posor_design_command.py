@@ -8,6 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from posor.arm_names import ARM_FILE
 from posor.calibration.file_model import first_problem
 from posor.errors import ParameterError, similar_name
 from posor.reporting.command_line_parser import CommandLineParser
@@ -20,14 +21,7 @@ from posor_design.budget_command import parse_options as parse_budget_options
 from posor_design.layout_search import PREFERENCES
 from posor_design.nearest_requirement import search_layouts
 from posor_design.posor_design_page import layout_tables, layout_terms, verdict
-from posor_design.posor_output import (
-    ARM_FILE,
-    CALIBRATION,
-    add_output_options,
-    output_files,
-    output_folder,
-    write_design,
-)
+from posor_design.posor_output import CALIBRATION, add_output_options, output_files, output_folder, write_design
 from posor_design.quantity_text import parse_quantity
 from posor_design.requirement import FREEDOMS, OPTIONS, Requirement, load_requirement, requirement_content
 

@@ -12,9 +12,11 @@ from pathlib import Path
 from string import Template
 from typing import TYPE_CHECKING, Any
 
+from posor.arm_names import ARM_FILE
 from posor.calibration.document_text import document_text
 from posor.errors import OutputError, ParameterError
 from posor.output_files import make_folder, write_files, writing
+from posor.reporting.json_text import json_text
 
 from posor_design.layout_search import objectives
 from posor_design.posor_design_page import render_posor_page
@@ -34,7 +36,7 @@ if TYPE_CHECKING:
 JOINT = "joint1"
 FRAMES = (f"{JOINT}_receiving", f"{JOINT}_target")
 CALIBRATION = f"calibrations/{JOINT}.yaml"
-ARM_FILE, URDF, SCENARIO, REQUIREMENT = "arm.yaml", "posor.urdf", "scenario.yaml", "requirement.yaml"
+URDF, SCENARIO, REQUIREMENT = "posor.urdf", "scenario.yaml", "requirement.yaml"
 PAGE, FIGURES = "design.html", "design.json"
 PROGRAM = "posor design posor"
 PLATE_THICKNESS = 0.0127  # of the plates in the URDF, assumed [m]
@@ -63,7 +65,7 @@ def output_files(result: SearchResult, chosen: Candidate) -> dict[str, str]:
             driver={"source": "simulated"},
             scenario=SCENARIO,
         ),
-        FIGURES: json.dumps(figures(result, chosen), indent=2) + "\n",
+        FIGURES: json_text(figures(result, chosen), indent=2),
         PAGE: render_posor_page(result, chosen),
     }
 
@@ -182,5 +184,5 @@ def _candidate(requirement: Requirement, candidate: Candidate) -> dict[str, Any]
         "bits": candidate.layout.bits(requirement.scan_rate.number),
         "standard_uncertainty": dict(zip(FREEDOMS, map(float, candidate.sigmas), strict=True)),
         "share_of_required_uncertainty": objectives(requirement, candidate)["accuracy"],
-        "minimal_detectable_fault": candidate.fault if math.isfinite(candidate.fault) else None,
+        "minimal_detectable_fault": candidate.fault,
     }

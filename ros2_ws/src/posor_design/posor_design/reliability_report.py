@@ -11,14 +11,12 @@ from posor.chain.fault_bounds import COVERAGE_FACTOR, INTEGRITY_RISK
 from posor.reporting.report_table import ReportTable
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
-
     from posor.uncertainty.protection_level import ArmReliability
     from posor.uncertainty.reliability import Reliability
 
 AXES = ("x", "y", "z", "about X", "about Y", "about Z")  # axes of the base in the order of all arrays, (6,)
-_UNITS = ("µm",) * 3 + ("µrad",) * 3
-_SHIFT_COLUMNS = tuple(f"{axis} [{unit}]" for axis, unit in zip(AXES, _UNITS, strict=True))
+UNITS = ("µm",) * 3 + ("µrad",) * 3  # in which people read them
+_SHIFT_COLUMNS = tuple(f"{axis} [{unit}]" for axis, unit in zip(AXES, UNITS, strict=True))
 NOT_DETECTABLE = "not detectable"
 
 
@@ -90,7 +88,7 @@ def arm_table(arm: ArmReliability) -> ReportTable:
 
 
 def reliability_json(reliability: Reliability) -> dict[str, Any]:
-    """Return the table by name, SI units; null: not detectable, not bounded."""
+    """Return the table by name, SI units; infinite: not detectable, not bounded."""
     return {
         "false_alarm": reliability.false_alarm,
         "missed_detection": reliability.missed_detection,
@@ -98,29 +96,29 @@ def reliability_json(reliability: Reliability) -> dict[str, Any]:
             {
                 "name": name,
                 "redundancy_number": float(reliability.redundancy_numbers[i]),
-                "minimal_detectable_bias": _finite([reliability.biases[i]])[0],
-                "undetected_shift": _finite(reliability.shifts[i]),
-                "shift_per_metre": _finite(reliability.gains[i]),
+                "minimal_detectable_bias": float(reliability.biases[i]),
+                "undetected_shift": reliability.shifts[i].tolist(),
+                "shift_per_metre": reliability.gains[i].tolist(),
             }
             for i, name in enumerate(reliability.names)
         ],
-        "causes": {name: _finite(effect) for name, effect in reliability.cause_effects().items()},
+        "causes": {name: effect.tolist() for name, effect in reliability.cause_effects().items()},
     }
 
 
 def arm_json(arm: ArmReliability) -> dict[str, Any]:
-    """Return reliability and protection level of an arm by name, SI units; null: not bounded."""
+    """Return reliability and protection level of an arm by name, SI units; infinite: not bounded."""
     return {
         "angles": dict(arm.angles),
         "joints": {
             name: {
                 **reliability_json(own),
-                "endpoint_effects": {cause: _finite(effect) for cause, effect in arm.effects[name].items()},
+                "endpoint_effects": {cause: effect.tolist() for cause, effect in arm.effects[name].items()},
             }
             for name, own in arm.joints.items()
         },
-        "beam_temperature_bound": _finite(arm.expansions),
-        "protection_level": _finite(arm.protection_level),
+        "beam_temperature_bound": arm.expansions.tolist(),
+        "protection_level": arm.protection_level.tolist(),
         "set_by": [f"{joint}: {cause}" for joint, cause in arm.set_by],
         "integrity_risk": INTEGRITY_RISK,
         "coverage_factor": COVERAGE_FACTOR,
@@ -129,7 +127,3 @@ def arm_json(arm: ArmReliability) -> dict[str, Any]:
 
 def _micro(value: float, infinite: str = "∞") -> str:
     return infinite if math.isinf(value) else f"{1e6 * value:.3g}"
-
-
-def _finite(values: Iterable[float]) -> list[float | None]:
-    return [float(value) if math.isfinite(value) else None for value in values]

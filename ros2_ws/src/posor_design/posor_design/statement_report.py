@@ -17,11 +17,12 @@ from markupsafe import Markup
 from posor.chain.fault_bounds import INTEGRITY_RISK
 from posor.output_files import write_files
 from posor.reporting.html_page import Cell, Section, bullet_list, paragraph, render_page, table
+from posor.reporting.json_text import json_text
 from posor.reporting.number_columns import align_numbers, decimals
 from posor.reporting.report_table import ReportTable
 
 from posor_design.endpoint_components import Kind
-from posor_design.reliability_report import AXES
+from posor_design.reliability_report import AXES, UNITS
 from posor_design.statement_map import draw_map
 from posor_design.statement_records import BEAMS, URDF, Origin
 
@@ -42,7 +43,6 @@ TEXT_SIZES = (6.9, 6.3, 5.7, 5.2)  # [pt]; the largest with which the sheet is o
 MOST_FREEDOMS = 1e4  # more make no difference
 NANO = 5e-4  # half a nanometre or nanoradian [µm, µrad]: less is 0
 ROUNDING = 1e-9  # of a digit, by which a bound may exceed its last digit
-_UNITS = ("µm",) * 3 + ("µrad",) * 3
 
 Text = tuple[str | Origin, ...]
 """A text with origins in it, which are links on the page."""
@@ -218,7 +218,7 @@ def _components(statement: Statement) -> StatementTable:
             _listed(map(_file, (statement.origins[n] for n in small))),
         )
         rows.append([f"{len(small)} smaller", "", *map(micro, sigmas), share, "", "", "", origins])
-    units = (f"{axis} [{unit}]" for axis, unit in zip(AXES, _UNITS, strict=True))
+    units = (f"{axis} [{unit}]" for axis, unit in zip(AXES, UNITS, strict=True))
     header = ("source", "kind", *units, "share [%]", "dof", "largest quantity", "of it [%]", "origin")
     note = (
         "Standard uncertainties; share in the variance of the position; dof: degrees of freedom; of it: share of the "
@@ -272,7 +272,7 @@ def _records(statement: Statement) -> StatementTable:
 
 
 def as_json(statement: Statement) -> dict[str, Any]:
-    """Return everything by name, SI units; null: infinite, or not stated."""
+    """Return everything by name, SI units; None: not stated."""
     worst = statement.worst
     shares, all_shares = worst.position_shares(), worst.shares()
     return {
@@ -292,19 +292,19 @@ def as_json(statement: Statement) -> dict[str, Any]:
             axis: {
                 "unit": "m" if unit == "µm" else "rad",
                 "standard": float(worst.standard[n]),
-                "degrees_of_freedom": _finite(worst.freedoms[n]),
+                "degrees_of_freedom": float(worst.freedoms[n]),
                 "coverage_factor": float(worst.factors[n]),
                 "expanded": float(worst.expanded[n]),
-                "protection_level": _finite(statement.reliability.protection_level[n]),
+                "protection_level": float(statement.reliability.protection_level[n]),
                 "protection_level_origin": _origin_json(statement.level_origins[n]),
                 "protection_level_set_by": dict(zip(("joint", "cause"), statement.reliability.set_by[n], strict=True)),
             }
-            for n, (axis, unit) in enumerate(zip(AXES, _UNITS, strict=True))
+            for n, (axis, unit) in enumerate(zip(AXES, UNITS, strict=True))
         },
         "position": {
-            "largest": _finite(worst.largest),
-            "coverage_factor": _finite(worst.ellipsoid_factor),
-            "semi_axes": [_finite(length) for length in worst.ellipsoid],
+            "largest": float(worst.largest),
+            "coverage_factor": float(worst.ellipsoid_factor),
+            "semi_axes": worst.ellipsoid.tolist(),
             "directions": worst.ellipsoid_axes.T.tolist(),
         },
         "components": [
@@ -313,7 +313,7 @@ def as_json(statement: Statement) -> dict[str, Any]:
                 "kind": str(each.kind),
                 "standard_uncertainty": np.sqrt(np.diagonal(each.covariance)).tolist(),
                 "covariance": each.covariance.tolist(),
-                "degrees_of_freedom": _finite(each.freedoms),
+                "degrees_of_freedom": float(each.freedoms),
                 "share_of_position": float(shares[n]),
                 "shares": all_shares[n].tolist(),
                 "origin": _origin_json(statement.origins[n]),
@@ -349,8 +349,8 @@ def as_json(statement: Statement) -> dict[str, Any]:
                 "name": name,
                 "angles": dict(each.angles),
                 "position": each.T_base_endpoint.translation.tolist(),
-                "largest": _finite(each.largest),
-                "expanded": [_finite(number) for number in each.expanded],
+                "largest": float(each.largest),
+                "expanded": each.expanded.tolist(),
             }
             for name, each in zip(statement.names, statement.poses, strict=True)
         ],
@@ -359,10 +359,6 @@ def as_json(statement: Statement) -> dict[str, Any]:
 
 def _origin_json(origin: Origin) -> dict[str, Any]:
     return {"record": origin.role, "file": origin.file, "line": origin.line or None, "key": origin.key}
-
-
-def _finite(number: float) -> float | None:
-    return float(number) if math.isfinite(number) else None
 
 
 def _anchor(statement: Statement, origin: Origin) -> str:
@@ -459,7 +455,7 @@ def _sheet_table(statement: Statement, shown: StatementTable) -> dict[str, Any]:
 def write_statement(statement: Statement, folder: Path) -> None:
     """Write JSON, page and PDF into an existing folder. Raises OutputError: one cannot be written."""
     json_file, page_file, pdf_file = (folder / name for name in OUTPUT_FILES)
-    texts = {json_file: json.dumps(as_json(statement), indent=2) + "\n", page_file: render_statement_page(statement)}
+    texts = {json_file: json_text(as_json(statement), indent=2), page_file: render_statement_page(statement)}
     write_files({**texts, pdf_file: render_sheet(statement)[0]})
 
 

@@ -14,6 +14,7 @@ from posor.chain.beam_entries import BeamFile
 from posor.chain.measuring_beam import MeasuringBeam
 from posor_design.beam_section import make_section
 from posor_design.measuring_beams import beam_frequencies, beam_sag, sag_correction
+from posor_lab.harness.beams import quantity
 
 from .beam_elements import ElementBeam
 
@@ -161,26 +162,25 @@ def test_mode_shapes_are_zero_at_the_gimbals_and_one_at_their_largest() -> None:
 
 
 def test_sag_is_the_correction_that_the_chain_applies() -> None:
-    def stated(value: Any, unit: str) -> dict[str, Any]:
-        return {"value": value, "unit": unit}
-
     inner = BEAM["height"] - 2.0 * BEAM["wall"]
     tube = {
-        "outer_diameter": stated(BEAM["height"], "m"),
-        "inner_diameter": stated(inner, "m"),
-        "modulus": stated(BEAM["modulus"], "Pa"),
-        "density": stated(BEAM["density"], "kg/m^3"),
+        "outer_diameter": quantity(BEAM["height"], "m"),
+        "inner_diameter": quantity(inner, "m"),
+        "modulus": quantity(BEAM["modulus"], "Pa"),
+        "density": quantity(BEAM["density"], "kg/m^3"),
     }
     places = zip((0.0, BEAM["length"]), UNEQUAL["plate_masses"], strict=True)
     entry = BeamFile.model_validate(
         {
             "joint": "beam",
-            "uncertainty": {"position": stated([0.0] * 3, "m"), "orientation": stated([0.0] * 3, "rad")},
+            "uncertainty": {"position": quantity([0.0] * 3, "m"), "orientation": quantity([0.0] * 3, "rad")},
             "sag": {
                 "tube": tube,
-                "gimbals": stated(list(BEAM["gimbals"]), "m"),
-                "plates": [{"name": f"{at}", "at": stated(at, "m"), "mass": stated(mass, "kg")} for at, mass in places],
-                "uncertainty": stated(0.0, "1"),
+                "gimbals": quantity(list(BEAM["gimbals"]), "m"),
+                "plates": [
+                    {"name": f"{at}", "at": quantity(at, "m"), "mass": quantity(mass, "kg")} for at, mass in places
+                ],
+                "uncertainty": quantity(0.0, "1"),
             },
         }
     )

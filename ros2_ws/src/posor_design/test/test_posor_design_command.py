@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from posor.arm_names import ARM_FILE
 from posor.calibration.calibration_file import load_calibration
 from posor.chain.arm_file import load_arm_file
 from posor.errors import OutputError
@@ -19,7 +20,7 @@ from posor.estimation.posor import Posor
 from posor_design.design_command import main
 from posor_design.layout_geometry import LayoutKind
 from posor_design.posor_design_page import verdict
-from posor_design.posor_output import ARM_FILE, CALIBRATION, JOINT, output_files, write_design
+from posor_design.posor_output import CALIBRATION, JOINT, output_files, write_design
 from posor_design.requirement import load_requirement
 
 from .layout_examples import BUMPS, RING_OF_LIGHTS, candidate, example, result_of

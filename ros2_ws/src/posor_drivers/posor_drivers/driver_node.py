@@ -38,7 +38,7 @@ from posor_drivers.live_publisher import LivePublisher
 from posor_drivers.replay_publisher import ReplayPublisher, schedule_replay
 from posor_drivers.sources.source import ENTRY_POINT_GROUP, LiveSource, RecordedSource, load_source_class
 from posor_drivers.stated_times import state_times
-from posor_drivers.tick_scheduler import RunCalls, RunState
+from posor_drivers.tick_scheduler import RunCalls
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -125,7 +125,7 @@ class DriverNode(PosorNode[DriverParameters]):
 
     def _start_run(self) -> None:
         source, parameters = self._source, self.parameters
-        calls = RunCalls(self._publish, self._has_subscribers, self._on_run_state)
+        calls = RunCalls(self._publish, self._has_subscribers, self._on_begin, self._on_end)
         if isinstance(source, LiveSource) and isinstance(parameters, LiveDriverParameters):
             self._run = LivePublisher(self, source, parameters.spin_us, self._condition, calls)
         else:
@@ -179,20 +179,21 @@ class DriverNode(PosorNode[DriverParameters]):
         """Return whether the node or its run is about to stop."""
         return super().is_stopping() or (self._run is not None and self._run.stopping)
 
-    def _on_run_state(self, state: RunState, error: Exception | None) -> None:
-        """Report the state of the run, and end the program with it; not called in the executor's thread."""
-        if state is RunState.RUNNING:
-            self._status.report(Level.OK, "running")
-            if isinstance(self._source, LiveSource):
-                self._watch.restart(time.monotonic())
-        elif state in (RunState.ENDED, RunState.FAILED):
-            self._watch.restart(math.inf)
-            self._wait_for_delivery()
-            self._update_values()
-            level, message = (Level.OK, "ended") if error is None else (Level.ERROR, str(error))
-            self._status.report(level, message)
-            if error is not None or self.parameters.on_end == "exit":
-                self.request_exit(error)
+    def _on_begin(self) -> None:
+        """Report that the run has begun."""
+        self._status.report(Level.OK, "running")
+        if isinstance(self._source, LiveSource):
+            self._watch.restart(time.monotonic())
+
+    def _on_end(self, error: Exception | None) -> None:
+        """Report the end of the run, and end the program with it; not called in the executor's thread."""
+        self._watch.restart(math.inf)
+        self._wait_for_delivery()
+        self._update_values()
+        level, message = (Level.OK, "ended") if error is None else (Level.ERROR, str(error))
+        self._status.report(level, message)
+        if error is not None or self.parameters.on_end == "exit":
+            self.request_exit(error)
 
     def _report_source(self) -> None:
         """Report the status lines of a live source."""

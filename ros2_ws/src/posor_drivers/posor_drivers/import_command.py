@@ -150,7 +150,3 @@ def _calibrations(options: Namespace) -> tuple[str, dict[str, Path]]:
     if not calibrations:
         raise ParameterError("no calibration is named", where="import --propose", expected="--arm or --calibration")
     return name, calibrations
-
-
-if __name__ == "__main__":
-    sys.exit(main())

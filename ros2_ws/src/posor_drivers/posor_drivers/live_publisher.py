@@ -13,14 +13,7 @@ from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 
 from posor_drivers.ros_clock import is_simulated
-from posor_drivers.tick_scheduler import (
-    SUBSCRIBER_POLL_S,
-    MissedTicks,
-    RunState,
-    TickScheduler,
-    TickTask,
-    schedule_ticks,
-)
+from posor_drivers.tick_scheduler import SUBSCRIBER_POLL_S, MissedTicks, TickScheduler, TickTask, schedule_ticks
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -62,7 +55,6 @@ class LivePublisher:
 
     def start(self) -> None:
         """Start as soon as there are enough subscribers; a timer checks."""
-        self._calls.on_state(RunState.WAITING, None)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._timer = self._node.create_timer(SUBSCRIBER_POLL_S, self._start_if_ready, clock=steady)
 
@@ -71,7 +63,7 @@ class LivePublisher:
             self._stop_timer()
             clock = self._node.get_clock()
             self._simulated = is_simulated(clock)
-            self._calls.on_state(RunState.RUNNING, None)
+            self._calls.on_begin()
             rate = self._source.rate
             self._scheduler, self._task = TickScheduler.add_task(clock, rate, self._spin_ns, self._make_task)
 
@@ -98,8 +90,7 @@ class LivePublisher:
 
     def _on_end(self, error: Exception | None) -> None:
         """Report the end in a thread of its own, because waiting for slow subscribers must not delay other drivers."""
-        state = RunState.ENDED if error is None else RunState.FAILED
-        self._end_thread = Thread(target=self._calls.on_state, args=(state, error), name="end of run")
+        self._end_thread = Thread(target=self._calls.on_end, args=(error,), name="end of run")
         self._end_thread.start()
 
     def report_pace(self, status: Status) -> None:

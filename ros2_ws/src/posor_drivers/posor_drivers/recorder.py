@@ -25,9 +25,9 @@ from posor.reporting.program_errors import reports_errors
 from posor_ros.diagnostics import Diagnostics, Level
 from posor_ros.message_classes import message_class
 from posor_ros.node_program import non_ros_arguments, ros_context, spin_until
+from posor_ros.polled_subscription import PolledSubscription
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
-from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.exceptions import InvalidTopicNameException
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
@@ -65,19 +65,12 @@ class RecordedTopic:
         self.lost = 0
         self._request = strictest_request(offers, DEPTH)
         self._last_number: int | None = None
-        self._subscription = node.create_subscription(
-            message_class(type_name),
-            name,
-            _no_callback,
-            self._request,
-            raw=True,
-            event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
-        )
+        self._subscription = PolledSubscription(node, message_class(type_name), name, self._request)
 
     @property
     def matched(self) -> bool:
         """Whether a publisher is connected."""
-        return self._subscription.get_publisher_count() > 0
+        return self._subscription.publishers > 0
 
     def refuses(self, offer: QoSProfile) -> bool:
         """Return whether a publisher with this profile is incompatible with the subscription."""
@@ -86,13 +79,10 @@ class RecordedTopic:
 
     def take_messages(self) -> Iterator[tuple[int, bytes]]:
         """Yield time of reception [ns] and bytes of all messages that have arrived."""
-        several = self._subscription.get_publisher_count() > 1
-        handle, type_, raw = self._subscription.handle, self._subscription.msg_type, self._subscription.raw
-        with handle:
-            while (message := handle.take_message(type_, raw)) is not None:
-                data, info = message
-                self._count(info["publication_sequence_number"], several=several)
-                yield info["received_timestamp"], data
+        several = self._subscription.publishers > 1
+        for data, info in self._subscription.take():
+            self._count(info["publication_sequence_number"], several=several)
+            yield info["received_timestamp"], data
 
     def _count(self, number: Any, *, several: bool) -> None:
         self.received += 1
@@ -117,10 +107,6 @@ def strictest_request(offers: Sequence[QoSProfile], depth: int) -> QoSProfile:
         reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
         durability=DurabilityPolicy.TRANSIENT_LOCAL if transient else DurabilityPolicy.VOLATILE,
     )
-
-
-def _no_callback(_data: bytes) -> None:
-    """No-op callback required by rclpy."""
 
 
 class _WriterThread(Thread):

@@ -16,7 +16,7 @@ from posor.ros_names import RAW_TOPIC
 from rclpy.serialization import deserialize_message
 
 from posor_drivers.sources.source import SourceMessage
-from posor_drivers.tick_scheduler import SUBSCRIBER_POLL_S, RunState
+from posor_drivers.tick_scheduler import SUBSCRIBER_POLL_S
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
@@ -163,7 +163,7 @@ class ReplayPublisher:
     def __init__(self, publications: Callable[[], Iterator[SourceMessage]], calls: RunCalls) -> None:
         """Prepare a replay; ``publications`` makes the schedule when it starts, in the thread of all calls."""
         self._publications, self._calls = publications, calls
-        self._state = RunState.WAITING
+        self._ended = False
         self._stop = Event()
         self._thread = Thread(target=self._run, name="replay")
 
@@ -180,25 +180,21 @@ class ReplayPublisher:
         """Stop after the present message and join the thread; return whether the replay had not ended yet."""
         self._stop.set()
         self._thread.join()
-        return self._state not in (RunState.ENDED, RunState.FAILED)
-
-    def _enter(self, state: RunState, error: Exception | None = None) -> None:
-        self._state = state
-        self._calls.on_state(state, error)
+        return not self._ended
 
     def _run(self) -> None:
+        failure = None
         try:
-            self._enter(RunState.WAITING)
             while not self._calls.has_subscribers():
                 if self._stop.wait(SUBSCRIBER_POLL_S):
                     return
-            self._enter(RunState.RUNNING)
+            self._calls.on_begin()
             begin = time.monotonic()
             for publication in self._publications():
                 if self._stop.wait(max(0.0, begin + publication.after_s - time.monotonic())):
                     return
                 self._calls.publish(publication)
         except Exception as error:  # noqa: BLE001  the main thread ends the program with it
-            self._enter(RunState.FAILED, error)
-        else:
-            self._enter(RunState.ENDED)
+            failure = error
+        self._ended = True
+        self._calls.on_end(failure)

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import sys
 from dataclasses import dataclass
-from enum import Enum
 from threading import Lock, Thread
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -35,23 +34,15 @@ class Pause:
     until_ns: int
 
 
-class RunState(Enum):
-    """State of the publication of a source."""
-
-    WAITING = "waiting"
-    RUNNING = "running"
-    ENDED = "ended"
-    FAILED = "failed"
-
-
 class RunCalls(NamedTuple):
     """What the run of a source calls in its driver."""
 
     publish: Callable[[SourceMessage], None]
     has_subscribers: Callable[[], bool]
     """Whether enough subscribers are connected."""
-    on_state: Callable[[RunState, Exception | None], None]
-    """Takes each new state, and the error of a failure; may block."""
+    on_begin: Callable[[], None]
+    on_end: Callable[[Exception | None], None]
+    """Takes the error of a failure; may block."""
 
 
 SWITCH_AT_TICK_S = 2e-5

@@ -12,11 +12,10 @@ import numpy as np
 from posor.messages.message_definitions import MessageTypes
 from posor.ros_names import POINT_STAMPED, RAW_SCAN
 from posor_drivers import message_builder
-from rosbags.rosbag2 import Reader, StoragePlugin, Writer
+from rosbags.rosbag2 import StoragePlugin, Writer
 
 TYPES = MessageTypes()
 FRAME = "posor_receiving"
-SECOND = 1_000_000_000
 
 
 class Record(NamedTuple):
@@ -44,10 +43,10 @@ def scan(
     return Record(topic, RAW_SCAN, time_ns, TYPES.serialize(content, RAW_SCAN))
 
 
-def point(time_ns: int, topic: str = "/truth/machining_centre") -> Record:
+def point(time_ns: int) -> Record:
     """Return a recorded point with a header."""
     content = message_builder.point_stamped(TYPES, time_ns, "machining_centre", (1.0, 2.0, 3.0))
-    return Record(topic, POINT_STAMPED, time_ns, TYPES.serialize(content, POINT_STAMPED))
+    return Record("/truth/machining_centre", POINT_STAMPED, time_ns, TYPES.serialize(content, POINT_STAMPED))
 
 
 def text(time_ns: int, topic: str = "/remarks") -> Record:
@@ -79,9 +78,3 @@ def write_bag(
                 )
             writer.write(connections[key], record.time_ns, record.data)
     return path
-
-
-def read_bag(path: Path) -> list[tuple[str, int, bytes]]:
-    """Return topic, log time and bytes of all messages, in order."""
-    with Reader(path) as reader:
-        return [(connection.topic, time_ns, bytes(data)) for connection, time_ns, data in reader.messages()]

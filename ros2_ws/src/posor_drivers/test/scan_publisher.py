@@ -12,6 +12,7 @@ import sys
 import time
 
 import rclpy
+from posor.numerics.stamps import NS
 from posor_msgs.msg import RawScan
 from rclpy.duration import Duration
 from rclpy.qos import QoSProfile, ReliabilityPolicy
@@ -31,7 +32,7 @@ def flood(ticks: int, rate: float) -> None:
     begin = time.monotonic()
     for tick in range(ticks):
         scan.scan = tick
-        scan.header.stamp.sec, scan.header.stamp.nanosec = divmod(round(tick * 1e9 / rate), 1_000_000_000)
+        scan.header.stamp.sec, scan.header.stamp.nanosec = divmod(round(tick * 1e9 / rate), NS)
         for publisher in publishers:
             publisher.publish(scan)
         time.sleep(max(0.0, begin + (tick + 1) / rate - time.monotonic()))

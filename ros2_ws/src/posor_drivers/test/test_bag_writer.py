@@ -11,13 +11,14 @@ from posor.bags.bag_writer import BagWriter, replace_bag
 from posor.errors import BagError, OutputError
 from posor.messages.message_definitions import MessageTypes
 from posor.ros_names import RAW_SCAN
+from posor_lab.harness.recorded_messages import read_bag
 from posor_ros.qos import RELIABLE_QOS
 from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosbags.interfaces import ConnectionExtRosbag2
 from rosbags.rosbag2 import Reader
 
-from .sample_bags import point, read_bag, scan
+from .sample_bags import point, scan
 
 BEST_EFFORT_QOS = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
 LATCHED_QOS = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)

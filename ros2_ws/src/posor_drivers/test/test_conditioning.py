@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from posor.errors import BagError, ParameterError, PosorError
+from posor.numerics.stamps import NS
 from posor_drivers.conditioning import MAX_DARK_SCANS, condition_scans, stamp_ns
 from posor_drivers.driver_parameters import ConditioningParameters
 from posor_drivers.sources.source import SourceMessage
@@ -21,7 +22,7 @@ from scipy.stats import chi2
 
 from .sample_bags import header, scan
 
-START = 1000 * 1_000_000_000
+START = 1000 * NS
 TICK = 1_000_001
 LIT, DARK = np.array([0, 1], dtype=np.uint8), np.array([255, 255], dtype=np.uint8)
 NET_A = np.linspace(1e-5, 8e-5, 8)

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from geometry_msgs.msg import PointStamped
 from lifecycle_msgs.msg import Transition
+from posor.numerics.stamps import NS
 from posor_drivers.conditioning import condition_scans, stamp_ns
 from posor_drivers.driver_node import DriverNode
 from posor_drivers.driver_parameters import ConditioningParameters
@@ -25,16 +26,16 @@ from posor_msgs.msg import RawScan
 from rclpy.qos import QoSProfile
 
 from .driver_program import LOSSLESS, driver_program
-from .sample_bags import SECOND, Record, point, scan, write_bag
+from .sample_bags import Record, point, scan, write_bag
 from .sample_tables import MAP, write_table
 
 pytestmark = pytest.mark.usefixtures("ros_domain")
 
-START = 1000 * SECOND
+START = 1000 * NS
 RECORDS = [
     Record(*record)
     for number in range(20)
-    for record in (scan(number, START + number * SECOND // 100), point(START + number * SECOND // 100))
+    for record in (scan(number, START + number * NS // 100), point(START + number * NS // 100))
 ]
 RAW = [record.data for record in RECORDS if record.topic == "/joint1/raw"]
 TRUTH = [record.data for record in RECORDS if record.topic != "/joint1/raw"]
@@ -165,7 +166,7 @@ def test_restamped_scans_have_present_stamps(tmp_path: Path) -> None:
             assert program.wait() == 0
         stamps = [stamp_ns(content) for content in scans]
         assert before < stamps[0] < after
-        assert [stamp - stamps[0] for stamp in stamps] == [number * SECOND // 100 for number in range(len(RAW))]
+        assert [stamp - stamps[0] for stamp in stamps] == [number * NS // 100 for number in range(len(RAW))]
 
 
 def test_endless_loop_is_one_long_record_for_late_subscribers_too(tmp_path: Path) -> None:
@@ -177,7 +178,7 @@ def test_endless_loop_is_one_long_record_for_late_subscribers_too(tmp_path: Path
         graph.wait_until(lambda: len(scans) >= 3 * len(RAW) and len(late) > 3, "three rounds, late scans")
         assert [content.scan for content in scans] == list(range(len(scans)))
         stamps = [stamp_ns(content) for content in scans]
-        assert stamps == [START + number * SECOND // 100 for number in range(len(scans))]
+        assert stamps == [START + number * NS // 100 for number in range(len(scans))]
         numbers = [content.scan for content in late]
         assert numbers == list(range(numbers[0], numbers[0] + len(numbers)))
         assert program.end() == 0
@@ -229,7 +230,7 @@ def noisy_records() -> list[Record]:
     sources = [np.array([255, 255] if n % 4 == 0 else [0, 1], dtype=np.uint8) for n in range(count)]
     readings = zip(volts, currents, sources, strict=True)
     return [
-        scan(n, START + n * SECOND // 1000, gap_voltages=gaps, diode_currents=amperes, lit_sources=lit)
+        scan(n, START + n * NS // 1000, gap_voltages=gaps, diode_currents=amperes, lit_sources=lit)
         for n, (gaps, amperes, lit) in enumerate(readings)
     ]
 

@@ -15,6 +15,7 @@ from posor.messages.message_definitions import MessageTypes
 from posor_drivers.recorder import DEPTH, RecordedTopic, strictest_request
 from posor_lab.harness.graph import Graph, values_of
 from posor_lab.harness.program import Program, installed, script
+from posor_lab.harness.recorded_messages import read_bag
 from posor_msgs.msg import RawScan
 from rclpy.duration import Duration
 from rclpy.node import Node
@@ -23,7 +24,7 @@ from rclpy.serialization import deserialize_message
 from std_msgs.msg import String
 
 from .driver_program import LOSSLESS, driver_program
-from .sample_bags import read_bag, scan, write_bag
+from .sample_bags import scan, write_bag
 
 pytestmark = pytest.mark.usefixtures("ros_domain")
 

@@ -24,7 +24,6 @@ SCENARIO = Path(__file__).parent / "scenarios" / "three_joints.yaml"
 JOINTS = ("base", "shoulder", "elbow")
 N = 800
 TICKS = np.arange(N)
-SECOND = 1_000_000_000
 FAR = 172_800_000_000  # a tick of today: 54 years at 100 Hz; a whole number of cycles
 DESIGNS: dict[str, tuple[SizedDesignName, float]] = {
     "base": ("triad_bumpy_ring", 0.2032),

@@ -61,7 +61,7 @@ from sensor_msgs.msg import Imu, JointState, Temperature
 from posor_estimator.acceleration_reader import AccelerationReader
 from posor_estimator.alarm_rate import AlarmRate
 from posor_estimator.endpoint_prediction import EndpointPrediction, JointMessage
-from posor_estimator.endpoint_verdict import SOUND, degraded_verdict, unusable_verdict, with_beam_faults
+from posor_estimator.endpoint_verdict import SOUND, degraded_by, degraded_verdict, unusable_verdict
 from posor_estimator.frame_publisher import FramePublisher
 from posor_estimator.home_pose import HomePose
 from posor_estimator.identity_check import IdentityCheck
@@ -231,7 +231,7 @@ class ChainNode(PosorNode[ChainParameters]):
         if self._identity.refuses:
             return self._identity.verdict
         reasons = self._temperatures.reason, self._vibrations.reason, self._home.fault(self._identity.sha256)
-        return with_beam_faults(self._identity.degraded(verdict), "; ".join(filter(None, reasons)))
+        return degraded_by(self._identity.degraded(verdict), "; ".join(filter(None, reasons)))
 
     def _on_inputs_checked(self, is_new: bool) -> None:  # noqa: FBT001  a callback
         """Report that no transform arrives, and publish the state while there is no scan."""

@@ -27,7 +27,7 @@ from posor_ros.intra_process import IntraProcessPublisher, IntraProcessSubscript
 from posor_ros.qos import input_qos, result_qos
 from sensor_msgs.msg import JointState
 
-from posor_estimator.endpoint_verdict import SOUND, JointStatus, degraded_verdict, listed
+from posor_estimator.endpoint_verdict import SOUND, JointStatus, degraded_by, degraded_verdict, joined_reasons
 from posor_estimator.position_reader import PositionReader
 
 if TYPE_CHECKING:
@@ -201,10 +201,7 @@ class EndpointPrediction:
         if not usable:
             reasons = predictor.reasons()
             newest = {name: UNUSABLE_STATES.get(state, "") for name, state in self._newest_states.items()}
-            names: dict[str, list[str]] = {}  # of the joints with the same reason: the text has to fit into the message
-            for joint, reason in reasons.items():
-                names.setdefault(f"{reason}{newest[joint]}", []).append(joint)
-            text = "; ".join(f"{listed(each)} {reason}" for reason, each in names.items())
+            text = joined_reasons((joint, f"{reason}{newest[joint]}") for joint, reason in reasons.items())
             if (count := self._subscription.publishers) > 1:  # of other joints, or the cause
                 text += f"; {count} publishers on {self._subscription.topic_name}"
             return EndpointVerdict(EndpointState.STATE_LOST, 0, next(iter(reasons), ""), text)
@@ -212,9 +209,7 @@ class EndpointPrediction:
         if held := predictor.held_joints:
             gap = self._node.parameters.encoders.gap
             text = f"{', '.join(held)}: carried on by encoders, no transform for more than {gap:g} s"
-            if verdict is SOUND:
-                return EndpointVerdict(EndpointState.STATE_DEGRADED, 0, held[0], f"degraded: {text}")
-            verdict = verdict._replace(reason=f"{verdict.reason}; {text}")
+            verdict = degraded_by(verdict, text, held[0])
         return verdict
 
     def _refuse(self, what: str, text: str) -> None:

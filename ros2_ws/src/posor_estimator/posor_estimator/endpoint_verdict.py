@@ -14,7 +14,7 @@ from posor.model.fault import Fault, State
 from posor_msgs.msg import EndpointState
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Sequence
 
 ALL_FAULTS = sum(int(flag) for flag in Fault)
 NOT_COUNTED = "waiting for the home mark or another reference"
@@ -44,12 +44,12 @@ def degraded_verdict(joints: Sequence[JointStatus]) -> EndpointVerdict:
     return EndpointVerdict(EndpointState.STATE_DEGRADED, _all_faults(degraded), degraded[0].name, f"degraded: {reason}")
 
 
-def with_beam_faults(verdict: EndpointVerdict, reason: str) -> EndpointVerdict:
-    """Return the verdict on a scan with a pose, with what is wrong with the beams; empty: nothing."""
+def degraded_by(verdict: EndpointVerdict, reason: str, joint: str = "") -> EndpointVerdict:
+    """Return the verdict on a scan with a pose, with a further reason, of a joint or not; empty: nothing."""
     if not reason:
         return verdict
     if verdict is SOUND:
-        return EndpointVerdict(EndpointState.STATE_DEGRADED, 0, "", f"degraded: {reason}")
+        return EndpointVerdict(EndpointState.STATE_DEGRADED, 0, joint, f"degraded: {reason}")
     return verdict._replace(reason=f"{verdict.reason}; {reason}")
 
 
@@ -60,12 +60,17 @@ def unusable_verdict(joints: Sequence[JointStatus]) -> EndpointVerdict:
         return EndpointVerdict(EndpointState.STATE_LOST, _all_faults(joints), "", "the endpoint is not finite")
     lost = [joint for joint in unusable if joint.state != State.UNCOUNTED]
     state = EndpointState.STATE_LOST if lost else EndpointState.STATE_UNCOUNTED
-    names: dict[str, list[str]] = {}  # of the joints with the same reason: the text has to fit into the message
-    for joint in unusable:
-        names.setdefault(_reason(joint), []).append(joint.name)
-    reason = "; ".join(f"{listed(each)} {text}" for text, each in names.items())
+    reason = joined_reasons((joint.name, _reason(joint)) for joint in unusable)
     is_waiting = all(waits_to_be_counted(joint.state, joint.faults) and not joint.code for joint in unusable)
     return EndpointVerdict(state, _all_faults(joints), (lost or unusable)[0].name, reason, is_waiting)
+
+
+def joined_reasons(reasons: Iterable[tuple[str, str]]) -> str:
+    """Return the reasons of joints, by their names, each once: the text has to fit into the message."""
+    names: dict[str, list[str]] = {}
+    for joint, reason in reasons:
+        names.setdefault(reason, []).append(joint)
+    return "; ".join(f"{listed(each)} {reason}" for reason, each in names.items())
 
 
 def listed(names: Sequence[str]) -> str:

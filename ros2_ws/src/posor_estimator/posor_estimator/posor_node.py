@@ -119,8 +119,8 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
         if self.parameters.home_pose:
             services["zero"] = self._zero_gap_probes
         for name, action in services.items():
-            self.add_change_service(name, partial(self._on_trigger, action))
-        self.add_change_service("acknowledge", self._on_acknowledge, Acknowledge)
+            self.add_change_service(name, partial(self._respond, action))
+        self.add_change_service("acknowledge", partial(self._respond, self._acknowledge_fault), Acknowledge)
 
     def activate(self) -> None:
         """Expect scans with present stamps from now on."""
@@ -176,18 +176,10 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
             self._posor, self._calibration, self._stream = posor, calibration, None
             self._source_changes = 0  # the first scan of the new estimator discards the kept scans
 
-    def _on_trigger(
-        self, action: Callable[[], str], _request: Trigger.Request, response: Trigger.Response
-    ) -> Trigger.Response:
-        return self._respond(action, response)
-
-    def _on_acknowledge(self, request: Acknowledge.Request, response: Acknowledge.Response) -> Acknowledge.Response:
-        return self._respond(partial(self._acknowledge_fault, request), response)
-
-    def _respond(self, action: Callable[[], str], response: Any) -> Any:
+    def _respond(self, action: Callable[[Any], str], request: Any, response: Any) -> Any:
         """Run the action of a service; a refusal changes nothing."""
         try:
-            response.message = action()
+            response.message = action(request)
         except PosorError as error:
             response.message = str(error)
             self.get_logger().error(response.message)
@@ -195,7 +187,7 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
             response.success = True
         return response
 
-    def _reload_calibration(self) -> str:
+    def _reload_calibration(self, _request: Trigger.Request) -> str:
         calibration, session_calibration = self._load_calibration()
         frames = self._calibration.frames
         if session_calibration.frames != frames:
@@ -212,7 +204,7 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
         if silent := self._inputs.silent:
             raise ParameterError(silent, where=service, expected=expected)
 
-    def _count_from_home(self) -> str:
+    def _count_from_home(self, _request: Trigger.Request) -> str:
         if not self._posor.counts_bumps:
             raise ParameterError(
                 "theta is not counted",
@@ -236,7 +228,7 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
             self._stream.count_from_next(stated=False)
         self._inputs.note("home", "the call of ~/home is void, because no sound scan followed it at once")
 
-    def _zero_gap_probes(self) -> str:
+    def _zero_gap_probes(self, _request: Trigger.Request) -> str:
         """Shift the zero of the gap probes by the most recent scans (thesis 8.3.1)."""
         with self._lock:
             self._require_scans("zero", "sound scans while the target is at home")

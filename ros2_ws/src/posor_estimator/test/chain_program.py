@@ -18,6 +18,9 @@ from posor_msgs.msg import EndpointState, JointTransform
 from posor_ros.ros_arguments import ros_arguments
 from sensor_msgs.msg import JointState
 
+from .live_topics import BRINGUP
+
+URDF = BRINGUP / "urdf" / "slocum1985_rig.urdf"
 PLATES = ("posor_receiving", "posor_target")
 TURN = 2.0 * math.pi  # the joint has made one turn
 RANDOM_SHARE = 0.25  # of the variances of a transform

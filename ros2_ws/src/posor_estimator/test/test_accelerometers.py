@@ -18,11 +18,10 @@ from posor_lab.harness.graph import Graph
 from posor_msgs.msg import EndpointState
 from sensor_msgs.msg import Imu
 
-from .chain_program import LOSSLESS, ChainRig, chain_node, transform_of
+from .chain_program import LOSSLESS, URDF, ChainRig, chain_node, transform_of
 
 pytestmark = pytest.mark.usefixtures("ros_domain")
 
-URDF = Path(__file__).resolve().parents[2] / "posor_bringup" / "urdf" / "slocum1985_rig.urdf"
 NAMES = ("near", "far")
 VIBRATION = """\
     sag:
@@ -100,9 +99,9 @@ def test_the_endpoint_follows_the_accelerometers_and_is_degraded_without(
             assert estimator.estimate(stamp_ns)
             return next(s for s in rig.states if s.header.stamp.sec == second and s.state < 2)
 
-        def readings(second: int, scale: float = 1.0) -> list[tuple[str, Any]]:
+        def readings(second: int) -> list[tuple[str, Any]]:
             stamps = second * NS + OFFSET_NS - STEP_NS * np.arange(READINGS)[::-1]
-            up = -estimator.static_forces[0] * scale
+            up = -estimator.static_forces[0]
             return [(name, imu(int(at), up + 0.02 * rng.normal(size=3))) for at in stamps for name in NAMES]
 
         without = [(name, imu(9 * NS, np.zeros(3))) for name in NAMES]

@@ -20,11 +20,10 @@ from posor_lab.harness.in_process_nodes import run_refused_node
 from posor_msgs.msg import EndpointState, JointTransform
 from std_srvs.srv import Trigger
 
-from .chain_program import LOSSLESS, TURN, ChainRig, chain_node, lost_transform, transform_of
+from .chain_program import LOSSLESS, TURN, URDF, ChainRig, chain_node, lost_transform, transform_of
 
 pytestmark = pytest.mark.usefixtures("ros_domain")
 
-URDF = Path(__file__).resolve().parents[2] / "posor_bringup" / "urdf" / "slocum1985_rig.urdf"
 BEAM_M = 0.84836
 
 

@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,11 +16,10 @@ from posor_lab.harness.graph import Graph, set_stamp
 from posor_msgs.msg import EndpointState, JointTransform
 from sensor_msgs.msg import JointState
 
-from .chain_program import LOSSLESS, ChainRig, chain_node, lost_transform, transform_of
+from .chain_program import LOSSLESS, URDF, ChainRig, chain_node, lost_transform, transform_of
 
 pytestmark = pytest.mark.usefixtures("ros_domain")
 
-URDF = Path(__file__).resolve().parents[2] / "posor_bringup" / "urdf" / "slocum1985_rig.urdf"
 PARAMETERS = {
     "encoders.topic": "drive",
     "encoders.sigma": [1e-6],

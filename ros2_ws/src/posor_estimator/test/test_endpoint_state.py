@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 from posor.messages.joint_transform import stamp_ns_of
+from posor.numerics.stamps import NS
 from posor_lab.harness.graph import Graph, wait_for_value
 from posor_lab.harness.message_conversion import stamp_ns
 from posor_lab.harness.program import Program, installed
@@ -21,13 +22,12 @@ from posor_ros.ros_arguments import ros_arguments
 from posor_ros.throttled_publisher import PERIOD_NS
 from rclpy.qos import QoSProfile
 
-from .chain_program import PLATES, RANDOM_SHARE, lost_transform, transform_of
-from .live_topics import BRINGUP, PERIOD_S, POSOR, ScanSender
+from .chain_program import PLATES, RANDOM_SHARE, URDF, lost_transform, transform_of
+from .live_topics import PERIOD_S, POSOR, ScanSender
 
 pytestmark = pytest.mark.usefixtures("ros_domain")
 
-CHAIN = {"urdf": str(BRINGUP / "urdf" / "slocum1985_rig.urdf"), "lossless": True}
-NS = 1_000_000_000
+CHAIN = {"urdf": str(URDF), "lossless": True}
 SOUND_COVARIANCE = np.diag([1.0, 1.0, 1.0, 1.0, 1.0, 4.0]) * 1e-12
 
 

@@ -14,6 +14,7 @@ from typing import Any
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from posor.node_parameters import FreshnessParameters
+from posor.numerics.stamps import NS
 from posor_lab.harness.graph import Graph, values_of, wait_for_value
 from posor_lab.harness.program import Program, installed
 from posor_msgs.msg import JointTransform, RawScan
@@ -30,7 +31,7 @@ pytestmark = pytest.mark.usefixtures("ros_domain")
 
 ERROR, WARN = b"\x02", b"\x01"
 INPUT, ESTIMATE = "/posor_node: input", "/posor_node: estimate"
-NS, COUNT = 1_000_000_000, 30
+COUNT = 30
 
 
 def test_silence_is_the_longer_of_the_limit_and_ten_periods() -> None:

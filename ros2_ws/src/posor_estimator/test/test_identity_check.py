@@ -17,12 +17,10 @@ from posor_lab.harness.graph import Graph
 from posor_lab.harness.in_process_nodes import run_refused_node
 from posor_msgs.msg import EndpointState, JointTransform
 
-from .chain_program import chain_node, transform_of
-from .live_topics import BRINGUP
+from .chain_program import URDF, chain_node, transform_of
 
 pytestmark = pytest.mark.usefixtures("ros_domain")
 
-URDF = BRINGUP / "urdf" / "slocum1985_rig.urdf"
 COMMISSIONED, OTHER = 0x00AB, 0xFFF8000000000001
 FILES = ArmIdentity({}, file_sha256(URDF), "")
 

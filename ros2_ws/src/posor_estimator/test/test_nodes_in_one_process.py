@@ -8,7 +8,6 @@ import itertools
 import math
 from collections.abc import Sequence
 from contextlib import ExitStack
-from pathlib import Path
 from threading import Event, Thread
 from typing import Any
 
@@ -40,15 +39,17 @@ from rosbags.rosbag2 import Reader
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
+from .chain_program import URDF
+from .live_topics import BRINGUP
+
 RAW_SCAN = schema_of_class(RawScan)
 JOINT_TRANSFORM = schema_of_class(JointTransform)
 pytestmark = pytest.mark.usefixtures("ros_domain")
 
-BRINGUP = Path(__file__).resolve().parents[2] / "posor_bringup"
 BAG = BRINGUP / "bags" / "ymo"
 LOSSLESS = {"lossless": True, "alarm_count": 1, **HAND_FED}
 POSOR = {"calibration": str(BRINGUP / "config" / "slocum1985_printed.yaml"), "session": "ymo", **LOSSLESS}
-CHAIN = {"urdf": str(BRINGUP / "urdf" / "slocum1985_rig.urdf"), "max_wait": 60.0, **LOSSLESS}
+CHAIN = {"urdf": str(URDF), "max_wait": 60.0, **LOSSLESS}
 RESULTS = {
     "/endpoint/pose": PoseStamped,
     "/endpoint/pose_with_covariance": PoseWithCovarianceStamped,

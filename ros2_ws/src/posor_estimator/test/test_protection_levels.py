@@ -22,12 +22,11 @@ from posor_lab.harness.endpoint_effects import endpoint_effects, expansion_shift
 from posor_lab.harness.graph import Graph
 from posor_msgs.msg import JointTransform
 
-from .chain_program import LOSSLESS, ChainRig, chain_node, transform_of
+from .chain_program import LOSSLESS, URDF, ChainRig, chain_node, transform_of
 from .test_posor_services import NodeRig
 
 pytestmark = pytest.mark.usefixtures("ros_domain")
 
-URDF = Path(__file__).resolve().parents[2] / "posor_bringup" / "urdf" / "slocum1985_rig.urdf"
 BEAMS = Path(__file__).with_name("warm_beam.yaml")
 
 

@@ -17,11 +17,10 @@ from posor_lab.harness.graph import Graph, set_stamp
 from posor_msgs.msg import EndpointState
 from sensor_msgs.msg import Temperature
 
-from .chain_program import LOSSLESS, ChainRig, chain_node, transform_of
+from .chain_program import LOSSLESS, URDF, ChainRig, chain_node, transform_of
 
 pytestmark = pytest.mark.usefixtures("ros_domain")
 
-URDF = Path(__file__).resolve().parents[2] / "posor_bringup" / "urdf" / "slocum1985_rig.urdf"
 BEAMS = """\
       spread: {value: 4.0, unit: K}
       gradient: {along: {value: 0.1, unit: K}, across: {value: 0.05, unit: K}, width: {value: 0.05, unit: m}}

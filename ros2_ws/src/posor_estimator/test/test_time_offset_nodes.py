@@ -21,6 +21,7 @@ from geometry_msgs.msg import PoseStamped
 from posor.calibration.designs import sized_design
 from posor.model.native_coordinates import native_from_rotation
 from posor.numerics.stamps import NS
+from posor_lab.harness.beams import quantity
 from posor_lab.harness.graph import LOSSLESS, Graph, values_of, wait_for_value
 from posor_lab.harness.message_conversion import pose_from_message, stamp_ns
 from posor_lab.harness.program import Program, installed
@@ -44,10 +45,6 @@ URDF = """<robot name="arm"><link name="base"/><link name="joint_receiving"/><li
 <joint name="forearm" type="fixed"><parent link="joint_target"/><child link="endpoint"/>
 <origin xyz="0.5 0 0.05"/></joint>
 </robot>"""
-
-
-def quantity(value: object, unit: str) -> dict[str, object]:
-    return {"value": value, "unit": unit}
 
 
 def write_arm(folder: Path) -> Path:

@@ -71,19 +71,9 @@ class DeclaredParameters(Generic[ParametersT]):
     """The parameters of one node, in force as ``current``: a new frozen model after each accepted change."""
 
     def __init__(
-        self,
-        node: Node,
-        model: type[ParametersT],
-        overrides: dict[str, object],
-        *,
-        is_configured: Callable[[], bool],
-        accept: Callable[[ParametersT], None],
-        on_change: Callable[[ParametersT], None],
+        self, node: Node, model: type[ParametersT], overrides: dict[str, object], *, is_configured: Callable[[], bool]
     ) -> None:
         """Validate ``overrides``, see ``take_overrides``, and declare every parameter of ``model`` on a node.
-
-        While the node is configured, ``accept`` is called with new values before a change and may raise a PosorError
-        to refuse them, ``on_change`` after it.
 
         Raises ParameterError: a value is wrong or missing, or a name is unknown.
         """
@@ -91,8 +81,6 @@ class DeclaredParameters(Generic[ParametersT]):
         self._node = node.get_fully_qualified_name()
         self._specs = {spec.name: spec for spec in parameter_specs(model)}
         self._is_configured = is_configured
-        self._accept = accept
-        self._on_change = on_change
         self.current = validate_parameters(model, overrides, node=self._node)
         for spec in self._specs.values():
             _declare(node, spec, parameter_value(self.current, spec.name))
@@ -120,10 +108,9 @@ class DeclaredParameters(Generic[ParametersT]):
 
     def _check(self, changes: list[Parameter]) -> SetParametersResult:
         try:
-            new = self._changed_model(changes)
+            self._changed_model(changes)
             if self._is_configured():
                 self._check_configured(changes)
-                self._accept(new)
         except PosorError as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
@@ -142,11 +129,7 @@ class DeclaredParameters(Generic[ParametersT]):
                 )
 
     def _apply(self, changes: list[Parameter]) -> None:
-        new = self._changed_model(changes)
-        if new != self.current:
-            self.current = new
-            if self._is_configured():
-                self._on_change(new)
+        self.current = self._changed_model(changes)
 
 
 def _declare(node: Node, spec: ParameterSpec, value: object) -> None:

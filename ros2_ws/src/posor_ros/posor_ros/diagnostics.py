@@ -123,11 +123,6 @@ class Status:
         self._lock = lock
 
     @property
-    def level(self) -> Level:
-        """The present level."""
-        return self._report.level
-
-    @property
     def message(self) -> str:
         """The present message."""
         return self._report.message

@@ -54,7 +54,12 @@ PUBLISH_TIMEOUT_S = 60.0
 
 
 class IntraProcessPublisher:
-    """A publisher of serialised messages that is silent while its node is inactive."""
+    """A publisher of serialised messages that is silent while its node is inactive.
+
+    Attributes:
+        taker: The first subscription of this process whose group can take what is published, see ``DeliveryGroup``.
+
+    """
 
     def __init__(
         self,
@@ -78,7 +83,7 @@ class IntraProcessPublisher:
         self._dds_subscriptions = 0
         self._subscriptions: tuple[IntraProcessSubscription, ...] = ()
         self._is_read_whole_here = False
-        self._taker: IntraProcessSubscription | None = None
+        self.taker: IntraProcessSubscription | None = None
         self._manager = IntraProcessManager.of(node.context)
         self._manager.check_type(self)
         self._count_listeners = count_listeners
@@ -109,11 +114,6 @@ class IntraProcessPublisher:
         """Whether any subscription reads all parts of a message, see ``IntraProcessSubscription.reads_whole``."""
         return self._is_read_whole_here or bool(self._handle.get_subscription_count())
 
-    @property
-    def taker(self) -> IntraProcessSubscription | None:
-        """The first subscription of this process whose group can take what is published, see ``DeliveryGroup``."""
-        return self._taker
-
     def is_read_by_others(self, taker: IntraProcessSubscription | None) -> bool:
         """Return whether there is any subscription but one of this process."""
         return self._subscriptions != (taker,) or bool(self._handle.get_subscription_count())
@@ -122,7 +122,7 @@ class IntraProcessPublisher:
         """Note which subscriptions of this process read all parts of a message, and the taker."""
         self._is_read_whole_here = any(subscription.reads_whole for subscription in self._subscriptions)
         takers = (each for each in self._subscriptions if each.group is not None and each.group.take is not None)
-        self._taker = next(takers, None)
+        self.taker = next(takers, None)
 
     def publish(self, data: bytes) -> bool:
         """Deliver a serialised message within this process, then publish it over DDS; return whether all received it.

@@ -104,13 +104,9 @@ class PosorNode(LifecycleNode, Generic[ParametersT]):
             for name in qos_names:  # rclpy declares it again, read-only, with the publisher or subscription
                 self.undeclare_parameter(name)
             self.qos_overrides = QosOverrides(self.get_fully_qualified_name(), qos_values)
+            model = self.parameter_model(overrides)
             self._declared: DeclaredParameters[ParametersT] = DeclaredParameters(
-                self,
-                self.parameter_model(overrides),
-                overrides,
-                is_configured=lambda: self._is_configured,
-                accept=self.accept_parameters,
-                on_change=self.on_parameters_changed,
+                self, model, overrides, is_configured=lambda: self._is_configured
             )
         except PosorError:
             self.destroy_node()
@@ -175,12 +171,6 @@ class PosorNode(LifecycleNode, Generic[ParametersT]):
         """Return the parameter model; a subclass may choose the model by the user's values."""
         del overrides
         return cls.Parameters
-
-    def accept_parameters(self, parameters: ParametersT) -> None:
-        """Raise a PosorError to refuse a change at run time that the model itself allows; the node is configured."""
-
-    def on_parameters_changed(self, parameters: ParametersT) -> None:
-        """Use values that were changed at run time; the node is configured."""
 
     def configure(self) -> None:
         """Read files, create publishers, register cleanups; raise a PosorError if that is impossible."""

@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import re
-import signal
 import sys
 from collections import deque
 from contextlib import ExitStack, closing, contextmanager
@@ -14,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 import rclpy
 from posor.errors import NodeError, ParameterError, PosorError
-from posor.lazy_program import heeded_signals
+from posor.lazy_program import interrupts_handled
 from posor.node_parameters import RealtimeParameters
 from posor.reporting.program_errors import reports_errors
 from rclpy.experimental.events_executor import EventsExecutor
@@ -39,27 +38,20 @@ SPIN_TIMEOUT_S = 0.1
 """Longest time between a signal and the reaction to it: spin_once() returns after an event or this time."""
 
 
-class StopSignal:
+class StopSignal(ExitStack):
     """Records SIGINT, SIGTERM and SIGHUP in a ``with`` block. Further signals change nothing: launch repeats Ctrl-C.
 
     rclpy's own handlers would shut the context down before the nodes have published their end and closed their files.
     """
 
-    def __init__(self) -> None:
-        self.requested = False
+    requested = False
 
     def __enter__(self) -> Self:
-        self._former = {number: signal.signal(number, self._on_signal) for number in heeded_signals()}
+        self.enter_context(interrupts_handled(self._on_signal))
         return self
 
     def _on_signal(self, _number: int, _frame: FrameType | None) -> None:
         self.requested = True
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        for number, handler in self._former.items():
-            signal.signal(number, handler)
 
 
 @contextmanager

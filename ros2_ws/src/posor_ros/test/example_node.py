@@ -7,7 +7,7 @@ from __future__ import annotations
 import sys
 from typing import Annotated, Literal
 
-from posor.errors import CalibrationError, ParameterError
+from posor.errors import CalibrationError
 from posor.node_parameters import NodeParameters
 from posor.parameter_model import ChangeableAtRunTime
 from posor_ros.diagnostics import Level
@@ -67,13 +67,6 @@ class ExampleNode(PosorNode[ExampleParameters]):
     def undo(self) -> None:
         print("cleanup", flush=True)
         self.destroy_lifecycle_publisher(self.output)
-
-    def accept_parameters(self, parameters: ExampleParameters) -> None:
-        if parameters.gain == 4.0:
-            raise ParameterError("four is not wanted", where="gain")
-
-    def on_parameters_changed(self, parameters: ExampleParameters) -> None:
-        print(f"gain is now {parameters.gain!r}", flush=True)
 
 
 if __name__ == "__main__":

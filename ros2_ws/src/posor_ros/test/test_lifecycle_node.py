@@ -279,15 +279,12 @@ def test_parameter_changes_at_run_time() -> None:
         assert set_value("gain", 3.0) == (True, "")
         assert set_value("gain", 1) == (True, "")
         assert parameter_values(graph)["gain"] == 1.0
-        node.wait_for_line("gain is now 1.0")
-        assert set_value("gain", 4.0) == (False, "gain: four is not wanted.")
         for name, value in (("gain", 6.0), ("gain", float("nan")), ("gain", "high"), ("count", 3), ("gian", 1.0)):
             successful, reason = set_value(name, value)
             assert not successful
             assert reason
         assert parameter_values(graph)["gain"] == 1.0
         assert node.end() == 0
-        assert [line for line in node.stdout if "gain" in line] == ["gain is now 3.0", "gain is now 1.0"]
 
 
 def test_diagnostics_are_published_at_each_change_and_once_a_second() -> None:

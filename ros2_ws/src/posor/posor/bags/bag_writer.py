@@ -39,6 +39,7 @@ from mcap.records import (
 
 from posor.bags.mcap_file import INDEX_HEAD, MAGIC, RECORD_HEAD
 from posor.bags.provenance import PENDING
+from posor.bags.recorded_topics import CDR
 from posor.errors import BagError
 from posor.messages.byte_kernels import write_records
 from posor.numerics.stamps import NS
@@ -126,18 +127,16 @@ class BagWriter:
             counts[topic.channel.topic] += topic.count
         return counts
 
-    def add_topic(
-        self, name: str, type_name: str, definition: Definition, qos: Sequence[Any] = (), encoding: str = "cdr"
-    ) -> int:
+    def add_topic(self, name: str, type_name: str, definition: Definition, qos: Sequence[Any] = ()) -> int:
         """Add a topic, unless it is there already, and return the number of its channel.
 
-        ``name``: of the topic; with another type, other profiles or another encoding it has another channel;
-        ``type_name``: message type; ``definition``: of the type; ``qos``: profiles that the publishers offer:
-        ``QoSProfile`` of rclpy or ``Qos`` of rosbags; ``encoding``: of the messages.
+        ``name``: of the topic; with another type or other profiles it has another channel; ``type_name``: message type;
+        ``definition``: of the type; ``qos``: profiles that the publishers offer: ``QoSProfile`` of rclpy or ``Qos`` of
+        rosbags.
         """
         form = "ros2idl" if definition.text.startswith("=" * 80 + "\nIDL: ") else "ros2msg"
         schema = Schema(id=0, name=type_name, encoding=form, data=definition.text.encode())
-        return self.add_channel(name, schema, encoding, qos, definition.type_hash)
+        return self.add_channel(name, schema, CDR, qos, definition.type_hash)
 
     def add_channel(
         self,
@@ -150,7 +149,8 @@ class BagWriter:
     ) -> int:
         """Add a channel, unless it is there already, and return its number; see ``add_topic``.
 
-        ``schema``: of its messages, in any language; its number does not count; ``details``: of the channel.
+        ``schema``: of its messages, in any language; its number does not count; ``encoding``: of the messages;
+        ``details``: of the channel.
         """
         profiles = [_qos_entry(profile) for profile in qos]
         metadata = {

@@ -14,6 +14,7 @@ from posor.bags.bag_reader import checked_type, opened_bag, scan_schema, scan_to
 from posor.bags.block_reader import read_blocks, read_messages
 from posor.bags.message_block import TopicReader
 from posor.bags.recording import POSE, Recording, Track
+from posor.chain.identity import file_sha256
 from posor.chain.joint_measurements import UNIT_QUATERNION_TOLERANCE
 from posor.errors import BagError, TopicError, TrackError, checked_path
 from posor.messages.message_definitions import schema_of_topic
@@ -181,15 +182,10 @@ def bag_sha256(path: Path) -> str:
     and storage files, sorted by name.
     """
     if not path.is_dir():
-        return _file_sha256(path)
+        return file_sha256(path)
     files = sorted(file for file in path.iterdir() if file.name == "metadata.yaml" or file.suffix in STORAGE_SUFFIXES)
-    listing = "".join(f"{_file_sha256(file)}  {file.name}\n" for file in files)
+    listing = "".join(f"{file_sha256(file)}  {file.name}\n" for file in files)
     return hashlib.sha256(listing.encode()).hexdigest()
-
-
-def _file_sha256(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def _track(kind: str, messages: Sequence[tuple[int, Mapping[str, Value]]], reference: Reference, source: str) -> Track:

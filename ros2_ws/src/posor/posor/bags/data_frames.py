@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,6 +12,7 @@ from posor.errors import ParameterError
 from posor.estimation.estimate import Estimates
 from posor.messages.estimate_arrays import ArmEstimates, EndpointEstimates
 from posor.model.scan import Scans
+from posor.optional_library import optional_library
 from posor.uncertainty.first_order import ErrorBudget
 from posor.uncertainty.reliability import Reliability
 
@@ -128,7 +128,7 @@ def to_dataframe(data: Result) -> Any:
         ParameterError: pandas is not installed, or the data cannot be a table.
 
     """
-    return _to_tables(data, _import_library("pandas", "to_dataframe").DataFrame)
+    return _to_tables(data, optional_library("pandas", "tables", "to_dataframe").DataFrame)
 
 
 def to_arrow(data: Result) -> Any:
@@ -138,7 +138,7 @@ def to_arrow(data: Result) -> Any:
         ParameterError: pyarrow is not installed, or the data cannot be a table.
 
     """
-    return _to_tables(data, _import_library("pyarrow", "to_arrow").table)
+    return _to_tables(data, optional_library("pyarrow", "tables", "to_arrow").table)
 
 
 def _to_tables(data: object, make_table: Callable[[Mapping[str, np.ndarray[Any, Any]]], Any]) -> Any:
@@ -151,10 +151,3 @@ def _to_tables(data: object, make_table: Callable[[Mapping[str, np.ndarray[Any, 
         return make_table(COLUMNS[type(data)](data))
     names = ", ".join(["ArmEstimates", *(kind.__name__ for kind in COLUMNS)])
     raise ParameterError(f"data of type {type(data).__name__} cannot be a table", expected=f"one of {names}")
-
-
-def _import_library(name: str, function: str) -> Any:
-    try:
-        return import_module(name)
-    except ImportError:
-        raise ParameterError(f"the Python library '{name}' is not installed", where=function, expected=name) from None

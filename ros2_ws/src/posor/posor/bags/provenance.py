@@ -8,7 +8,6 @@ with other files is reprocessed nevertheless, because that is often the purpose;
 
 from __future__ import annotations
 
-import hashlib
 import json
 from contextlib import suppress
 from importlib.metadata import version
@@ -19,7 +18,7 @@ import yaml
 
 from posor.bags.recorded_topics import METADATA
 from posor.calibration.calibration_file import load_calibration
-from posor.errors import BagError
+from posor.chain.identity import file_sha256
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -35,7 +34,7 @@ def provenance_of(settings: Settings | None) -> dict[str, str]:
     """Return the version of the software and the hashes of the files of an arm, if any, as custom data of a bag.
 
     A calibration has its content hash, which does not depend on layout and comments; other files their SHA-256. Raises
-    CalibrationError: a calibration is invalid; BagError: a file cannot be read.
+    CalibrationError: a calibration is invalid, or a file cannot be read.
     """
     return {SOFTWARE: _software()} | {key: _hash(key, path) for key, path in _files(settings).items()}
 
@@ -44,7 +43,7 @@ def differences(recorded: Mapping[str, str], settings: Settings) -> tuple[str, .
     """Return a sentence for each file, and for the software, that differs from what a bag was recorded with.
 
     ``recorded``: custom data of the bag; ``settings``: with which it is processed; a joint or a file that the bag does
-    not name is not compared. Raises CalibrationError: a calibration is invalid; BagError: a file cannot be read.
+    not name is not compared. Raises CalibrationError: a calibration is invalid, or a file cannot be read.
     """
     used = {SOFTWARE: ("this software", _software())} if SOFTWARE in recorded else {}
     for key, path in _files(settings).items():
@@ -85,7 +84,4 @@ def _files(settings: Settings | None) -> dict[str, Path]:
 def _hash(key: str, path: Path) -> str:
     if key.removeprefix("posor.") not in FILES:
         return load_calibration(path).content_hash
-    try:
-        return hashlib.sha256(path.read_bytes()).hexdigest()
-    except OSError as error:
-        raise BagError(f"cannot be read, {error.strerror}", where=str(path)) from error
+    return file_sha256(path)

@@ -186,7 +186,3 @@ def main(arguments: Sequence[str] | None = None) -> int:
         sys.stdout.writelines(f"{line}.\n" for line in rescue.lines())
     sys.stdout.write(f"written to {options.output}\n")
     return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

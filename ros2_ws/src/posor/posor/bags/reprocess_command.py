@@ -233,7 +233,3 @@ def print_summary(summary: Summary, console: Console) -> None:
     )
     where = "no --output: nothing is written" if summary.output is None else f"written to {summary.output}"
     console.print(where, markup=False, soft_wrap=True)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -9,9 +9,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from posor.calibration.yaml_document import StrictDumper
-
-_WIDTH = 120
+from posor.calibration.yaml_document import WIDTH, StrictDumper
 
 
 class _FlowMapping(dict[str, Any]):
@@ -36,7 +34,7 @@ def document_text(content: Any, comment: str) -> str:
 
     Empty parts and standard uncertainties of zero are left out.
     """
-    text = yaml.dump(_file_content(content), Dumper=_Dumper, sort_keys=False, width=_WIDTH, allow_unicode=True)
+    text = yaml.dump(_file_content(content), Dumper=_Dumper, sort_keys=False, width=WIDTH, allow_unicode=True)
     return f"# {comment}\n{text}"
 
 

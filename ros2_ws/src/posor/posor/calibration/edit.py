@@ -10,14 +10,13 @@ from typing import TYPE_CHECKING, Any
 
 import yaml
 
-from posor.calibration.yaml_document import FileLocations, StrictDumper, parse_yaml
+from posor.calibration.yaml_document import WIDTH, FileLocations, StrictDumper, parse_yaml
 from posor.errors import CalibrationError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
 _STEP = re.compile(r"(?:^|(?<=.)\.)([^.\[\]]+)|\[(\d+)\]")
-_WIDTH = 120
 
 
 def parse_key_path(key: str) -> tuple[str | int, ...]:
@@ -155,7 +154,7 @@ def _format_value_of_key(content: Any, indent: int, *, flow: bool) -> str:
 def _format_yaml(content: Any, indent: int, *, flow: bool) -> str:
     """Return content as YAML with all lines after the first indented."""
     style = True if flow else None
-    width = max(_WIDTH - indent, _WIDTH // 2)
+    width = max(WIDTH - indent, WIDTH // 2)
     text = yaml.dump(
         content, Dumper=StrictDumper, default_flow_style=style, sort_keys=False, allow_unicode=True, width=width
     )

@@ -36,6 +36,7 @@ if TYPE_CHECKING:
 
 Document = TypeVar("Document")
 
+WIDTH = 120  # letters in a line of a file that is written
 _MAX_DEPTH = 50
 _MAX_NODES = 200_000
 """Largest number of nodes with all aliases expanded; the largest calibration files have some 10,000."""

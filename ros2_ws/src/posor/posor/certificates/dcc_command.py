@@ -45,7 +45,3 @@ def main(arguments: Sequence[str] | None = None) -> int:
         check_dcc(options.file, options.schema)
         sys.stdout.write(f"{options.file}: valid against {options.schema}\n")
     return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

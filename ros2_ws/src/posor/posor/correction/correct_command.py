@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import argparse
 import math
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -142,7 +141,3 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"  {name}: offsets up to {1e6 * largest:.0f} µrad")
     print(f"corrected program written to {options.output}")
     return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -33,6 +33,9 @@ if TYPE_CHECKING:
     from posor.numerics.array_types import FloatArray
 
 
+MOST_SAMPLES = 4096  # of joint angles that are kept
+
+
 class CorrectionLimits(ParameterGroup):
     """What the offsets may do, and when they stop."""
 
@@ -58,9 +61,9 @@ class CorrectionLimits(ParameterGroup):
 class AngleHistory:
     """Joint angles of the last while, and their values between two times."""
 
-    def __init__(self, length: int = 4096) -> None:
-        """Keep this number of samples."""
-        self._samples: deque[tuple[int, FloatArray]] = deque(maxlen=length)
+    def __init__(self) -> None:
+        """Begin without samples."""
+        self._samples: deque[tuple[int, FloatArray]] = deque(maxlen=MOST_SAMPLES)
 
     def add(self, time_ns: int, angles: FloatArray) -> None:
         """Add angles; where the time goes back, all earlier ones are forgotten."""

@@ -32,6 +32,9 @@ if TYPE_CHECKING:
     from posor.model.scan import Scan, Scans
     from posor.numerics.array_types import BoolArray, FloatArray, IntArray
 
+READING_KINDS = ("gap_voltages", "ring_voltages", "diode_currents")
+"""Fields of ``Scans`` with one reading for each channel of the sensors."""
+
 
 class SensorCalibration(FrozenModel, ABC):
     """A sensor's part of the calibration file. Subclasses add ``type: Literal[...]``, by which files name them."""

@@ -38,6 +38,9 @@ if TYPE_CHECKING:
     from posor.numerics.array_types import FloatArray, IntArray
 
 
+CONTACT_LETTERS = "ABCD"  # of a diode, in the order of its currents
+
+
 class DiodeCalibration(FrozenModel):
     """One diode on the receiving plate R: its plane and axes, its noise, and what counts as light.
 

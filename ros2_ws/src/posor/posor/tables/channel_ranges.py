@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from posor.sensors.bumpy_ring import BumpyRingCalibration
-from posor.sensors.diodes import DiodesCalibration
+from posor.sensors.diodes import CONTACT_LETTERS, DiodesCalibration
 from posor.sensors.gap_probes import GapProbesCalibration
 from posor.tables.table_map import READINGS
 from posor.tables.table_units import UNITS, units_of
@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from posor.calibration.calibration_file import Calibration
     from posor.model.scan import Scans
     from posor.numerics.array_types import FloatArray
-
-CONTACTS = "ABCD"
 
 
 class Channel(NamedTuple):
@@ -55,7 +53,7 @@ def channels_of(calibration: Calibration) -> list[Channel]:
                 channels.append(Channel(reading, _count(channels, reading), probe.name, float(low), float(high)))
         elif isinstance(sensor, DiodesCalibration):
             for diode in sensor.diodes:
-                for contact in CONTACTS:
+                for contact in CONTACT_LETTERS:
                     name, number = f"{diode.name} {contact}", _count(channels, "diode_currents")
                     channels.append(Channel("diode_currents", number, name, *diode.sums))
     environment = calibration.environment
@@ -86,6 +84,6 @@ def compared_values(channel: Channel, scans: Scans) -> FloatArray:
     if channel.reading != "diode_currents":
         voltages: FloatArray = getattr(scans, channel.reading)
         return voltages[:, channel.number]
-    diode, contact = divmod(channel.number, len(CONTACTS))
+    diode, contact = divmod(channel.number, len(CONTACT_LETTERS))
     currents = scans.diode_currents[~scans.dark][:, diode]
-    return np.asarray(currents[:, contact] + currents[:, (contact + 2) % len(CONTACTS)])
+    return np.asarray(currents[:, contact] + currents[:, (contact + 2) % len(CONTACT_LETTERS)])

@@ -13,7 +13,8 @@ import numpy as np
 from posor.calibration.quantity import Quantity
 from posor.errors import DataFileError
 from posor.model.scan import DARK_SUBTRACTED, HOME_BUMP, NO_SOURCE, Scans
-from posor.tables.table_map import CHANNELS, FLAGS, READINGS, ColumnEntry
+from posor.sensors.base import READING_KINDS
+from posor.tables.table_map import FLAGS, READINGS, ColumnEntry
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -45,7 +46,7 @@ class JointColumns:
         """Return the scans. Raises DataFileError: a light source or a ratio is impossible."""
         joint = self.joint
         arrays: dict[str, Any] = {"stamps_ns": stamps_ns, "numbers": numbers}
-        for reading in CHANNELS:
+        for reading in READING_KINDS:
             if part := getattr(joint, reading):
                 arrays[reading] = np.column_stack([self._values(entry, READINGS[reading]) for entry in part])
         if joint.diode_ratios:

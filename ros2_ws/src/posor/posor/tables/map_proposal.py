@@ -15,10 +15,12 @@ import numpy as np
 
 from posor.calibration.calibration_file import load_calibration
 from posor.errors import DataFileError
-from posor.tables.channel_ranges import CONTACTS, channels_of, light_sources, likely_unit
+from posor.sensors.base import READING_KINDS
+from posor.sensors.diodes import CONTACT_LETTERS
+from posor.tables.channel_ranges import channels_of, light_sources, likely_unit
 from posor.tables.raw_table import is_number
 from posor.tables.table_file import is_text, open_table, read_bytes
-from posor.tables.table_map import CHANNELS, READINGS, FileLayout
+from posor.tables.table_map import READINGS, FileLayout
 from posor.tables.table_time import parse_moment
 from posor.tables.table_units import UNITS
 from posor.tables.text_table import LEFT_OUT, byte_order_mark, utf_16_without_mark
@@ -253,7 +255,7 @@ def _propose_joint(draft: _Draft, joint: str, path: Path) -> None:
     channels = channels_of(calibration)
     draft.add(f"  {joint}:")
     draft.add(f"    calibration: {_quoted(str(path.resolve()))}")
-    for reading in CHANNELS:
+    for reading in READING_KINDS:
         of_reading = [channel for channel in channels if channel.reading == reading]
         if not of_reading:
             continue
@@ -268,7 +270,7 @@ def _propose_joint(draft: _Draft, joint: str, path: Path) -> None:
                 n = candidates.pop(0)
             _propose_column(draft, "    - ", channel, n, doubt)
         if reading == "diode_currents":
-            diodes = len(of_reading) // len(CONTACTS)
+            diodes = len(of_reading) // len(CONTACT_LETTERS)
             sources = light_sources(calibration)
             lit = list(range(diodes)) if sources >= diodes else [0] * diodes
             doubt = "" if sources == diodes else f"which of the {sources} light sources each diode sees"

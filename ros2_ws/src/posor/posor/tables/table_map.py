@@ -149,8 +149,6 @@ READINGS = {  # readings of a joint, and their SI units
     "temperature": "K",
     "reference_voltage": "V",
 }
-CHANNELS = ("gap_voltages", "ring_voltages", "diode_currents")
-"""Readings with one column for each channel of the calibration."""
 
 
 class JointMap(FrozenModel):

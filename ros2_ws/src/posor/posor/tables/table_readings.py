@@ -15,11 +15,12 @@ from scipy.spatial.transform import Rotation
 from posor.calibration.calibration_file import load_calibration
 from posor.errors import CalibrationError, DataFileError, ParameterError, checked_path
 from posor.model.scan import NO_SOURCE
+from posor.sensors.base import READING_KINDS
 from posor.tables.channel_ranges import channels_of, compared_values, light_sources, likely_unit
 from posor.tables.joint_scans import JointColumns
 from posor.tables.row_selection import RowSelection
 from posor.tables.table_file import open_table
-from posor.tables.table_map import CHANNELS, READINGS, ColumnEntry, load_table_map
+from posor.tables.table_map import READINGS, ColumnEntry, load_table_map
 from posor.tables.table_time import parse_zone, start_ns, times_at_rate, times_of_numbers, times_of_texts
 from posor.tables.table_units import UNITS
 
@@ -232,7 +233,7 @@ class _Reader:
                 f"frame_id '{joint.frame_id}'", where=where, expected=f"'{calibration.frames.parent}'"
             )
         channels = channels_of(calibration)
-        for reading in CHANNELS:
+        for reading in READING_KINDS:
             names = [channel.name for channel in channels if channel.reading == reading]
             mapped = 4 * joint.diodes if reading == "diode_currents" else len(getattr(joint, reading))
             if mapped < len(names):

@@ -57,11 +57,6 @@ _IF97 = (  # IAPWS-IF97, table 34
 
 def saturation_pressure(temperature: float) -> float:
     """Return the pressure of saturated water vapour over water [Pa] at a temperature [K] (IAPWS-IF97, equation 30)."""
-    MOIST_TEMPERATURE.require(temperature, "temperature")
-    return _saturation_pressure(temperature)
-
-
-def _saturation_pressure(temperature: float) -> float:
     n = _IF97
     theta = temperature + n[8] / (temperature - n[9])
     a = theta * theta + n[0] * theta + n[1]
@@ -88,7 +83,7 @@ def vapour_fraction(relative_humidity: float, temperature: float, pressure: floa
 def _vapour_fraction(relative_humidity: float, temperature: float, pressure: float) -> float:
     celsius = temperature - ICE_POINT
     enhancement = 1.00062 + 3.14e-8 * pressure + 5.6e-7 * celsius * celsius
-    return enhancement * relative_humidity * _saturation_pressure(temperature) / pressure
+    return enhancement * relative_humidity * saturation_pressure(temperature) / pressure
 
 
 def air_index(

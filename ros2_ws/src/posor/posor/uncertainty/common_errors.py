@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
 LENGTH_SCALE, TEMPERATURE = "length_scale", "calibration_temperature"
+EXPANSION = 23e-6  # linear expansion of the parts, of aluminium [1/K]
 
 
 @dataclass(frozen=True)
@@ -28,7 +29,6 @@ class CommonErrors:
 
     length_scale: float = 0.0  # relative
     temperature: float = 0.0  # [K]
-    expansion: float = 23e-6  # linear expansion of the parts [1/K]; default: aluminium
 
     def calibration_with(self, calibration: Calibration) -> Calibration:
         """Return a calibration that states both errors for all its lengths."""
@@ -44,7 +44,7 @@ class CommonErrors:
         return BeamsFile.model_validate({**content, "version": BEAMS_VERSION, "shared": shared})
 
     def _terms(self, lengths: Iterable[str]) -> dict[str, Any]:
-        terms = {LENGTH_SCALE: (self.length_scale, "1", 1.0), TEMPERATURE: (self.temperature, "K", self.expansion)}
+        terms = {LENGTH_SCALE: (self.length_scale, "1", 1.0), TEMPERATURE: (self.temperature, "K", EXPANSION)}
         return {
             name: {
                 "uncertainty": {"value": sigma, "unit": unit},

@@ -16,7 +16,8 @@ from posor.bags.block_reader import read_blocks
 from posor.bags.mcap_file import checked_index
 from posor.messages.message_definitions import MessageTypes
 from posor.ros_names import RAW_SCAN
-from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
+from posor_lab.harness.recorded_messages import read_bag
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
 TOPICS = ("/one/raw", "/two/raw", "/other/raw")
 WANTED = list(TOPICS[:2])
@@ -83,9 +84,7 @@ def damaged(path: Path, at: int, data: bytes) -> None:
 
 def by_rosbags(path: Path) -> list[Record]:
     """Return the messages of the wanted topics, as a replay takes them."""
-    with Reader(path) as reader:
-        chosen = [connection for connection in reader.connections if connection.topic in WANTED]
-        return [(connection.topic, time_ns, bytes(data)) for connection, time_ns, data in reader.messages(chosen)]
+    return read_bag(path, WANTED)
 
 
 def by_blocks(path: Path) -> Iterator[Record]:

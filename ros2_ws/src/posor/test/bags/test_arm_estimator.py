@@ -40,7 +40,7 @@ def recorded_scans(calibration: Calibration, begin: int, count: int) -> Recorded
     rotations = np.array([rotation_from_native(1e-4, -2e-4, 1e-4 * tick) for tick in ticks])
     translations = np.tile([2e-5, 1e-5, 0.7e-3], (count, 1))
     scans = scans_at(Posor(calibration).stack, rotations, translations, ticks * 1_000_000)
-    stamps = np.column_stack(np.divmod(scans.stamps_ns, 1_000_000_000))
+    stamps = np.column_stack(np.divmod(scans.stamps_ns, NS))
     return RecordedScans(ticks, ticks, scans, stamps, np.zeros(count, dtype=np.int64), calibration.frames.parent)
 
 

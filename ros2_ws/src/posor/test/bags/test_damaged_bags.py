@@ -26,6 +26,7 @@ from posor.bags.recover_command import Rescue, recover
 from posor.errors import BagError, OutputError
 from posor.messages.message_definitions import MessageTypes
 from posor.ros_names import RAW_SCAN
+from posor_lab.harness.recorded_messages import read_bag
 from rosbags.rosbag2 import CompressionMode, Reader, StoragePlugin, Writer
 
 from .bag_files import TOPICS, WANTED, Record, by_blocks, chunk_indices, write
@@ -71,8 +72,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> bytes:
 def rescued(bag: Path, output: Path) -> tuple[list[Rescue], list[Record]]:
     """Recover a bag; return what was found, and the messages of the new bag as rosbags reads them."""
     rescues = recover(bag, output)
-    with Reader(output) as reader:
-        return rescues, [(connection.topic, time_ns, bytes(data)) for connection, time_ns, data in reader.messages()]
+    return rescues, read_bag(output)
 
 
 def test_chunks_and_index_state_their_checksums(tmp_path: Path) -> None:
@@ -86,8 +86,7 @@ def test_chunks_and_index_state_their_checksums(tmp_path: Path) -> None:
     index_at = int.from_bytes(data[-28:-20], "little")
     assert int.from_bytes(data[-12:-8], "little") == crc32(data[index_at:-12]) != 0
     assert first_damage(file) is None
-    with Reader(tmp_path / "bag") as reader:
-        assert [bytes(data) for _, _, data in reader.messages()] == [data for chunk in chunks() for *_, data in chunk]
+    assert [data for _, _, data in read_bag(tmp_path / "bag")] == [data for chunk in chunks() for *_, data in chunk]
 
 
 def test_chunks_written_from_tables_state_their_checksums(tmp_path: Path) -> None:

@@ -28,6 +28,7 @@ from posor.bags.reprocess_task import Summary
 from posor.errors import BagError
 from posor.messages.message_definitions import MessageTypes, installed_schema
 from posor.ros_names import RAW_SCAN
+from posor_lab.harness.full_disk import contents_of
 from rich.console import Console
 from rosbags.rosbag2 import StoragePlugin
 
@@ -365,10 +366,6 @@ def test_an_end_of_the_data_before_their_last_record_is_damage(tmp_path: Path) -
     assert (rescue.messages, [damage.offset for damage in rescue.damages]) == (59, [at])
 
 
-def state_of(folder: Path) -> dict[str, bytes]:
-    return {file.name: file.read_bytes() for file in folder.iterdir()}
-
-
 def sqlite_bag(folder: Path, change: Callable[[sqlite3.Connection], object], suffixes: tuple[str, ...]) -> Path:
     """Return an SQLite file as a recorder leaves it that is killed after a change of the file."""
     write(folder / "made/bag", [MESSAGES[:20]], StoragePlugin.SQLITE3)
@@ -402,14 +399,14 @@ def test_transactions_that_a_killed_recorder_left_beside_the_file_count(
     change: Callable[[sqlite3.Connection], object], suffixes: tuple[str, ...], count: int, tmp_path: Path
 ) -> None:
     path = sqlite_bag(tmp_path, change, suffixes)
-    before = state_of(path.parent)
+    before = contents_of(path.parent)
     messages, notes = read(path)
     assert messages == [data for _, _, data in MESSAGES[:count]]
     expected = (
         f"bag.db3{suffixes[0]} holds transactions that bag.db3 lacks, so a copy of both is read; {REPAIR} completes it"
     )
     assert notes == [expected]
-    assert state_of(path.parent) == before
+    assert contents_of(path.parent) == before
 
 
 def test_a_cut_write_ahead_log_is_noted(tmp_path: Path) -> None:

@@ -12,9 +12,8 @@ from posor.bags.recording import POINT, POSE, SCALAR, Recording, Track, unpack_p
 from posor.errors import TrackError
 from posor.estimation.forward import empty_scans
 from posor.model.scan import SATURATED
+from posor.numerics.stamps import NS
 from scipy.spatial.transform import Rotation
-
-SECOND = 1_000_000_000
 
 
 def track(stamps: list[int], values: list[list[float]]) -> Track:
@@ -34,7 +33,7 @@ def test_there_is_no_value_outside_the_track_or_in_a_long_gap() -> None:
 
 
 def test_stamps_of_today_keep_their_nanoseconds() -> None:
-    now = 1_795_000_000 * SECOND
+    now = 1_795_000_000 * NS
     reference = track([now, now + 10], [[0.0], [10.0]])
     np.testing.assert_allclose(reference.interpolate(now + np.arange(11), 100)[:, 0], np.arange(11.0))
 

@@ -24,10 +24,10 @@ def six_axis_chain() -> Chain:
     return load_arm_file(FOLDER / "arm.yaml").chain()
 
 
-def swinging(chain: Chain, scans: int, amplitude: float = 0.3) -> tuple[FloatArray, IntArray]:
+def swinging(chain: Chain, scans: int) -> tuple[FloatArray, IntArray]:
     """Return poses of joints that swing at 3 Hz and more, and the stamps."""
     stamps = np.arange(1, scans + 1) * PERIOD_NS
-    angles = amplitude * np.sin(stamps[:, None] * 1e-9 * 2.0 * math.pi * np.linspace(3.0, 5.0, JOINTS))
+    angles = 0.3 * np.sin(stamps[:, None] * 1e-9 * 2.0 * math.pi * np.linspace(3.0, 5.0, JOINTS))
     names = [joint.name for joint in chain.joints]
     return (
         np.array(

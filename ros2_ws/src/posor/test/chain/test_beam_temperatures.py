@@ -15,6 +15,7 @@ from posor.chain.beams_file import BeamsFile
 from posor.chain.kinematic_chain import Chain
 from posor.errors import ChainError
 from posor.numerics.stamps import NS
+from posor_lab.harness.beams import quantity
 
 REFERENCE, ALPHA, SPREAD, LENGTH, UNCERTAINTY = 293.0, 20e-6, 2.0, 0.5, 0.1
 NAMES = "abcd"
@@ -27,10 +28,6 @@ URDF = "<robot name='arm'><link name='base'/>{}</robot>".format(
         for n, start in enumerate(["base", "t1", "t2", "t3"])
     )
 )
-
-
-def quantity(value: Any, unit: str) -> dict[str, Any]:
-    return {"value": value, "unit": unit}
 
 
 def thermometer_of(name: str, neighbour: str = " ") -> dict[str, Any]:
@@ -184,9 +181,9 @@ def test_a_thermometer_that_cannot_be_used_is_named_and_its_beam_has_the_spread(
     np.testing.assert_array_equal(rig.estimator.covariance_systematic, healthy.estimator.covariance_systematic)
 
 
-def of_plate(changed: Callable[[int], float | None], name: str = "plate_1") -> Callable[[str, int], float | None]:
+def of_plate(changed: Callable[[int], float | None]) -> Callable[[str, int], float | None]:
     """Return readings of which those of one plate are changed."""
-    return lambda each, second: changed(second) if each == name else quiet(each, second)
+    return lambda each, second: changed(second) if each == "plate_1" else quiet(each, second)
 
 
 def swapped_plates(name: str, second: int) -> float:

@@ -91,9 +91,9 @@ def robot() -> NominalRobot:
     return NominalRobot(load_arm_file("six_axis").chain())
 
 
-def motion(robot: NominalRobot, count: int = 201) -> JointPath:
+def motion(robot: NominalRobot) -> JointPath:
     """Return a motion of 2 s away from singular poses."""
-    times_s = np.linspace(0.0, 2.0, count)
+    times_s = np.linspace(0.0, 2.0, 201)
     start = np.array([0.3, -0.6, 0.9, 0.4, 0.7, 0.5])
     return JointPath(robot.joints, times_s, start + 0.2 * np.sin(np.outer(times_s, np.arange(1, 7) / 2.0)))
 

@@ -169,8 +169,8 @@ def test_light_sources_that_slip_are_lost(slip: int, first: int) -> None:
         assert (found.states[710:] == State.OK).mean() > 0.99  # nothing was accepted before
 
 
-def even_ring(*, motion: bool = True) -> Posor:
-    content = design("triad_light_ring", motion=motion).model_dump(mode="json")
+def even_ring() -> Posor:
+    content = design("triad_light_ring", motion=True).model_dump(mode="json")
     sources = content["sensors"][1]["light_sources"]
     for i, source in enumerate(sources):
         phi = 2.0 * math.pi * i / len(sources)

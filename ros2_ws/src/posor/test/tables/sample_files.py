@@ -32,9 +32,9 @@ def rows(decimal: str = ".") -> list[list[str]]:
     return [[*(cell.replace(".", decimal) for cell in row), "ok"] for row in numbers]
 
 
-def write_csv(path: Path, *, separator: str = ",", decimal: str = ".", names: tuple[str, ...] = NAMES) -> Path:
+def write_csv(path: Path) -> Path:
     """Write the table as CSV."""
-    lines = [separator.join(row) for row in [list(names), *rows(decimal)]]
+    lines = [",".join(row) for row in [list(NAMES), *rows()]]
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
     return path
 

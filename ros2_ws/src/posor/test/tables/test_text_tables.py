@@ -27,9 +27,9 @@ def check_scans(scans: Scans) -> None:
     assert np.isnan(scans.supply_voltages).all()
 
 
-def csv_of(*, separator: str = ",", decimal: str = ".", head: str = "", names: tuple[str, ...] = NAMES) -> str:
+def csv_of(*, separator: str = ",", decimal: str = ".", names: tuple[str, ...] = NAMES) -> str:
     lines = [separator.join(names), *(separator.join(row) for row in rows(decimal))]
-    return head + "\n".join(lines) + "\n"
+    return "\n".join(lines) + "\n"
 
 
 TEXT = csv_of()

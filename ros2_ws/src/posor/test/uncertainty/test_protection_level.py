@@ -167,12 +167,9 @@ def test_beams_that_expand_stay_within_the_level_and_reach_it(chain: Chain) -> N
     assert np.all(level[:3] > 1e-6)
 
 
-def calibrations_of(causes: tuple[Cause, ...] = ()) -> dict[str, Calibration]:
+def calibrations_of() -> dict[str, Calibration]:
     return {
-        name: sized_design("quad_light_ring", 0.15, frames=(f"{name}_r", f"{name}_t"), title=name).model_copy(
-            update={"causes": list(causes)}
-        )
-        for name in ANGLES
+        name: sized_design("quad_light_ring", 0.15, frames=(f"{name}_r", f"{name}_t"), title=name) for name in ANGLES
     }
 
 

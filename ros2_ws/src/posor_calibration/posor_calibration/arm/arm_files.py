@@ -9,7 +9,6 @@ endpoint with it from joint angles.
 
 from __future__ import annotations
 
-import json
 import math
 import re
 from dataclasses import dataclass
@@ -26,6 +25,7 @@ from posor.chain.urdf_file import read_urdf
 from posor.chain.urdf_plates import links_are_plates, rotation_to, rpy_text
 from posor.errors import ChainError
 from posor.output_files import make_folder
+from posor.reporting.json_text import json_text
 from scipy.linalg import eigh
 
 from posor_calibration.arm.arm_fit import NAME
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from posor.chain.urdf_plates import UrdfJoint
     from posor.numerics.array_types import FloatArray
 
-    from posor_calibration.arm.arm_fit import ArmCalibration, ArmProblem, Misfit
+    from posor_calibration.arm.arm_fit import ArmCalibration, ArmProblem
     from posor_calibration.arm.arm_model import ArmModel, ArmPoses, ArmStates
 
 JSON_FILE, CONTROLLER_FILE = "arm_calibration.json", "controller.urdf"
@@ -347,17 +347,13 @@ def calibration_json(calibration: ArmCalibration, files: CalibratedFiles, origin
         "spread": calibration.spread,
         "undetermined": calibration.undetermined,
         "outliers": calibration.outliers,
-        "before": {name: _json(each) for name, each in calibration.before.items()},
-        "after": {name: _json(each) for name, each in calibration.after.items()},
+        "before": {name: each._asdict() for name, each in calibration.before.items()},
+        "after": {name: each._asdict() for name, each in calibration.after.items()},
         "deviation": {"files": files.files._asdict(), "controller": files.controller._asdict()},
         "beams_uncertainty_factor": files.enlarged,
         "warnings": calibration.warnings,
     }
-    return json.dumps(content, indent=1) + "\n"
-
-
-def _json(misfit: Misfit) -> dict[str, float | None]:
-    return {name: value if math.isfinite(value) else None for name, value in misfit._asdict().items()}
+    return json_text(content, indent=1)
 
 
 def check_output(folder: Path, arm: ArmFile, *, force: bool) -> None:

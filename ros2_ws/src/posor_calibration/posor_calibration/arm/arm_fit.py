@@ -17,8 +17,8 @@ from posor.bags.recording import POINT
 from posor.errors import FitError
 from scipy.linalg import block_diag, solve_triangular
 
-from posor_calibration.arm.arm_model import AXES, EXACT, UNITS, Parameter
-from posor_calibration.data_checks import MOST_OUTLIERS
+from posor_calibration.arm.arm_model import EXACT, UNITS, Parameter
+from posor_calibration.data_checks import MOST_OUTLIERS, POSE_AXES
 from posor_calibration.fit_report import check_spread, describe_spread
 from posor_calibration.least_squares import fit_parameters
 
@@ -129,7 +129,7 @@ class ArmProblem:
         begin = len(self.parameters)
         self._first[name] = slice(begin, begin + len(sigmas))
         all_sigmas.append(sigmas)
-        rows = zip(AXES, UNITS, sigmas, strict=False)
+        rows = zip(POSE_AXES, UNITS, sigmas, strict=False)
         self.parameters += [Parameter(f"{name} {axis}", unit, float(sigma)) for axis, unit, sigma in rows]
 
     def _place(self, start: Motion) -> None:

@@ -22,6 +22,8 @@ from posor.uncertainty.budget_poses import scan_at
 from posor.uncertainty.reading_sensitivity import sensitivity_at
 from scipy.linalg import block_diag
 
+from posor_calibration.data_checks import POSE_AXES
+
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
@@ -30,7 +32,6 @@ if TYPE_CHECKING:
     from posor.chain.measuring_beam import MeasuringBeam
     from posor.numerics.array_types import FloatArray
 
-AXES = ("x", "y", "z", "about x", "about y", "about z")
 UNITS = ("m", "m", "m", "rad", "rad", "rad")
 BASE = "base"
 BASE_SIGMAS = (1.0, 1.0)
@@ -154,7 +155,7 @@ class ArmModel:
         names = [
             (f"{element.name} {axis}", unit)
             for element in self.elements
-            for axis, unit in zip(AXES, UNITS, strict=True)
+            for axis, unit in zip(POSE_AXES, UNITS, strict=True)
         ]
         sags = {e.name: e.beam.sag_sigma for e in self.elements if e.beam is not None and e.beam.sag_sigma}
         self.sags = {name: len(names) + k for k, name in enumerate(sags)}

@@ -21,6 +21,7 @@ from posor.model.fault import USABLE_STATES, Fault
 from posor.numerics.vector import wrapped_angles
 
 from posor_calibration.commissioning.plug_checks import LEAST_SCANS, SIGMAS
+from posor_calibration.data_checks import POSE_AXES
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -41,7 +42,6 @@ SLOPE = 0.01  # largest relative difference between the motions of joint and enc
 LONGEST_GAP_NS = 200_000_000  # between two messages of an encoder or of the reference
 SPACING_NS = 5_000_000  # scans that follow faster are left out
 LEAST_POSTURES = 4
-AXES = ("x", "y", "z", "about x", "about y", "about z")
 
 
 @dataclass(frozen=True)
@@ -152,7 +152,7 @@ def check_nominal_motion(
         f"{text} by {1e6 * value:.0f} {unit}, at most {1e6 * limit:.0f} {unit}"
         for values, bounds, what in ((worst, limits, "off"), (spans, change_limits, "changes"))
         for text, value, limit, unit in zip(
-            (f"{what} {axis}" for axis in AXES), values, bounds, ["um"] * 3 + ["urad"] * 3, strict=True
+            (f"{what} {axis}" for axis in POSE_AXES), values, bounds, ["um"] * 3 + ["urad"] * 3, strict=True
         )
         if value > limit
     ]

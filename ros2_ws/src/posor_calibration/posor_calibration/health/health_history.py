@@ -9,14 +9,14 @@ import json
 import os
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
-from importlib import import_module
 from io import BytesIO
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pinocchio as pin
 from posor.chain.identity import ArmIdentity
-from posor.errors import DataFileError, OutputError, ParameterError
+from posor.errors import DataFileError, OutputError
+from posor.optional_library import optional_library
 from posor.output_files import write_files, writing
 
 from posor_calibration.health.health_test import HealthTest, Number, date_text
@@ -84,7 +84,7 @@ class HealthHistory:
 
 def read_history(path: Path) -> HealthHistory:
     """Return the history in a file. Raises DataFileError: it is not a whole history; ParameterError: no pyarrow."""
-    pyarrow, parquet = _pyarrow("pyarrow"), _pyarrow("pyarrow.parquet")
+    pyarrow, parquet = (optional_library(name, "tables", path) for name in ("pyarrow", "pyarrow.parquet"))
     tests: dict[int, list[Number]] = {}
     try:
         table = parquet.read_table(pyarrow.BufferReader(path.read_bytes()))
@@ -113,7 +113,7 @@ def write_history(path: Path, history: HealthHistory, replaces: bytes | None = N
     ``replaces``: content of the file when the history was read, empty: there was no file; None: not compared. Raises
     OutputError: it cannot be written, or has another content; ParameterError: no pyarrow.
     """
-    pyarrow, parquet = _pyarrow("pyarrow"), _pyarrow("pyarrow.parquet")
+    pyarrow, parquet = (optional_library(name, "tables", path) for name in ("pyarrow", "pyarrow.parquet"))
     about = {
         "version": VERSION,
         "arm": history.arm,
@@ -150,11 +150,3 @@ def _locked(folder: Path) -> Iterator[None]:
         yield
     finally:
         os.close(descriptor)
-
-
-def _pyarrow(name: str) -> Any:
-    try:
-        return import_module(name)
-    except ImportError:
-        what, expected = "the Python library 'pyarrow' is not installed", "pip install 'posor[tables]'"
-        raise ParameterError(what, where="health", expected=expected) from None

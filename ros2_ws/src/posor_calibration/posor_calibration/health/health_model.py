@@ -19,8 +19,9 @@ from posor.uncertainty.budget_poses import scan_at
 from posor.uncertainty.reading_sensitivity import sensitivity_at
 from scipy.linalg import block_diag, null_space
 
-from posor_calibration.arm.arm_model import AXES, UNITS, ArmModel
+from posor_calibration.arm.arm_model import UNITS, ArmModel
 from posor_calibration.arm.arm_poses import poses_at
+from posor_calibration.data_checks import POSE_AXES
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -135,25 +136,25 @@ class HealthModel:
             between = f"between {before[-1] if before else places[0]} and {after[0] if after else 'the endpoint'}"
             remedy = "calibrate the arm again (posor calibrate-arm), or its transform (beam_transform)"
             columns = -self._by_parameter[:, own]  # the files lag behind the part
-            yield Part(f"beam {element.name}, {between}", remedy, AXES, UNITS, columns, stated)
+            yield Part(f"beam {element.name}, {between}", remedy, POSE_AXES, UNITS, columns, stated)
 
     def _mounting(self) -> Iterator[Part]:
         """Yield base, balls and seats; the balls move in the axes of the endpoint."""
         unknown = np.full(6, np.nan)
         remedy = "look for a loose foot or artefact, then begin a new history"
-        yield Part("base or artefact", remedy, AXES, UNITS, -self._by_parameter[:, :6], unknown)
+        yield Part("base or artefact", remedy, POSE_AXES, UNITS, -self._by_parameter[:, :6], unknown)
         for ball in dict.fromkeys(name for _, name in self._seats):
             columns = np.zeros((len(self._by_parameter), PLACE))
             for s, ((_, name), rotation) in enumerate(zip(self._seats, self._rotations, strict=True)):
                 columns[PLACE * s : PLACE * s + PLACE] = -rotation if name == ball else 0.0
             remedy = "clean or fasten the ball, then begin a new history"
-            yield Part(f"ball {ball}", remedy, AXES[:PLACE], UNITS[:PLACE], columns, unknown[:PLACE])
+            yield Part(f"ball {ball}", remedy, POSE_AXES[:PLACE], UNITS[:PLACE], columns, unknown[:PLACE])
         for s, (n, ball) in enumerate(self._seats):
             columns = np.zeros((len(self._by_parameter), PLACE))
             columns[PLACE * s : PLACE * s + PLACE] = -np.eye(PLACE)
             remedy = "clean the seat and repeat the test"
             yield Part(
-                f"seat of {ball} at dwell {n + 1}", remedy, AXES[:PLACE], UNITS[:PLACE], columns, unknown[:PLACE]
+                f"seat of {ball} at dwell {n + 1}", remedy, POSE_AXES[:PLACE], UNITS[:PLACE], columns, unknown[:PLACE]
             )
 
     def _all_stated(

@@ -4,8 +4,6 @@
 
 from __future__ import annotations
 
-import json
-import math
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
@@ -13,6 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from posor.reporting.figure_style import BLUE, GREEN, GREY, LIGHT_BLUE, ORANGE
 from posor.reporting.html_page import Section, paragraph, render_page, table
+from posor.reporting.json_text import json_text
 from posor.reporting.plot import Plot
 from scipy.special import stdtr
 
@@ -143,15 +142,9 @@ class HealthReport:
             "verdict": self.sentence,
             "advice": self.advice,
             "suspects": [each.part for each in self.suspects],
-            "changes": [
-                {
-                    key: value if isinstance(value, str | int) or math.isfinite(value) else None
-                    for key, value in each._asdict().items()
-                }
-                for each in self.changes
-            ],
+            "changes": [each._asdict() for each in self.changes],
         }
-        return json.dumps(content, indent=1, allow_nan=False) + "\n"
+        return json_text(content, indent=1)
 
     def to_page(self) -> str:
         """Return all results as a page."""

@@ -25,7 +25,7 @@ from posor.estimation.posor import Posor
 from posor.model.scan import PROBES_ESTIMATED, SATURATED
 from pydantic import Field
 
-from posor_calibration.data_checks import check_axis, check_count, check_unit
+from posor_calibration.data_checks import POSE_AXES, check_axis, check_count, check_unit
 from posor_calibration.fit_report import check_spread, describe_fit, result_tables
 from posor_calibration.least_squares import fit_parameters
 from posor_calibration.procedure import LongestGapOption, LossOption, Options, Outcome, Procedure, SessionOption, Table
@@ -41,7 +41,6 @@ NAME = "beam_transform"
 MIN_POSES = 6
 CLEAR_MOTION, CLEAR_SIGMAS = 1e-3, 50.0
 """Motion along an axis [m], and over the reference's uncertainty, above which it is compared with the chain's."""
-AXES = ("x", "y", "z", "about x", "about y", "about z")
 PARTS = ("base", "beam", "end")
 Transform = tuple[float, float, float, float, float, float]
 Sigma = Annotated[float, Field(gt=0.0)]
@@ -89,7 +88,7 @@ class _Chain:
         used: BoolArray = np.asarray(np.isfinite(np.column_stack([estimates.translations, *values])).all(axis=1))
         self.count = int(used.sum())
         check_count(self.count, MIN_POSES, "poses that both POSORs and the reference know", NAME)
-        self.names = [f"{axis} of scan {number}" for number in scans.numbers[used] for axis in AXES]
+        self.names = [f"{axis} of scan {number}" for number in scans.numbers[used] for axis in POSE_AXES]
         self._first = _make_poses(estimates.rotations[used], estimates.translations[used])
         self._second, self._reference = (_make_poses(*unpack_poses(value[used])) for value in values)
         self.nominal = [make_transform(values) for values in (options.base, options.beam, options.end)]
@@ -103,9 +102,9 @@ class _Chain:
         base, beam, end = self.nominal
         chains = [base * a * beam * b * end for a, b in zip(self._first, self._second, strict=True)]
         drawn, seen = (np.array([pose.translation for pose in poses]) for poses in (chains, self._reference))
-        for axis, name in enumerate(AXES[:3]):
+        for axis, name in enumerate(POSE_AXES[:3]):
             if np.ptp(drawn[:, axis]) > max(CLEAR_MOTION, CLEAR_SIGMAS * float(sigmas[axis])):
-                check_axis(drawn[:, axis], seen, axis, AXES[:3], source)
+                check_axis(drawn[:, axis], seen, axis, POSE_AXES[:3], source)
                 check_unit(drawn[:, axis], seen[:, axis], f"{source}, {name}", "m")
 
     def _make_whitening(self, covariances: FloatArray, second: FloatArray, reference: FloatArray) -> FloatArray:
@@ -153,7 +152,7 @@ def find_beam_transform(recording: Recording, calibration: Calibration, options:
     found = fit_parameters(
         chain.residuals,
         np.zeros(18),
-        [f"{part} {axis}" for part in PARTS for axis in AXES],
+        [f"{part} {axis}" for part in PARTS for axis in POSE_AXES],
         [*["m"] * 3, *["rad"] * 3] * 3,
         scales,
         prior=True,

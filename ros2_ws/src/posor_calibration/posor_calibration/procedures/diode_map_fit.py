@@ -21,7 +21,7 @@ from pydantic import Field
 
 from posor_calibration.data_checks import check_axis, check_channels_move, check_count, check_unit
 from posor_calibration.diode_spots import AXES, SingleDiode, average_stage_dwells, current_ratios
-from posor_calibration.dwells import DwellMeans, LeastDwell, Settle, Still
+from posor_calibration.dwells import DwellMeans, RestOptions
 from posor_calibration.fit_report import describe_enlargement, describe_rejected
 from posor_calibration.map_basis import (
     FEWEST_CURVES,
@@ -35,7 +35,7 @@ from posor_calibration.map_basis import (
     surface_terms,
     tabulate_interpolation,
 )
-from posor_calibration.procedure import Figure, Options, Outcome, Part, Procedure, Table
+from posor_calibration.procedure import Figure, Outcome, Part, Procedure, Table
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -53,7 +53,7 @@ COMPARED_RATIOS = 50  # ratios at which neighbouring curves of a map are compare
 MM = 1e-3
 
 
-class DiodeMapOptions(Options):
+class DiodeMapOptions(RestOptions):
     """Options of ``diode_map``."""
 
     diode: str = Field(default="", description="name of the diode; empty: the only one")
@@ -69,9 +69,6 @@ class DiodeMapOptions(Options):
     )
     set_name: str = Field(default="", description="set of maps that receives the map; empty: the one in use")
     orders: tuple[int, int] = Field(default=(1, 9), description="lowest and highest order to choose from")
-    still: Still = 5e-6
-    least_dwell: LeastDwell = 0.2
-    settle: Settle = 0.0
 
 
 @dataclass(frozen=True)
@@ -93,8 +90,7 @@ def map_diode(recording: Recording, calibration: Calibration, options: DiodeMapO
     sensor, part = find_sensor(calibration, DiodesCalibration, NAME)
     index = _find_diode(part, options.diode)
     track = recording.find_track(options.reference, POINT)
-    limits = options.model_dump(include={"still", "least_dwell", "settle"})
-    means = average_stage_dwells(recording, track, MIN_DWELLS, **limits, what=NAME)
+    means = average_stage_dwells(recording, track, MIN_DWELLS, options, NAME)
     grid = _make_grid(means, part, index, options, track.source)
     diode = part.diodes[index].name
     design, content = (_make_surface if options.kind == "chebyshev" else _make_curves)(grid)

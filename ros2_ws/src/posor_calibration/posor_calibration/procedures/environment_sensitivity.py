@@ -19,17 +19,16 @@ from posor.bags.recording import Track
 from posor.calibration.calibration_file import find_sensor
 from posor.errors import FitError
 from posor.model.scan import PROBES_ESTIMATED, SATURATED
-from posor.numerics.stamps import NS
 from posor.sensors.gap_probes import GapProbesCalibration
 from pydantic import Field, create_model
 
 from posor_calibration.calibration_parameters import FixedParameters, first_parameter, parameter_indices
 from posor_calibration.data_checks import check_channels_vary, check_count
-from posor_calibration.dwells import Settle, average_dwells, find_dwells
+from posor_calibration.dwells import RestOptions, Settle, average_dwells
 from posor_calibration.fit_report import describe_enlargement, describe_rejected, enlarge_if_improbable
 from posor_calibration.gap_probe_data import MICRO, SingleProbe, list_probes
 from posor_calibration.least_squares import Fit, fit_linear
-from posor_calibration.procedure import Figure, LossOption, Options, Outcome, Part, Procedure, Table
+from posor_calibration.procedure import Figure, LossOption, Outcome, Part, Procedure, Table
 
 if TYPE_CHECKING:
     from posor.bags.recording import Recording
@@ -65,11 +64,9 @@ class Environment:
         return values
 
 
-class EnvironmentOptions(Options):
-    """Options that the procedures share; each states those without a default in its unit."""
+class EnvironmentOptions(RestOptions):
+    """Options that the procedures share; each states ``still`` and those without a default in its unit."""
 
-    still: float
-    least_dwell: float
     settle: Settle = 0.05
     span: float
     variation: float
@@ -159,7 +156,7 @@ def _average_levels(recording: Recording, options: EnvironmentOptions, environme
     scans = scans.select(known)
     check_channels_vary(scans, ("gap_voltages",), source)
     track = Track(scans.stamps_ns, environment.values(scans)[:, None], np.zeros(1), f"{source}, {title}")
-    dwells = find_dwells(track, options.still, round(options.least_dwell * NS), settle_ns=round(options.settle * NS))
+    dwells = options.dwells(track)
     check_count(len(dwells), MIN_LEVELS, f"levels of the {title}", source)
     levels = average_dwells(scans, track, dwells, source=source, kinds=("gap_voltages",))
     span = float(np.ptp(environment.values(levels.scans)))

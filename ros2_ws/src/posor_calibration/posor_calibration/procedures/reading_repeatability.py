@@ -23,9 +23,9 @@ from pydantic import Field
 
 from posor_calibration.data_checks import check_channels_vary, check_count
 from posor_calibration.diode_spots import current_ratios
-from posor_calibration.dwells import LeastDwell, Settle, Still, find_dwells
+from posor_calibration.dwells import RestOptions
 from posor_calibration.least_squares import Fit, fit_linear
-from posor_calibration.procedure import Options, Outcome, Procedure, Replacement, Table
+from posor_calibration.procedure import Outcome, Procedure, Replacement, Table
 from posor_calibration.procedures.gap_repeatability import DRIFT, MIN_VISITS, group_places
 
 if TYPE_CHECKING:
@@ -37,16 +37,13 @@ MIN_DWELLS = 6
 DIODES, RING = "diode_repeatability", "ring_repeatability"
 
 
-class ReadingRepeatabilityOptions(Options):
+class ReadingRepeatabilityOptions(RestOptions):
     """Options of ``diode_repeatability`` and ``ring_repeatability``."""
 
     reference: str = Field(default="", description="topic of the stage; empty: the only one of its kind")
     same: float = Field(
         default=5e-6, gt=0.0, description="dwells whose reference differs by less are visits of the same place [m, rad]"
     )
-    still: Still = 5e-6
-    least_dwell: LeastDwell = 0.2
-    settle: Settle = 0.0
 
 
 def measure_diodes(recording: Recording, calibration: Calibration, options: ReadingRepeatabilityOptions) -> Outcome:
@@ -94,9 +91,8 @@ def _measure(
 ) -> Outcome:
     """Return the noise of readings (n, c), of which each key of the file has an equal number in turn."""
     track = recording.find_track(options.reference, kind)
-    dwells = find_dwells(track, options.still, round(options.least_dwell * NS), settle_ns=round(options.settle * NS))
     stamps, parts, used = recording.scans.stamps_ns, [], []
-    for dwell in dwells:
+    for dwell in options.dwells(track):
         begin, end = np.searchsorted(stamps, dwell.begin_ns), np.searchsorted(stamps, dwell.end_ns, "right")
         part = readings[begin:end][np.isfinite(readings[begin:end]).all(axis=1)]
         if len(part) > 1:

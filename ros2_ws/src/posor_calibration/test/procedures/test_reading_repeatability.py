@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 SCANS = 20
 
 
-def recorded(name: DesignName, runs: int, seed: int = 1) -> Recording:
+def recorded(name: DesignName, runs: int) -> Recording:
     """Return visits of five places: shifts along X for diodes, angles about Z for a ring."""
     places = np.tile(np.linspace(-1e-3, 1e-3, 5), runs)
     path = dwell_path(places[:, None], SCANS)[:, 0]
@@ -26,7 +26,7 @@ def recorded(name: DesignName, runs: int, seed: int = 1) -> Recording:
     rotations = Rotation.from_euler("z", (path if is_ring else 0.0 * path)[:, None]).as_matrix()
     translations = np.column_stack([0.0 * path if is_ring else path, 0.0 * path, np.full(len(path), STANDOFF)])
     stamps = np.arange(1, len(path) + 1, dtype=np.int64) * PERIOD_NS
-    scans = scans_at(Posor(design(name)).stack, rotations, translations, stamps, noise=np.random.default_rng(seed))
+    scans = scans_at(Posor(design(name)).stack, rotations, translations, stamps, noise=np.random.default_rng(1))
     values = path[:, None] if is_ring else np.column_stack([path, 0.0 * path, 0.0 * path])
     track = Track(stamps, values, np.zeros(values.shape[1]), "simulated, topic /stage")
     return Recording(scans, {"/stage": track}, "simulated")

@@ -8,8 +8,9 @@ from collections import Counter
 from typing import TYPE_CHECKING
 
 from posor.errors import CalibrationError, sum_up
+from posor.sensors.base import READING_KINDS
 from posor.sensors.bumpy_ring import BumpyRingCalibration
-from posor.sensors.diodes import DiodesCalibration
+from posor.sensors.diodes import CONTACT_LETTERS, DiodesCalibration
 from posor.sensors.gap_probes import GapProbesCalibration
 from posor.tables.channel_ranges import light_sources
 
@@ -18,8 +19,6 @@ if TYPE_CHECKING:
 
     from posor_drivers.instruments.instruments_file import JointEntry
 
-CONTACTS = "ABCD"
-OF_SENSORS = ("gap_voltages", "ring_voltages", "diode_currents")
 """Readings whose number follows from the calibration; a sensor of another package may use more."""
 
 
@@ -34,7 +33,7 @@ def readings_of(calibration: Calibration) -> dict[str, str]:
             readings |= {probe.name: "ring_voltages" for probe in sensor.probes} | {"home": "home_mark"}
         elif isinstance(sensor, DiodesCalibration):
             names = [diode.name for diode in sensor.diodes]
-            readings |= {f"{name}_{contact}": "diode_currents" for name in names for contact in CONTACTS}
+            readings |= {f"{name}_{contact}": "diode_currents" for name in names for contact in CONTACT_LETTERS}
             readings |= {f"{name}_source": "lit_sources" for name in names}
             readings |= {"light": "light"} if sensor.ambient is not None else {}
     return readings
@@ -46,7 +45,7 @@ def check_readings(entry: JointEntry, calibration: Calibration, where: str) -> N
     Raises CalibrationError: a number of readings, a light source or the frame differs; names ``where``.
     """
     expected, errors = Counter(readings_of(calibration).values()), []
-    for name in OF_SENSORS:
+    for name in READING_KINDS:
         number = len(getattr(entry, name))
         if expected[name] and number != expected[name]:
             what = f"{number} {name}"

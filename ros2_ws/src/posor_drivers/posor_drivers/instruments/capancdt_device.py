@@ -140,7 +140,7 @@ class CapaNcdtDevice(PacketDevice[CapaNcdtSettings]):
         """Check model, channels and averaging, set the sample time, and open the data port."""
         deadline_s = time.monotonic() + timeout_s
         settings, sample_time_us = self.settings, self.settings.sample_time_us
-        with closing(TcpConnection(self.name, settings.host, settings.command_port, timeout_s)) as port:
+        with closing(TcpConnection(self.error, settings.host, settings.command_port, timeout_s)) as port:
             version = self._ask(port, "VER", r"VER(DT62.*?)(OK)?", "'$VERDT62' and the version", deadline_s)
             status = self._ask(port, "CHS", r"CHS(\d(,\d)*)OK", "'$CHS', the state of each channel, 'OK'", deadline_s)
             self._check_channels(status.split(","))

@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import math
-import sys
 import time
 from contextlib import ExitStack
 from pathlib import Path
@@ -19,11 +18,12 @@ from posor.chain.arm_file import ArmFile, load_arm_file
 from posor.errors import ParameterError
 from posor.reporting.command_line_parser import CommandLineParser
 from posor.reporting.program_errors import reports_errors
+from posor.tables.table_map import READINGS
 
 from posor_drivers.instruments.calibrated_readings import readings_of
 from posor_drivers.instruments.device import DeviceError, device_class, device_kinds
 from posor_drivers.instruments.device_reader import DeviceReader
-from posor_drivers.instruments.instruments_file import READINGS, WHOLE_NUMBERS, InstrumentsFile, load_instruments
+from posor_drivers.instruments.instruments_file import WHOLE_NUMBERS, InstrumentsFile, load_instruments
 from posor_drivers.instruments.reading_noise import calibration_in_motion, noise_in_motion
 
 if TYPE_CHECKING:
@@ -230,7 +230,3 @@ def _add_device(
             entry[reading] = part
         else:
             entry.setdefault(reading, []).append(part)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

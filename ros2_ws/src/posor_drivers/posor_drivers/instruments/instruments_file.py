@@ -41,6 +41,8 @@ from posor.calibration.file_model import EntryError, FrozenModel, select_model_b
 from posor.calibration.quantity import Quantity
 from posor.calibration.yaml_document import load_document
 from posor.ros_names import ROS_NAME_RULE, is_ros_name
+from posor.sensors.base import READING_KINDS
+from posor.tables.table_map import READINGS
 from pydantic import Field, model_validator
 
 from posor_drivers.instruments.device import Device, DeviceSettings, device_class, settings_of_kinds
@@ -53,23 +55,9 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 VERSION = 1
-READINGS = {
-    "gap_voltages": "V",
-    "ring_voltages": "V",
-    "diode_currents": "A",
-    "supply_voltage": "V",
-    "temperature": "K",
-    "reference_voltage": "V",
-    "lit_sources": "1",
-    "home_mark": "1",
-    "light": "1",
-}
-"""Readings of a joint and their units."""
 WHOLE_NUMBERS = ("lit_sources", "home_mark", "light")
 """Readings that are never interpolated."""
 MOST_LATENCY_FRAMES = CAPACITY * 9 // 10  # the rest is for scans that are published late
-OWN_CHANNELS = ("gap_voltages", "ring_voltages", "diode_currents")
-"""Readings that share no channel with others."""
 NotNegative = Annotated[Quantity, NOT_NEGATIVE]
 
 
@@ -155,10 +143,10 @@ class InstrumentsFile(FrozenModel):
             for name, location, entry in readings.entries():
                 key = ("joints", joint, *location)
                 _check_units(READINGS[name], entry, units, key)
-                if name in OWN_CHANNELS and entry.channel in used:
+                if name in READING_KINDS and entry.channel in used:
                     what = f"channel '{entry.channel}' is used twice, also as {used[entry.channel]}"
                     raise EntryError(what, key=(*key, "channel"), expected="a channel of its own for each reading")
-                if name in OWN_CHANNELS:
+                if name in READING_KINDS:  # they share no channel with others
                     used[entry.channel] = f"{joint}.{name}[{location[-1]}]"
         for part, published in (("references", self.references), ("thermometers", self.thermometers)):
             for name, each in published.items():

@@ -102,7 +102,7 @@ class LabJackDevice(PolledDevice[LabJackSettings]):
         """Check the product and set up the inputs."""
         settings = self.settings
         limit_s = min(timeout_s, settings.answer_time_s)
-        self.connection = registers = LabJackRegisters(self.name, settings.host, settings.port, limit_s)
+        self.connection = registers = LabJackRegisters(self.error, settings.host, settings.port, limit_s)
         identity = registers.identity()
         is_simultaneous = identity.startswith(PRODUCTS[T8]) and len(self._questions) == 1
         self.channel_interval_s = 0.0 if is_simultaneous else math.nan

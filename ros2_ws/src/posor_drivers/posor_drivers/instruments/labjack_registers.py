@@ -20,7 +20,7 @@ from posor_drivers.instruments.device import DeviceError, starting_channels
 from posor_drivers.quantity_limits import POSITIVE
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Mapping, Sequence
+    from collections.abc import Callable, Collection, Mapping, Sequence
 
 PRODUCTS = {4: "LabJack T4", 7: "LabJack T7", 8: "LabJack T8"}
 VOLTAGE, RANGE, NEGATIVE_INPUT, RESOLUTION_INDEX = 0, 40_000, 41_000, 41_500
@@ -48,8 +48,8 @@ def starting_inputs(units: Mapping[str, str], rate_hz: int) -> dict[str, Any]:
 class LabJackRegisters:
     """Connection to the registers of a LabJack; its errors name the device."""
 
-    def __init__(self, device: str, host: str, port: int, timeout_s: float) -> None:
-        """Connect.
+    def __init__(self, error: Callable[[str, str], DeviceError], host: str, port: int, timeout_s: float) -> None:
+        """Connect; ``error`` is that of the device.
 
         Raises:
             DeviceError: The device cannot be reached within the time, which also limits each answer.
@@ -57,7 +57,7 @@ class LabJackRegisters:
         """
         from pymodbus.client import ModbusTcpClient  # noqa: PLC0415  slow to import, and few users have this device
 
-        self._device = device
+        self.error = error
         self._client = ModbusTcpClient(host, port=port, timeout=timeout_s, retries=0, reconnect_delay=0)
         try:
             connected = self._client.connect()
@@ -144,7 +144,3 @@ class LabJackRegisters:
             expected = "registers of a LabJack; the input may not exist"
             raise self.error(f"Modbus exception {code} for register {register}", expected)
         return answer
-
-    def error(self, what: str, expected: str) -> DeviceError:
-        """Return an error of the device."""
-        return DeviceError(what, where=self._device, expected=expected)

@@ -126,7 +126,7 @@ class LabJackStreamDevice(PacketDevice[LabJackStreamSettings]):
     def connect(self, timeout_s: float) -> str:
         """Check the product, stop a stream that still runs, set up the inputs and start the stream."""
         settings = self.settings
-        self._registers = registers = LabJackRegisters(self.name, settings.host, settings.port, timeout_s)
+        self._registers = registers = LabJackRegisters(self.error, settings.host, settings.port, timeout_s)
         identity = registers.identity([T7])
         if registers.read_number(ENABLE):
             registers.write_number(ENABLE, 0)

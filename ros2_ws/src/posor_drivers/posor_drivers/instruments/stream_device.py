@@ -209,7 +209,7 @@ class StreamDevice(Device[StreamSettings]):
         settings = self.settings
         self._start()
         if settings.transport == "tcp":
-            self.connection = TcpConnection(self.name, settings.host, settings.port, timeout_s)
+            self.connection = TcpConnection(self.error, settings.host, settings.port, timeout_s)
         else:
             self.connection = self._open_port()
         return self.address

@@ -8,10 +8,14 @@ import select
 import socket
 import time
 from abc import abstractmethod
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from posor_drivers.instruments.device import Device, DeviceError, Frames, SettingsT
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 _BUFFER_BYTES = 65536
 
@@ -24,21 +28,21 @@ class TcpConnection:
 
     """
 
-    def __init__(self, device: str, host: str, port: int, timeout_s: float) -> None:
-        """Connect; ``device`` is the name in messages, ``timeout_s`` also limits each later ``send``.
+    def __init__(self, error: Callable[[str, str], DeviceError], host: str, port: int, timeout_s: float) -> None:
+        """Connect; ``error`` is that of the device, ``timeout_s`` also limits each later ``send``.
 
         Raises:
             DeviceError: The device cannot be reached within the time.
 
         """
-        self._device, self.received_ns = device, 0
+        self._error, self.received_ns = error, 0
         self._address = f"{host}:{port}"
         try:
             self._socket = socket.create_connection((host, port), timeout_s)
-        except (OSError, UnicodeError) as error:  # UnicodeError: the host is no valid name
-            reason = f" within {timeout_s:g} s" if isinstance(error, TimeoutError) else f": {error}"
+        except (OSError, UnicodeError) as cause:  # UnicodeError: the host is no valid name
+            reason = f" within {timeout_s:g} s" if isinstance(cause, TimeoutError) else f": {cause}"
             expected = "a device that accepts the connection"
-            raise self._error(f"no connection to {self._address}{reason}", expected) from None
+            raise error(f"no connection to {self._address}{reason}", expected) from None
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
 
     def send(self, data: bytes) -> None:
@@ -79,10 +83,6 @@ class TcpConnection:
         """Return the error of a lost connection."""
         return self._error(f"the connection to {self._address} was lost: {error}", "an open connection")
 
-    def _error(self, what: str, expected: str) -> DeviceError:
-        """Return an error of this device."""
-        return DeviceError(what, where=self._device, expected=expected)
-
 
 class PacketDevice(Device[SettingsT]):
     """Receives bytes and takes whole packets of frames from them.
@@ -103,7 +103,7 @@ class PacketDevice(Device[SettingsT]):
 
         """
         self.received = b""
-        self.connection = TcpConnection(self.name, host, port, timeout_s)
+        self.connection = TcpConnection(self.error, host, port, timeout_s)
 
     @abstractmethod
     def take_packet(self) -> Frames | None:

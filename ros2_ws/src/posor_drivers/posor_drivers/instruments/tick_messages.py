@@ -14,9 +14,11 @@ from posor.messages.message_table import TableLayout
 from posor.model.scan import DARK_SUBTRACTED, HOME_BUMP, NO_SOURCE, SATURATED
 from posor.numerics.stamps import NS
 from posor.ros_names import RAW_SCAN, REFERENCE_READING, REFERENCE_TOPIC, TEMPERATURE
+from posor.sensors.base import READING_KINDS
+from posor.tables.table_map import READINGS
 from posor.uncertainty.interferometer import correct_reading
 
-from posor_drivers.instruments.instruments_file import READINGS, JointEntry, ReadingEntry, ThermometerEntry
+from posor_drivers.instruments.instruments_file import JointEntry, ReadingEntry, ThermometerEntry
 from posor_drivers.message_builder import header, raw_scan, temperature
 from posor_drivers.sources.source import SourceMessage, SourceStatus, Topic
 
@@ -33,7 +35,6 @@ if TYPE_CHECKING:
 FIELDS = tuple(name for name in READINGS if name not in {"home_mark", "light"})
 """Readings that are fields of the message; the home mark is a flag, and ``light`` switches the lit sources."""
 SCALARS = ("supply_voltage", "temperature", "reference_voltage")
-EXPOSED = ("gap_voltages", "ring_voltages", "diode_currents")
 """Readings whose exposure a scan states, in the order of ``RawScan.exposure_offsets``."""
 
 
@@ -71,7 +72,7 @@ class ScanWriter:
         self._sources, self._flags = self._lit_sources.copy(), DARK_SUBTRACTED if joint.demodulated else 0
         arrays = {name: np.zeros(parts[name].stop - parts[name].start) for name in FIELDS if name not in SCALARS}
         arrays["lit_sources"] = arrays["lit_sources"].astype(np.uint8)
-        read = [entry for kind in EXPOSED for entry in entries[parts[kind]] if isinstance(entry, ReadingEntry)]
+        read = [entry for kind in READING_KINDS for entry in entries[parts[kind]] if isinstance(entry, ReadingEntry)]
         offsets_s = np.array([exposures.offsets_s[columns[entry.channel]] for entry in read])
         stated: dict[str, Any] = {}
         if np.any(offsets_s != 0.0):

@@ -187,8 +187,6 @@ def true_cycle(
         np.swapaxes(last_receiving.rotations, 1, 2),
         receiving,
         arm.endpoint(commanded),
-        arm.endpoint(encoder),
-        np.zeros((len(commanded), 3)),
         specific_forces,
     )
 

@@ -15,7 +15,7 @@ from posor.estimation.sensor_stack import Stack
 from posor.model.scan import DARK_SUBTRACTED, HOME_BUMP, NO_SOURCE, SATURATED, SIMULATED
 from posor.numerics.stamps import NS, tick_stamp_ns
 from posor.numerics.vector import thetas_of, wrapped_angles
-from posor.sensors.base import RowSensor
+from posor.sensors.base import READING_KINDS, RowSensor
 from posor.sensors.diodes import DiodesCalibration
 
 from posor_drivers.simulator.imperfections import RandomStream, shared_errors
@@ -40,8 +40,6 @@ if TYPE_CHECKING:
     from posor_drivers.simulator.scenario import Scenario
     from posor_drivers.simulator.truth_model import TrueArm, TrueJoint
 
-READ_IN_TURN = (*PROBE_FIELDS, DIODE_FIELD)
-"""Readings in the order in which a multiplexer reads them."""
 STAMP_ERROR = {"stamp_uncertainties": 1e-9 / math.sqrt(12.0), "stamp_limits": 0.5e-9}
 """Error of the stamps of the simulator, which are exact but for their steps of a nanosecond [s]."""
 HOME_MARK = 0.25
@@ -116,7 +114,7 @@ class JointElectronics:
                 raise CalibrationError(what, where=f"calibration '{calibration.name}'", expected="sensors with rows")
             self._sensors.append(sensor)
         one = scans_at(self._stack, np.eye(3)[None], np.zeros((1, 3)), np.zeros(1, dtype=np.int64))
-        self._channels = sum(getattr(one, name).size for name in READ_IN_TURN)
+        self._channels = sum(getattr(one, name).size for name in READING_KINDS)
         self._readings = RandomStream(scenario.seed, "readings", joint)
         self._dark_readings = RandomStream(scenario.seed, "dark readings", joint)
         random = RandomStream(scenario.seed, "zero drift", joint).generator()
@@ -222,7 +220,9 @@ class JointElectronics:
         stamps_ns, supply = tick_stamp_ns(ticks, self._rate), self._supply_voltages(ticks)
         offsets_s = iter(self.exposure_offsets(interval_s).tolist())
         present = self._sound_scans(poses_at(0.0), stamps_ns, supply)
-        changes = {name: np.zeros(getattr(present, name).shape) for name in READ_IN_TURN if getattr(present, name).size}
+        changes = {
+            name: np.zeros(getattr(present, name).shape) for name in READING_KINDS if getattr(present, name).size
+        }
         for name, change in changes.items():
             for channel in np.ndindex(change.shape[1:]):
                 moved = self._sound_scans(poses_at(next(offsets_s)), stamps_ns, supply)

@@ -105,15 +105,13 @@ class ArmTruth:
     R_parent_base: FloatArray  # rotation of vectors of the base into the axes of the last receiving plate, (n, 3, 3)
     endpoint: PoseArray  # in the base
     target: PoseArray  # commanded endpoint: nominal kinematics of the commanded angles, in the base
-    by_encoders: PoseArray  # endpoint from the encoder readings and nominal kinematics, in the base
-    stage: FloatArray  # position of the stage, axes of the endpoint [m], (n, 3)
     # Specific forces of both gimbals of beams with ``vibration`` [m/s^2], axes of the beam's start, (n, 2, 3), by beam
     specific_forces: Mapping[str, FloatArray] = field(default_factory=dict)
 
     def select(self, indices: IntArray) -> ArmTruth:
         """Return the truth at some indices, (n,)."""
-        arrays = ("commanded", "encoder", "angles", "R_parent_base", "stage")
-        poses = ("endpoint", "target", "by_encoders")
+        arrays = ("commanded", "encoder", "angles", "R_parent_base")
+        poses = ("endpoint", "target")
         return replace(
             self,
             T_parent_child={joint: seen.select(indices) for joint, seen in self.T_parent_child.items()},
@@ -133,4 +131,4 @@ class ArmTruth:
         shift_in_parent = np.einsum("nij,nj->ni", self.R_parent_base, shift)
         moved = PoseArray(last.rotations, last.translations + shift_in_parent)
         poses = {**self.T_parent_child, self.joints[-1]: moved}
-        return replace(self, T_parent_child=poses, endpoint=endpoint, stage=positions)
+        return replace(self, T_parent_child=poses, endpoint=endpoint)

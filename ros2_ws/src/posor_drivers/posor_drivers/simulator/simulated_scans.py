@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 from posor.errors import CalibrationError
 from posor.sensors.bumpy_ring import BumpyRingCalibration
-from posor.sensors.diodes import DiodesCalibration
+from posor.sensors.diodes import CONTACT_LETTERS, DiodesCalibration
 from posor.sensors.gap_probes import GapProbesCalibration
 
 if TYPE_CHECKING:
@@ -79,7 +79,7 @@ def find_channel(
     if entry.contact is None and entry.channel in probes:
         return probes[entry.channel]
     if entry.contact is not None and entry.channel in diodes:
-        return DIODE_FIELD, (diodes[entry.channel], "ABCD".index(entry.contact))
+        return DIODE_FIELD, (diodes[entry.channel], CONTACT_LETTERS.index(entry.contact))
     if whole_diode and entry.channel in diodes:
         return DIODE_FIELD, (diodes[entry.channel],)
     kind, known = (

@@ -9,11 +9,8 @@ from pathlib import Path
 from typing import Any
 
 import yaml
+from posor.calibration.design_parts import quantity_entry
 from posor_lab.device_servers.stream_server import LEAD, MAGIC
-
-
-def quantity(value: float, unit: str, sigma: float = 0.0) -> dict[str, Any]:
-    return {"value": value, "sigma": sigma, "unit": unit}
 
 
 def stream_rig(
@@ -25,7 +22,7 @@ def stream_rig(
         "transport": "tcp",
         "host": "127.0.0.1",
         "port": port,
-        "rate": quantity(rate_hz, "Hz"),
+        "rate": quantity_entry(rate_hz, "Hz"),
         "format": f"{LEAD}{len(units)}d",
         "fields": ["magic", "counter", *units],
         "constants": {"magic": MAGIC},
@@ -35,8 +32,8 @@ def stream_rig(
         "format": "posor_instruments",
         "version": 1,
         "name": "rig",
-        "rate": quantity(100, "Hz"),
-        "latency": quantity(latency_s, "s"),
+        "rate": quantity_entry(100, "Hz"),
+        "latency": quantity_entry(latency_s, "s"),
         "devices": {"box": box},
         "joints": {"elbow": {"frame_id": "receiving", **joint}},
     }

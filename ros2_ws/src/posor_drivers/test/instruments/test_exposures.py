@@ -23,6 +23,7 @@ import numpy as np
 import pytest
 from posor import Fault, Posor, State, load_calibration, simulate
 from posor.arm_names import find_arm
+from posor.calibration.design_parts import quantity_entry
 from posor.messages.message_definitions import MessageTypes
 from posor.messages.raw_scan import scan_of
 from posor.model.scan import Scan, Scans
@@ -38,7 +39,7 @@ from posor_lab.device_servers.scpi_server import FIRST_CHANNEL, ScpiServer
 from posor_lab.harness.program import wait_until
 from pydantic import ValidationError
 
-from .stream_rig import quantity, write_rig
+from .stream_rig import write_rig
 
 INTERVAL_S, RATE, SAWTOOTH_NS = 20e-6, 1.0, 50_000_000  # from channel to channel, [rad/s], period of the sawtooth
 GAPS, CHANNELS, FEEDBACK_OHM = 3, 11, 1e5
@@ -79,14 +80,18 @@ def device_of(kind: str, server: Any, statement: str) -> dict[str, Any]:
     if kind == "scpi":
         channels = {name: {"number": FIRST_CHANNEL + n, "unit": "V"} for n, name in enumerate(names)}
         device: dict[str, Any] = {"address": f"TCPIP::127.0.0.1::{server.port}::SOCKET", "dialect": "keysight_daq970a"}
-        times = {"channel_delay": quantity(5e-6, "s"), "aperture": quantity(15e-6, "s")}
-        return {**device, "channels": channels, "rate": quantity(200, "Hz"), **times, **override}
-    channels = {name: {"input": n, "range": quantity(10.0, "V")} for n, name in enumerate(names)}
-    device = {"host": "127.0.0.1", "port": server.port, "channels": channels, "rate": quantity(250, "Hz")}
+        times = {"channel_delay": quantity_entry(5e-6, "s"), "aperture": quantity_entry(15e-6, "s")}
+        return {**device, "channels": channels, "rate": quantity_entry(200, "Hz"), **times, **override}
+    channels = {name: {"input": n, "range": quantity_entry(10.0, "V")} for n, name in enumerate(names)}
+    device = {"host": "127.0.0.1", "port": server.port, "channels": channels, "rate": quantity_entry(250, "Hz")}
     if kind == "labjack_stream":
-        stream = {"stream_port": server.stream_port, "rate": quantity(1000, "Hz"), "settling": quantity(17e-6, "s")}
+        stream = {
+            "stream_port": server.stream_port,
+            "rate": quantity_entry(1000, "Hz"),
+            "settling": quantity_entry(17e-6, "s"),
+        }
         return device | stream | override
-    return device | {"exposures": statement or {"interval": quantity(INTERVAL_S, "s")}}
+    return device | {"exposures": statement or {"interval": quantity_entry(INTERVAL_S, "s")}}
 
 
 def new_server(kind: str) -> Any:
@@ -96,12 +101,14 @@ def new_server(kind: str) -> Any:
 
 @contextmanager
 def source_of(folder: Path, kind: str, device: dict[str, Any]) -> Iterator[InstrumentSource]:
-    currents = [{"channel": f"daq/c{n}", "scale": quantity(1.0 / FEEDBACK_OHM, "A/V")} for n in range(GAPS, CHANNELS)]
+    currents = [
+        {"channel": f"daq/c{n}", "scale": quantity_entry(1.0 / FEEDBACK_OHM, "A/V")} for n in range(GAPS, CHANNELS)
+    ]
     joint = {"gap_voltages": [{"channel": f"daq/c{n}"} for n in range(GAPS)], "diode_currents": currents}
     joint |= {"frame_id": "receiving", "lit_sources": [0, 1]}
-    content = {"format": "posor_instruments", "version": 1, "name": "rig", "rate": quantity(500, "Hz")}
+    content = {"format": "posor_instruments", "version": 1, "name": "rig", "rate": quantity_entry(500, "Hz")}
     content |= {
-        "latency": quantity(0.05, "s"),
+        "latency": quantity_entry(0.05, "s"),
         "devices": {"daq": {"kind": kind, **device}},
         "joints": {"joint1": joint},
     }
@@ -163,8 +170,8 @@ NAN = math.nan
         ((0, 0, 0), NAN, None, (0.0, 0.0, 0.0), 0.0),  # one input alone
         ((0, 1, 2), 2e-5, "simultaneous", (0.0, 0.0, 0.0), 0.0),
         ((0, 1, 2), 2e-5, "unknown", (NAN, NAN, NAN), 1e-3),
-        ((0, 1, 2), NAN, {"interval": quantity(1e-5, "s")}, (-1e-5, 0.0, 1e-5), 2e-5),
-        ((0, 1, 2), 2e-5, {"offsets": {"b": quantity(7e-5, "s")}}, (-2e-5, 7e-5, 2e-5), 9e-5),
+        ((0, 1, 2), NAN, {"interval": quantity_entry(1e-5, "s")}, (-1e-5, 0.0, 1e-5), 2e-5),
+        ((0, 1, 2), 2e-5, {"offsets": {"b": quantity_entry(7e-5, "s")}}, (-2e-5, 7e-5, 2e-5), 9e-5),
         ((0, 1, 2), 2e-5, {"offsets": {"c": "unknown"}}, (-2e-5, 0.0, NAN), 1e-3),
     ],
 )
@@ -180,12 +187,12 @@ def test_exposures_by_settings_and_statements(
 def stream_device(**changes: Any) -> StreamDevice:
     channels = {name: {"unit": "V"} for name in "ab"}
     frames = {"transport": "tcp", "host": "127.0.0.1", "port": 1, "format": "<Idd", "fields": ["counter", *"ab"]}
-    content = {"kind": "stream", "rate": quantity(1000, "Hz"), **frames, "channels": channels, **changes}
+    content = {"kind": "stream", "rate": quantity_entry(1000, "Hz"), **frames, "channels": channels, **changes}
     return StreamDevice("box", StreamSettings.model_validate(content))
 
 
 def test_the_first_channel_of_a_triggered_frame_is_read_at_the_tick() -> None:
-    entry = {"exposures": {"interval": quantity(1e-4, "s")}, "trigger_tolerance": quantity(2e-4, "s")}
+    entry = {"exposures": {"interval": quantity_entry(1e-4, "s")}, "trigger_tolerance": quantity_entry(2e-4, "s")}
     reader = DeviceReader(stream_device(**entry))
     assert reader.exposures.offsets_s == pytest.approx((0.0, 1e-4))
     numbers = np.arange(3)
@@ -200,7 +207,7 @@ def test_the_first_channel_of_a_triggered_frame_is_read_at_the_tick() -> None:
 
 
 def test_the_uncertainty_of_the_least_delay_is_part_of_the_error_of_the_stamps() -> None:
-    reader = DeviceReader(stream_device(delay=quantity(2e-4, "s", 3e-5)))
+    reader = DeviceReader(stream_device(delay=quantity_entry(2e-4, "s", 3e-5)))
     assert reader.stamp_error_at(0) is None
     for first, uncertainty_s in ((0, 4e-5), (3, 7e-5)):  # of the newest frames it is larger
         numbers = first + np.arange(3)
@@ -208,7 +215,7 @@ def test_the_uncertainty_of_the_least_delay_is_part_of_the_error_of_the_stamps()
     assert reader.stamp_error_at(800_000) == pytest.approx((5e-5, math.sqrt(3.0) * (5.0 / 3.0 * 4e-5 + 3e-5)))
 
 
-@pytest.mark.parametrize("entry", [{}, "sometimes", {"interval": quantity(-1.0, "s")}])
+@pytest.mark.parametrize("entry", [{}, "sometimes", {"interval": quantity_entry(-1.0, "s")}])
 def test_an_invalid_statement_is_refused(entry: Any) -> None:
     with pytest.raises(ValidationError):
         stream_device(exposures=entry)
@@ -237,7 +244,7 @@ def test_a_task_of_ni_states_its_convert_clock(
     monkeypatch.setitem(sys.modules, "nidaqmx", package)
     monkeypatch.setitem(sys.modules, "nidaqmx.errors", errors)
     settings = {"kind": "nidaqmx", **NiDevice.starting_settings({"a": "V", "b": "V"})}
-    settings |= {} if convert_hz is None else {"convert_rate": quantity(convert_hz, "Hz")}
+    settings |= {} if convert_hz is None else {"convert_rate": quantity_entry(convert_hz, "Hz")}
     device = NiDevice("daq", NiSettings.model_validate(settings))
     assert np.isnan(device.exposures.offsets_s).all()
     device.connect(1.0)

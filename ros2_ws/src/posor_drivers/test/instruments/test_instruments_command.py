@@ -10,14 +10,15 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from posor.calibration.design_parts import quantity_entry
 from posor_drivers.instruments.instruments_command import main
 from posor_lab.device_servers.stream_server import StreamServer
 
-from .stream_rig import quantity, stream_rig, write_rig
+from .stream_rig import stream_rig, write_rig
 
 
 def content(port: int) -> dict[str, Any]:
-    gap = {"channel": "box/gap1", "scale": quantity(1e4, "V/m")}
+    gap = {"channel": "box/gap1", "scale": quantity_entry(1e4, "V/m")}
     return stream_rig(port, {"gap1": "m", "plate": "degC"}, {"gap_voltages": [gap]}, rate_hz=500, latency_s=0.02)
 
 
@@ -33,7 +34,7 @@ def test_a_latency_beyond_the_frames_that_are_kept_is_refused(
 
 def test_devices_are_listed_without_a_connection(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = content(1)
-    file["devices"]["box"]["exposures"] = {"offsets": {"gap1": quantity(2e-5, "s"), "plate": "unknown"}}
+    file["devices"]["box"]["exposures"] = {"offsets": {"gap1": quantity_entry(2e-5, "s"), "plate": "unknown"}}
     assert main(["list", write_rig(tmp_path, file)]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[1:] == [
@@ -71,7 +72,7 @@ def test_probe_names_the_fault_that_closed_the_connection_while_it_is_open_again
     monkeypatch.setattr("posor_drivers.instruments.instruments_command.PROBE_S", 2.0)
     with StreamServer(lambda _: (0.0, 0.0), 500.0) as server:
         file = content(server.port)
-        file["devices"]["box"]["rate"] = quantity(250.0, "Hz")
+        file["devices"]["box"]["rate"] = quantity_entry(250.0, "Hz")
         assert main(["probe", write_rig(tmp_path, file)]) == 1
     assert re.search(r"box: [\d.]+ frames per second; expected 250, as stated\.$", capsys.readouterr().err.strip())
 
@@ -90,13 +91,13 @@ GAP = "joints.elbow.gap_voltages.0"
         (ELBOW, {"home_mark": {"channel": "box/gap1"}}, "channel 'box/gap1' is in m; expected a channel of unit 1."),
         (
             ELBOW,
-            {"home_mark": {"channel": "box/gap1", "offset": quantity(1, "m")}},
+            {"home_mark": {"channel": "box/gap1", "offset": quantity_entry(1, "m")}},
             "a scale or offset of a whole number; expected only a channel of unit 1.",
         ),
         (ELBOW, {"gap_voltages": []}, "no reading; expected at least one of"),
         (
             ELBOW,
-            {"gap_voltages": [{"channel": "box/gap1", "scale": quantity(1, "V/m")}] * 2},
+            {"gap_voltages": [{"channel": "box/gap1", "scale": quantity_entry(1, "V/m")}] * 2},
             "gap_voltages[1].channel: channel 'box/gap1' is used twice, also as elbow.gap_voltages[0]; expected a chan",
         ),
         (GAP, {"channel": "box.gap1"}, "channel 'box.gap1'; expected DEVICE/CHANNEL."),
@@ -110,7 +111,7 @@ GAP = "joints.elbow.gap_voltages.0"
         ("devices.box", {"kind": "strean"}, "kind 'strean'; expected "),
         ("devices.box", {"rate": 500}, "500 has no unit; expected a mapping such as"),
         ("latency", {"value": 50}, "latency.value: 50.0 s; expected 0 to 5 s (milliseconds?)."),
-        ("devices.box", {"delay": quantity(20, "s")}, "delay.value: 20.0 s; expected 0 to 5 s (milliseconds?)."),
+        ("devices.box", {"delay": quantity_entry(20, "s")}, "delay.value: 20.0 s; expected 0 to 5 s (milliseconds?)."),
         ("rate", {"value": 0.5}, "0.5 Hz; expected a whole number from 1 to 10000."),
     ],
 )

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from posor.calibration.design_parts import quantity_entry
 from posor.errors import CalibrationError
 from posor.messages.message_definitions import MessageTypes
 from posor_drivers.instruments.device import DeviceError, Frames
@@ -28,7 +29,7 @@ from pydantic import ValidationError
 from rclpy.serialization import deserialize_message
 
 from .device_states import running, wait_for, wait_for_fault, wait_for_frames
-from .stream_rig import quantity, stream_rig, write_rig
+from .stream_rig import stream_rig, write_rig
 
 OVERLOAD = 9.9e37
 
@@ -289,7 +290,7 @@ def test_a_scanner_switches_the_light_sources_and_states_it(scanner: ScpiServer,
     channels = {f"c{n}": {"number": 101 + n, "unit": "V"} for n in range(4)}
     device = scpi_settings(scanner.port, channels=channels, light=LIGHT, rate={"value": 50, "unit": "Hz"})
     joint = {
-        "diode_currents": [{"channel": f"meter/c{n}", "scale": quantity(1e-5, "A/V")} for n in range(4)],
+        "diode_currents": [{"channel": f"meter/c{n}", "scale": quantity_entry(1e-5, "A/V")} for n in range(4)],
         "lit_sources": [3],
         "light": {"channel": "meter/light"},
         "demodulated": False,

@@ -12,6 +12,7 @@ from posor.chain.arm_file import load_arm_file
 from posor.estimation.posor import Posor
 from posor.model.fault import State
 from posor.model.scan import DARK_SUBTRACTED
+from posor.numerics.stamps import NS
 from posor_bringup.arms import load_checked_arm
 from posor_drivers.simulator.arm_simulation import ArmSimulation
 from posor_drivers.simulator.electronics import convert_to_digital
@@ -19,7 +20,7 @@ from posor_drivers.simulator.imperfections import Imperfections
 from posor_drivers.simulator.simulated_scans import SimulatedScans
 from posor_msgs.msg import RawScan
 
-from ..three_joint_arm import FAR, SECOND, TICKS, N, perfect, refused, scenario, simulation, write_arm
+from ..three_joint_arm import FAR, TICKS, N, perfect, refused, scenario, simulation, write_arm
 
 
 @pytest.fixture(scope="module")
@@ -135,7 +136,7 @@ def test_dropouts_and_latencies_follow_the_scenario(tmp_path: Path) -> None:
     everything = simulation(tmp_path)
     scans: SimulatedScans = everything.scans("base", np.arange(5000))
     assert 0.01 < 1.0 - scans.sent.mean() < 0.03
-    seconds = scans.latencies_ns / SECOND
+    seconds = scans.latencies_ns / NS
     assert seconds.min() >= 0.0008
     assert seconds.max() <= 0.0012
     assert seconds.std() == pytest.approx(2e-4 / np.sqrt(3.0), rel=0.05)

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from posor.model.scan import HOME_BUMP
+from posor.numerics.stamps import NS
 from posor.sensors.diodes import DiodesCalibration
 from posor.sensors.gap_probes import GapProbesCalibration
 from posor_drivers.simulator.arm_simulation import ArmSimulation
@@ -18,7 +19,7 @@ from posor_drivers.simulator.imperfections import Imperfections
 from posor_drivers.simulator.simulated_scans import PROBE_FIELDS, SimulatedScans
 from posor_lab.harness.beams import quantity
 
-from ..three_joint_arm import SECOND, TICKS, N, refused, scenario, simulation
+from ..three_joint_arm import TICKS, N, refused, scenario, simulation
 
 FIRST, END = 100, 130  # ticks with the fault, at 100 Hz; the lit light source changes meanwhile
 FIELDS = (*PROBE_FIELDS, "diode_currents", "lit_sources", "supply_voltages", "temperatures", "numbers", "stamps_ns")
@@ -142,12 +143,12 @@ def test_sizes_of_faults(tmp_path: Path, sound: tuple[ArmSimulation, SimulatedSc
     assert isinstance(diodes, DiodesCalibration)
     count = len(diodes.light_sources)
     assert np.array_equal(scans.scans.lit_sources[part], (expected.scans.lit_sources[part] + 2) % count)
-    assert np.all(expected.scans.stamps_ns[part] - scans.scans.stamps_ns[part] == 2 * SECOND)
+    assert np.all(expected.scans.stamps_ns[part] - scans.scans.stamps_ns[part] == 2 * NS)
     assert np.all(scans.statuses[part] & HOME_BUMP)
 
 
 def test_faults_of_time(sound: tuple[ArmSimulation, SimulatedScans]) -> None:
-    tick_ns, part = SECOND // 100, slice(FIRST, END)
+    tick_ns, part = NS // 100, slice(FIRST, END)
     sizes = {"arrival": (2e-3, "s"), "burst": (4, "1"), "late_scan": (2, "1"), "restart": (-0.02, "s")}
     sizes["aged"] = (0.04, "s")
     arm, expected = sound[0], sound[1].scans

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from posor.arm_names import find_arm
 from posor.chain.arm_file import load_arm_file
 from posor.chain.beam_vibration import BeamVibrations
 from posor.chain.joint_measurements import MeasuredJoint
@@ -32,7 +31,7 @@ FIRST = 100_000 * RATE
 
 def write_arm(folder: Path, joint: str = "shoulder", **changes: Any) -> Path:
     """Write five_axis with accelerometers, whose link after a joint oscillates."""
-    path = write_vibrating_arm(load_arm_file(find_arm("five_axis")), folder)
+    path = write_vibrating_arm(load_arm_file("five_axis"), folder)
     arm = yaml.safe_load(path.read_text(encoding="utf-8"))
     scenario = yaml.safe_load(Path(arm["scenario"]).read_text(encoding="utf-8"))
     own = {"frequency": quantity(FREQUENCY, "Hz"), "amplitude": quantity(AMPLITUDE, "m")}

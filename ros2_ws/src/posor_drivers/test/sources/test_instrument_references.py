@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from posor.bags.bag_writer import BagWriter
 from posor.bags.calibration_recording import Reference, load_recording
+from posor.calibration.design_parts import quantity_entry
 from posor.errors import CalibrationError, TrackError
 from posor.messages.message_definitions import MessageTypes
 from posor.ros_names import RAW_SCAN, REFERENCE_READING
@@ -24,7 +25,7 @@ from posor_lab.harness.program import wait_until
 from posor_msgs.msg import RawScan, ReferenceReading
 from rclpy.serialization import deserialize_message, serialize_message
 
-from ..instruments.stream_rig import quantity, stream_rig, write_rig
+from ..instruments.stream_rig import stream_rig, write_rig
 
 UNITS = {"gap": "V", "distance": "mm", "angle": "arcsec", "air": "degC"}
 SOUND = (0.5, 250.0, 3.0, 21.0)
@@ -34,19 +35,19 @@ TYPES = MessageTypes()
 
 
 def instruments(port: int) -> dict[str, Any]:
-    temperature = {"channel": "box/air", "scale": quantity(1.0, "K/degC"), "offset": quantity(273.15, "K")}
+    temperature = {"channel": "box/air", "scale": quantity_entry(1.0, "K/degC"), "offset": quantity_entry(273.15, "K")}
     air = {
-        "temperature": temperature | {"sigma": quantity(0.1, "K")},
-        "pressure": quantity(101325.0, "Pa", 30.0),
-        "relative_humidity": quantity(0.5, "1", 0.05),
-        "co2_fraction": quantity(450e-6, "1", 50e-6),
+        "temperature": temperature | {"sigma": quantity_entry(0.1, "K")},
+        "pressure": quantity_entry(101325.0, "Pa", 30.0),
+        "relative_humidity": quantity_entry(0.5, "1", 0.05),
+        "co2_fraction": quantity_entry(450e-6, "1", 50e-6),
     }
     interferometer = {
-        "wavelength": quantity(WAVELENGTH, "m"),
+        "wavelength": quantity_entry(WAVELENGTH, "m"),
         "assumed_index": ASSUMED_INDEX,
         "index_uncertainty": 2e-8,
         "air": air,
-        "abbe_offsets": [{"offset": quantity(0.01, "m"), "angle": quantity(2e-6, "rad")}],
+        "abbe_offsets": [{"offset": quantity_entry(0.01, "m"), "angle": quantity_entry(2e-6, "rad")}],
     }
     common = {"joint": "elbow", "frame_id": "table"}
     references = {
@@ -54,16 +55,16 @@ def instruments(port: int) -> dict[str, Any]:
             **common,
             "unit": "m",
             "channel": "box/distance",
-            "scale": quantity(1e-3, "m/mm"),
-            "standard_uncertainty": quantity(2e-8, "m"),
+            "scale": quantity_entry(1e-3, "m/mm"),
+            "standard_uncertainty": quantity_entry(2e-8, "m"),
             "interferometer": interferometer,
         },
         "mirror": {
             **common,
             "unit": "rad",
             "channel": "box/angle",
-            "scale": quantity(ARCSEC, "rad/arcsec"),
-            "standard_uncertainty": quantity(5e-7, "rad"),
+            "scale": quantity_entry(ARCSEC, "rad/arcsec"),
+            "standard_uncertainty": quantity_entry(5e-7, "rad"),
         },
     }
     return stream_rig(port, UNITS, {"gap_voltages": [{"channel": "box/gap"}]}) | {"references": references}
@@ -101,7 +102,7 @@ def wait_for_messages(source: InstrumentSource, count: int) -> dict[str, Any]:
             assert stamp_ns(found[each.topic]) == each.time_ns
         return len(found) == count
 
-    wait_until(arrived, f"{count} messages", lambda: time.sleep(0.005))
+    wait_until(arrived, f"{count} messages")
     return found
 
 
@@ -163,7 +164,7 @@ def test_a_recorded_reference_keeps_stamp_and_uncertainty(source: InstrumentSour
             messages.extend((each.topic, each.time_ns, each.data) for each in found)
         return len(messages) == 30
 
-    wait_until(ten_ticks, "ten ticks", lambda: time.sleep(0.01))
+    wait_until(ten_ticks, "ten ticks")
     recording = load_recording(record(tmp_path, messages))
     laser = recording.tracks["/reference/laser"]
     np.testing.assert_array_equal(laser.stamps_ns, recording.scans.stamps_ns)
@@ -190,9 +191,9 @@ def test_readings_in_two_units_are_refused(source: InstrumentSource, tmp_path: P
         ({"joint": "wrist"}, "joint 'wrist'; expected one of elbow"),
         ({"channel": "box/none"}, "channel 'box/none'; expected one of box/air, box/angle, box/distance, box/gap"),
         ({"unit": "rad"}, "standard uncertainty in m; expected rad"),
-        ({"scale": quantity(1.0, "m/V")}, "scale in m/V; expected one number in m/mm"),
+        ({"scale": quantity_entry(1.0, "m/V")}, "scale in m/V; expected one number in m/mm"),
         (
-            {"interferometer": {"dead_path": quantity(0.05, "m")}},
+            {"interferometer": {"dead_path": quantity_entry(0.05, "m")}},
             "only one of dead_path and air_at_zero; expected both",
         ),
     ],

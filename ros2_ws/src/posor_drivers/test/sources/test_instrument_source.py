@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from posor.calibration.design_parts import quantity_entry
 from posor.errors import ParameterError
 from posor.messages.message_definitions import MessageTypes
 from posor.model.scan import DARK_SUBTRACTED, HOME_BUMP, SATURATED
@@ -23,7 +24,7 @@ from posor_lab.harness.program import wait_until
 from posor_msgs.msg import RawScan
 from rclpy.serialization import deserialize_message
 
-from ..instruments.stream_rig import quantity, stream_rig, write_rig
+from ..instruments.stream_rig import stream_rig, write_rig
 
 CURRENTS = tuple(1e-6 * n for n in range(1, 9))
 SOUND = (1e-4, *CURRENTS, 3.0, 0.0, 21.5)
@@ -33,11 +34,17 @@ def instruments(port: int) -> dict[str, Any]:
     currents = [f"current_{n}" for n in range(len(CURRENTS))]
     units = {"gap": "m", **dict.fromkeys(currents, "A"), "source": "1", "home": "1", "plate": "degC"}
     joint = {
-        "gap_voltages": [{"channel": "box/gap", "scale": quantity(1e4, "V/m"), "offset": quantity(-0.5, "V")}],
+        "gap_voltages": [
+            {"channel": "box/gap", "scale": quantity_entry(1e4, "V/m"), "offset": quantity_entry(-0.5, "V")}
+        ],
         "diode_currents": [{"channel": f"box/{name}"} for name in currents],
         "lit_sources": [{"channel": "box/source"}, 7],
         "home_mark": {"channel": "box/home"},
-        "temperature": {"channel": "box/plate", "scale": quantity(1, "K/degC"), "offset": quantity(273.15, "K")},
+        "temperature": {
+            "channel": "box/plate",
+            "scale": quantity_entry(1, "K/degC"),
+            "offset": quantity_entry(273.15, "K"),
+        },
     }
     return stream_rig(port, units, joint)
 
@@ -74,7 +81,7 @@ def scan_of(source: InstrumentSource, accepted: Callable[[Any], bool] = lambda _
                 found.append(scan)
         return bool(found)
 
-    wait_until(accept, "scan", lambda: time.sleep(0.005))
+    wait_until(accept, "scan")
     return found[0]
 
 
@@ -83,7 +90,7 @@ def wait_for_no_scan(source: InstrumentSource, words: str) -> None:
         source.read_tick(source.newest_tick(time.time_ns()))
         return words in source.statuses()[0].fault
 
-    wait_until(left_out, words, lambda: time.sleep(0.005))
+    wait_until(left_out, words)
 
 
 def test_channels_become_the_readings_of_a_scan(tmp_path: Path) -> None:
@@ -102,7 +109,7 @@ def test_channels_become_the_readings_of_a_scan(tmp_path: Path) -> None:
 
 def test_a_device_that_demodulates_and_a_reference_voltage_are_stated_in_each_scan(tmp_path: Path) -> None:
     content = instruments(1)
-    reference = {"channel": "box/gap", "scale": quantity(5e4, "V/m")}
+    reference = {"channel": "box/gap", "scale": quantity_entry(5e4, "V/m")}
     content["joints"]["elbow"] |= {"demodulated": True, "reference_voltage": reference}
     with StreamServer(lambda _: SOUND) as server:
         content["devices"]["box"]["port"] = server.port
@@ -138,7 +145,7 @@ def test_scans_between_two_light_sources_and_without_frames_are_left_out(tmp_pat
 
     with StreamServer(switched) as server, opened(tmp_path, server.port) as source:
         wait_for_no_scan(source, "no frames of box around the tick, or frames with different light sources")
-        wait_until(lambda: not source.statuses()[1].fault, "frames", lambda: time.sleep(0.005))
+        wait_until(lambda: not source.statuses()[1].fault, "frames")
         tick = source.newest_tick(time.time_ns())
         assert all(len(source.read_tick(tick - n)) == 0 for n in range(10))
 

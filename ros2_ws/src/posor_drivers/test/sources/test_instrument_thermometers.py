@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from posor.calibration.design_parts import quantity_entry
 from posor.errors import CalibrationError
 from posor.messages.message_definitions import MessageTypes, installed_schema
 from posor.numerics.stamps import NS
@@ -18,10 +19,10 @@ from posor_drivers.sources.instrument_source import InstrumentParameters, Instru
 from posor_lab.device_servers.stream_server import StreamServer
 from posor_lab.harness.program import wait_until
 
-from ..instruments.stream_rig import quantity, stream_rig, write_rig
+from ..instruments.stream_rig import stream_rig, write_rig
 
 LOGGER_HZ, READS = 4.0, 400
-CELSIUS_SCALE = {"scale": quantity(1.0, "K/degC"), "offset": quantity(273.15, "K")}
+CELSIUS_SCALE = {"scale": quantity_entry(1.0, "K/degC"), "offset": quantity_entry(273.15, "K")}
 UNITS = {"gap": "V", "skin": "degC", "plate": "degC", "other": "V", "wrist": "degC"}
 
 
@@ -93,10 +94,10 @@ def test_the_driver_of_the_joint_publishes_its_thermometers_at_whole_seconds(tmp
         ({"scale": None, "offset": None}, "channel 'box/skin' is in degC; expected a scale in K/degC"),
         ({"channel": "box/nose"}, "channel 'box/nose'; expected one of box/gap"),
         ({"channel": "box/plate"}, "channel 'box/plate' is used twice, also by thermometer 'arm_skin'"),
-        ({"offset": quantity(0.0, "degC")}, "offset in degC; expected one number in K"),
+        ({"offset": quantity_entry(0.0, "degC")}, "offset in degC; expected one number in K"),
         ({"channel": "box/wrist"}, "channel 'box/wrist' is the temperature of joint 'wrist'; expected joint: wrist"),
         (
-            {"joint": "wrist", "channel": "box/wrist", "offset": quantity(273.0, "K")},
+            {"joint": "wrist", "channel": "box/wrist", "offset": quantity_entry(273.0, "K")},
             "another scale or offset; expected scale and offset of joints.wrist.temperature",
         ),
     ],

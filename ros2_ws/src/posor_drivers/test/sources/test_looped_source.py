@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from posor.errors import BagError, ParameterError
 from posor.messages.message_definitions import MessageTypes
+from posor.numerics.stamps import NS
 from posor.parameter_model import validate_parameters
 from posor.ros_names import RAW_SCAN
 from posor_drivers.driver_parameters import driver_parameters_for
@@ -32,7 +33,7 @@ from rclpy.time import Time
 from rosgraph_msgs.msg import Clock as ClockMessage
 
 from ..driver_program import driver_program
-from ..sample_bags import SECOND, Record, header, scan, write_bag
+from ..sample_bags import Record, header, scan, write_bag
 
 RATE = 2000
 FAR = 1_800_000_000 * RATE  # a tick of the year 2027
@@ -45,9 +46,7 @@ def voltages(number: int) -> np.ndarray[Any, Any]:
 def record(count: int, topic: str = "/joint1/raw") -> list[Record]:
     """Return scans that a voltage identifies; frames of different length shift all later fields."""
     return [
-        scan(
-            100 + n, n * SECOND, topic=topic, gap_voltages=voltages(n), header=header(n * SECOND, "posor" + n % 9 * "x")
-        )
+        scan(100 + n, n * NS, topic=topic, gap_voltages=voltages(n), header=header(n * NS, "posor" + n % 9 * "x"))
         for n in range(count)
     ]
 
@@ -81,7 +80,7 @@ def test_scans_are_played_forwards_and_backwards_with_new_stamps_and_numbers(tmp
         original = deserialize_message(records[order[(tick - first) % len(order)]].data, RawScan)
         scan = played(source, tick)
         assert scan.scan == tick
-        assert stamp_ns(scan) == tick * SECOND // RATE
+        assert stamp_ns(scan) == tick * NS // RATE
         scan.scan, scan.header.stamp = original.scan, original.header.stamp
         assert repr(scan) == repr(original)
 
@@ -90,7 +89,7 @@ def test_bytes_equal_those_of_a_new_scan(tmp_path: Path) -> None:
     (original,) = record(1)
     source = opened(write_bag(tmp_path / "bag", [original]))
     (message,) = source.read_tick(7)
-    own = scan(7, 7 * SECOND // RATE, gap_voltages=voltages(0), header=header(7 * SECOND // RATE, "posor"))
+    own = scan(7, 7 * NS // RATE, gap_voltages=voltages(0), header=header(7 * NS // RATE, "posor"))
     assert message.data == own.data
 
 
@@ -102,8 +101,8 @@ def test_number_of_played_scans_can_be_limited(tmp_path: Path) -> None:
 @pytest.mark.parametrize("rate", [1, 3, 10_000])
 def test_ticks_are_those_of_the_clock_at_every_rate(tmp_path: Path, rate: int) -> None:
     source = opened(write_bag(tmp_path / "bag", record(3)), rate=rate)
-    assert (source.rate, source.publication_time_ns(7 * rate)) == (rate, 7 * SECOND)
-    assert source.start_run(7 * SECOND) == (7 * rate + 1, None)
+    assert (source.rate, source.publication_time_ns(7 * rate)) == (rate, 7 * NS)
+    assert source.start_run(7 * NS) == (7 * rate + 1, None)
 
 
 def test_one_of_several_joints_must_be_chosen(tmp_path: Path) -> None:
@@ -203,11 +202,11 @@ def test_a_live_source_that_stops_is_an_error_and_its_return_is_reported(tmp_pat
         graph.watch_diagnostics()
         scans = graph.collect(RawScan, "/joint1/raw", BEST_EFFORT)
         clock = graph.publisher(ClockMessage, "/clock", BEST_EFFORT)
-        now_ns = SECOND
+        now_ns = NS
 
         def tick() -> None:
             nonlocal now_ns
-            now_ns += SECOND // 50
+            now_ns += NS // 50
             clock.publish(ClockMessage(clock=Time(nanoseconds=now_ns).to_msg()))
             sleep(0.02)
 

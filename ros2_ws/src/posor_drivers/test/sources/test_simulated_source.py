@@ -15,6 +15,7 @@ from lifecycle_msgs.msg import Transition
 from posor.chain.arm_file import load_arm_file
 from posor.errors import CalibrationError, ParameterError
 from posor.messages.message_definitions import MessageTypes
+from posor.numerics.stamps import NS
 from posor_drivers.simulator.arm_simulation import ArmSimulation
 from posor_drivers.sources.simulated_source import SimulatedParameters, SimulatedSource
 from posor_lab.harness.graph import BEST_EFFORT, Graph, values_of, wait_for_value
@@ -33,7 +34,6 @@ pytestmark = pytest.mark.usefixtures("ros_domain")
 
 RATE = 100
 PERIOD = 10_000_000
-NS = 1_000_000_000
 LAST = "elbow"
 NODE = "/arm/{}/driver_node"
 

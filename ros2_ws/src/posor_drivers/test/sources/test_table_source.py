@@ -34,8 +34,8 @@ START_S = 486_432_000
 CLASSES = {"raw": RawScan, "/truth/machining_centre": PointStamped}
 
 
-def messages(table: Path, table_map: Path = MAP) -> dict[str, list[Any]]:
-    source = TableSource(TableParameters(path=str(table), map=str(table_map)), MessageTypes())
+def messages(table: Path) -> dict[str, list[Any]]:
+    source = TableSource(TableParameters(path=str(table), map=str(MAP)), MessageTypes())
     raw, truth = source.open()
     assert raw == Topic("raw", "posor_msgs/msg/RawScan")
     assert truth == Topic("/truth/machining_centre", "geometry_msgs/msg/PointStamped")
