@@ -7,8 +7,8 @@ from __future__ import annotations
 from pathlib import Path
 from string import Template
 
-from posor_bringup.installed import bag_path, calibration_path, urdf_path
 from posor_lab.harness.program import installed
+from posor_lab.harness.rig_files import bag_path, calibration_path, urdf_path
 
 COMPOSE = installed("posor_estimator", "compose")
 NODES = ["/rig/chain_node", "/rig/joint1/posor_node", "/rig/joint1/driver_node"]

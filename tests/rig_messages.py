@@ -14,9 +14,9 @@ from posor.calibration.calibration_file import load_calibration
 from posor.chain.identity import calibration_id
 from posor.chain.kinematic_chain import Chain
 from posor.estimation.posor import Posor
-from posor_bringup.installed import Bag, CalibrationName, bag_path, calibration_path, urdf_path
 from posor_lab.harness.message_conversion import estimate_with_effects, is_usable, scan_from_message, transform_message
 from posor_lab.harness.recorded_messages import read_bag
+from posor_lab.harness.rig_files import Bag, CalibrationName, bag_path, calibration_path, urdf_path
 from posor_lab.replay_1985.replay import ReplayPlan
 from posor_msgs.msg import JointTransform, RawScan
 from rclpy.serialization import deserialize_message

@@ -8,8 +8,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 import pytest
-from posor_bringup.installed import JOINT
 from posor_bringup.supervisor import Supervisor
+from posor_lab.harness.rig_files import JOINT
 from posor_lab.harness.ros_domain import leased_domain
 from posor_lab.replay_1985.replay import Replay, ReplayPlan, StepCollector
 from posor_ros.node_program import ros_context

@@ -22,11 +22,11 @@ from posor.bags.recording import POSE, SCALAR, Recording, Track
 from posor.calibration.calibration_file import load_calibration
 from posor.numerics.array_types import FloatArray
 from posor_calibration.calibrate_command import main
-from posor_drivers.calibration_bag import entries, write_bag
 from posor_lab.campaign.campaign_run import step_arguments
 from posor_lab.campaign.campaign_steps import CampaignStep, campaign_steps
 from posor_lab.campaign.ground_truth import GroundTruth, PosorName
 from posor_lab.campaign.parameter_coverage import compare_with_truth
+from posor_lab.harness.calibration_bag import entries, write_bag
 from posor_lab.harness.case_tables import cases
 from posor_lab.harness.program import installed
 from scipy.spatial.transform import Rotation

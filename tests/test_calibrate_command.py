@@ -24,7 +24,7 @@ from posor_calibration.calibration_comparison import compare_calibrations
 from posor_calibration.outcome_report import MAX_LINES
 from posor_calibration.outcome_tables import WIDTH
 from posor_calibration.procedure_registry import PROCEDURES
-from posor_drivers.calibration_bag import TYPES, entries, write_bag
+from posor_lab.harness.calibration_bag import TYPES, entries, write_bag
 from posor_lab.harness.case_tables import cases
 from posor_lab.harness.certificates import CERTIFICATE, SCHEMA, needs_schema, numbers, quantities, read_dcc, texts
 from posor_lab.harness.drawn_posor import ABOUT, ALONG, DrawnPosor

@@ -18,8 +18,8 @@ from posor.model.scan import PROBES_ESTIMATED, SATURATED, Scan
 from posor.numerics.stamps import NS
 from posor.ros_names import POINT_STAMPED, POSE_STAMPED
 from posor_calibration.procedures.gap_linearisation import GapLinearisationOptions, linearise_gap_probes
-from posor_drivers.calibration_bag import RAW, TYPES, Entry, entries, point, raw, scalar, transform, write_bag
 from posor_drivers.message_builder import header
+from posor_lab.harness.calibration_bag import RAW, TYPES, Entry, entries, point, raw, scalar, transform, write_bag
 from posor_lab.harness.case_tables import refusal
 from posor_lab.harness.simulated_recordings import diode_calibration, lifted_recording
 from posor_msgs.msg import RawScan

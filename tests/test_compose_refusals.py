@@ -8,11 +8,11 @@ from pathlib import Path
 
 import pytest
 from posor.errors import CalibrationError
-from posor_bringup.installed import calibration_path, urdf_path
 from posor_estimator.compose_command import main
 from posor_estimator.composition_file import load_composition
 from posor_lab.harness.case_tables import cases, edited, refusal
 from posor_lab.harness.program import Program, error_lines
+from posor_lab.harness.rig_files import calibration_path, urdf_path
 
 from tests.composed_rig import COMPOSE, NODES, RIG, write_composition
 

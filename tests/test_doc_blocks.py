@@ -36,13 +36,13 @@ from posor.lazy_program import LazyProgram
 from posor.node_parameters import ChainParameters, PosorParameters
 from posor.parameter_model import parameter_specs
 from posor.tables.table_map import TableMap
-from posor_bringup.installed import calibration_path
 from posor_bringup.posor_command import SUBCOMMANDS
 from posor_drivers.driver_parameters import driver_parameters_for
 from posor_drivers.instruments.instruments_file import InstrumentsFile
 from posor_drivers.instruments.scpi_device import Dialect
 from posor_estimator.composition_file import Composition
 from posor_estimator.correction_node import CorrectionParameters
+from posor_lab.harness.rig_files import calibration_path
 from posor_ros.qos_overrides import PREFIX
 
 EXCERPT = "# excerpt"

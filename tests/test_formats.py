@@ -21,9 +21,9 @@ from posor.errors import BagError, CalibrationError
 from posor.messages.message_definitions import MessageTypes
 from posor.ros_names import RAW_SCAN
 from posor_bringup.arms import load_checked_arm
-from posor_bringup.installed import calibration_path
 from posor_drivers.simulator.scenario import load_scenario
 from posor_lab.harness.case_tables import refusal
+from posor_lab.harness.rig_files import calibration_path
 from rosbags.rosbag2 import StoragePlugin, Writer
 
 from tests.rig_messages import read_bag_messages

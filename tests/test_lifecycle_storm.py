@@ -12,9 +12,9 @@ import pytest
 from geometry_msgs.msg import PoseStamped
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
-from posor_bringup.installed import bag_path
 from posor_lab.harness.graph import Graph
 from posor_lab.harness.program import Program, installed
+from posor_lab.harness.rig_files import bag_path
 from posor_ros.ros_arguments import ros_arguments
 
 from tests.composed_rig import COMPOSE, NODES, RIG, write_composition

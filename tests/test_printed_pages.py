@@ -11,10 +11,10 @@ from pathlib import Path
 
 import pytest
 from posor.calibration.calibration_file import load_calibration
-from posor_bringup.installed import calibration_path
 from posor_bringup.statement_command import main as statement
 from posor_design.budget_command import main as budget
 from posor_lab.harness.browser import BROWSER, opened_browser
+from posor_lab.harness.rig_files import calibration_path
 from posor_lab.replay_1985.comparison import compare_with_thesis, reasons
 from posor_lab.replay_1985.motion_test import offline_motion_test
 from posor_lab.replay_1985.printed_results import (

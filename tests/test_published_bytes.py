@@ -14,9 +14,9 @@ from typing import Any
 import pytest
 from posor_bringup.arm_programs import LAYOUTS, Layout, arm_programs, group_programs
 from posor_bringup.arms import load_checked_arm
-from posor_bringup.installed import bag_path
 from posor_lab.harness.graph import BEST_EFFORT, LOSSLESS, Graph
 from posor_lab.harness.program import Program
+from posor_lab.harness.rig_files import bag_path
 from posor_ros.message_classes import message_class
 from posor_ros.qos import LATCHED_QOS
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore

@@ -13,7 +13,7 @@ from geometry_msgs.msg import PoseStamped
 from posor.model.fault import Fault, State
 from posor.model.scan import DIODES_ESTIMATED, PROBES_ESTIMATED
 from posor.numerics.array_types import FloatArray
-from posor_bringup.installed import BAGS, CALIBRATIONS, Bag, CalibrationName
+from posor_lab.harness.rig_files import BAGS, CALIBRATIONS, Bag, CalibrationName
 from posor_lab.replay_1985.comparison import STEPS, compare_with_thesis
 from posor_lab.replay_1985.motion_test import MotionTest
 from posor_lab.replay_1985.printed_results import PRINTED_FILES, read_printed

@@ -27,9 +27,9 @@ from posor.messages.message_definitions import Definition
 from posor.model.fault import State
 from posor.ros_names import RAW_SCAN
 from posor_bringup.arms import load_checked_arm
-from posor_bringup.installed import calibration_path, urdf_path
 from posor_lab.harness.full_disk import full_disk_changes_nothing
 from posor_lab.harness.message_conversion import pose_from_message
+from posor_lab.harness.rig_files import calibration_path, urdf_path
 from posor_msgs.msg import JointTransform
 from rclpy.serialization import deserialize_message
 from rosbags.interfaces import Connection

@@ -19,10 +19,10 @@ from posor.bags.reprocess_command import main
 from posor.bags.result_folder import UNFINISHED
 from posor.lazy_program import EXIT_INTERRUPTED
 from posor_bringup.arms import load_checked_arm
-from posor_bringup.installed import bag_path, calibration_path
 from posor_lab.benchmark.offline_benchmark import repeat_bag
 from posor_lab.harness.full_disk import contents_of
 from posor_lab.harness.program import Program, installed, wait_until, writes_below
+from posor_lab.harness.rig_files import bag_path, calibration_path
 
 ROOT = Path(__file__).resolve().parents[1]
 BAG = ROOT / "bags" / "five_axis"

@@ -14,7 +14,7 @@ import pyarrow.parquet
 import pytest
 from posor.bags.reprocess_command import main
 from posor.bags.result_folder import FORMER, MARK, NEW, UNFINISHED, clear_unfinished
-from posor_bringup.installed import calibration_path
+from posor_lab.harness.rig_files import calibration_path
 
 BAGS = Path(__file__).resolve().parents[1] / "bags"
 CALIBRATION = ["--calibration", f"joint1={calibration_path('printed')}"]

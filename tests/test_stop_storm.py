@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from posor_bringup.installed import bag_path, calibration_path, urdf_path
 from posor_bringup.supervisor import ProgramCommand, Supervisor
+from posor_lab.harness.rig_files import bag_path, calibration_path, urdf_path
 
 pytestmark = pytest.mark.usefixtures("ros_domain")
 

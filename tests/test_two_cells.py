@@ -14,10 +14,10 @@ from posor.errors import ParameterError
 from posor_bringup.arm_programs import arm_programs, full_name, group_programs
 from posor_bringup.arms import check_arm, load_checked_arm
 from posor_bringup.commission_command import topics_of
-from posor_bringup.installed import share
 from posor_lab.harness.case_tables import refusal
 from posor_lab.harness.graph import Graph
 from posor_lab.harness.program import Program, installed
+from posor_lab.harness.rig_files import share
 from posor_msgs.msg import EndpointState
 from tf2_msgs.msg import TFMessage
 

@@ -20,12 +20,13 @@ from posor.errors import ChainError, DataFileError, ParameterError
 from posor.reporting.command_line_parser import CommandLineParser
 from posor.reporting.program_errors import reports_errors
 from posor.uncertainty.budget_poses import model_covariances
-from posor_bringup.installed import share
-from posor_design.endpoint_budget import Spread, configurations, endpoint_budget, monte_carlo
+from posor_design.endpoint_budget import Spread, configurations, endpoint_budget
 from rich.console import Console
 from rich.table import Table
 from scipy.constants import inch
 
+from posor_lab.arm_study.endpoint_monte_carlo import monte_carlo
+from posor_lab.harness.rig_files import share
 from posor_lab.lab_output import check_writable, write_json
 from posor_lab.thesis_budgets.chapter5 import root_sum_square
 from posor_lab.thesis_data import MICROINCH, URAD, data_path, parse_number, read_numbers, read_table

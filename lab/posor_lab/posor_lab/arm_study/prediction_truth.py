@@ -15,7 +15,6 @@ import numpy as np
 from posor.bags.recording import unpack_poses
 from posor.chain.arm_file import chain_parameters, load_arm_file
 from posor.chain.endpoint_predictor import EndpointPredictor
-from posor.chain.recorded_prediction import PredictedEndpoints, RecordedTransforms, predict_recorded
 from posor.errors import ParameterError
 from posor.estimation.posor import Posor
 from posor.model.fault import State
@@ -28,6 +27,7 @@ from posor_drivers.simulator.scenario import load_scenario
 
 from posor_lab.accuracy.consistency import normalised_squares
 from posor_lab.arm_study.filter_runs import DRAWN, FALSE_ALARM, THETA_SIGMA, noisy_scans
+from posor_lab.arm_study.recorded_prediction import PredictedEndpoints, RecordedTransforms, predict_recorded
 from posor_lab.harness.random_poses import errors_in_parent
 from posor_lab.independent.true_arm import TrueArm
 

@@ -12,11 +12,11 @@ from posor.calibration.calibration_file import load_calibration
 from posor_calibration.calibrate_command import calibrate, make_parser, write_result
 from posor_calibration.calibration_fit import fit_recording
 from posor_calibration.procedure_registry import PROCEDURES
-from posor_drivers.calibration_bag import entries, write_bag
 from rich.console import Console
 
 from posor_lab.campaign.calibration_rig import REFERENCE
 from posor_lab.campaign.campaign_steps import campaign_steps
+from posor_lab.harness.calibration_bag import entries, write_bag
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

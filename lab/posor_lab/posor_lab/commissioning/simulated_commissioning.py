@@ -24,12 +24,12 @@ from posor.numerics.stamps import tick_stamp_ns
 from posor.ros_names import COMMISSIONING_STEP, COMMISSIONING_TOPIC, JOINT_STATE, POINT_STAMPED
 from posor_calibration.commissioning.commissioning_recording import BEGIN, END, CommissioningRecording, RecordedStep
 from posor_calibration.commissioning.plan import CommissioningSettings, diodes_of, probe_gaps, probes_of, steps_of
-from posor_drivers.calibration_bag import TYPES, Entry, raw, write_bag
 from posor_drivers.message_builder import header, point_stamped
 from posor_drivers.simulator.arm_simulation import ArmSimulation
 from posor_drivers.simulator.imperfections import Imperfections
 
 from posor_lab.harness.beams import quantity
+from posor_lab.harness.calibration_bag import TYPES, Entry, raw, write_bag
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

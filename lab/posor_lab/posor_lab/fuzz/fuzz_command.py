@@ -22,11 +22,11 @@ from posor.chain.kinematic_chain import load_chain
 from posor.errors import PosorError
 from posor.tables.table_readings import load_readings
 from posor_bringup.arms import load_checked_arm
-from posor_bringup.installed import share
 from posor_drivers.simulator.scenario import load_scenario
 
 from posor_lab.fuzz.message_fuzz import ScanFuzz, TransformFuzz, fuzz_simulation, mutate
 from posor_lab.fuzz.node_fuzz import NodeFuzzError, NodeScanFuzz, NodeTransformFuzz
+from posor_lab.harness.rig_files import share
 from posor_lab.reports.findings import Finding, Findings, Verdict
 from posor_lab.reports.trial_program import Option, TrialProgram
 from posor_lab.thesis_data import data_path

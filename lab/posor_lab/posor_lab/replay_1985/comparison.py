@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from posor.numerics.array_types import BoolArray, FloatArray
-    from posor_bringup.installed import Bag, CalibrationName
 
+    from posor_lab.harness.rig_files import Bag, CalibrationName
     from posor_lab.replay_1985.printed_results import PrintedColumns
 
 FigureKind = Literal["sd", "max"]

@@ -14,11 +14,11 @@ from typing import TYPE_CHECKING
 from posor.calibration.calibration_file import load_calibration
 from posor.output_files import write_files
 from posor_bringup.bringup_options import LOGS, prepare_output_folder
-from posor_bringup.installed import BAGS, CALIBRATIONS, JOINT, bag_path, calibration_path, urdf_path
 from posor_bringup.supervisor import Supervisor
 from posor_ros.node_program import non_ros_arguments, ros_context
 from rich.console import Console
 
+from posor_lab.harness.rig_files import BAGS, CALIBRATIONS, JOINT, bag_path, calibration_path, urdf_path
 from posor_lab.harness.ros_domain import isolated_network
 from posor_lab.replay_1985.comparison import compare_with_thesis, reasons
 from posor_lab.replay_1985.motion_test import MotionTest
@@ -40,8 +40,7 @@ if TYPE_CHECKING:
     from argparse import Namespace
     from collections.abc import Mapping, Sequence
 
-    from posor_bringup.installed import Bag, CalibrationName
-
+    from posor_lab.harness.rig_files import Bag, CalibrationName
     from posor_lab.reports.findings import Findings
 
 OUTPUT_FILES = ("report.html", "steps.csv", "bag")  # content of the report's folder besides the logs

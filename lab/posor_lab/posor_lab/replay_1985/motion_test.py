@@ -20,15 +20,17 @@ from posor.estimation.posor import Posor
 from posor.model.fault import USABLE_STATES, Fault, State
 from posor.model.scan import DIODES_ESTIMATED, PROBES_ESTIMATED
 from posor.ros_names import TRUTH_TOPIC
-from posor_bringup.installed import JOINT, bag_path, calibration_path, urdf_path
 from posor_calibration.attitude_fit import angles_from_displacements
 from scipy.constants import inch
+
+from posor_lab.harness.rig_files import JOINT, bag_path, calibration_path, urdf_path
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from posor.numerics.array_types import BoolArray, FloatArray
-    from posor_bringup.installed import Bag, CalibrationName
+
+    from posor_lab.harness.rig_files import Bag, CalibrationName
 
 Angle = Literal["alpha", "beta", "theta"]
 ANGLES: tuple[Angle, ...] = get_args(Angle)

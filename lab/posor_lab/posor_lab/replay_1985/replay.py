@@ -14,12 +14,12 @@ from lifecycle_msgs.srv import ChangeState
 from posor.model.fault import Fault, State
 from posor.node_parameters import RECORDING
 from posor.ros_names import ENDPOINT_TOPIC, RAW_TOPIC, TRANSFORM_TOPIC, TRUTH_TOPIC
-from posor_bringup.installed import JOINT
 from posor_bringup.supervisor import ProcessError, ProgramCommand, RunningProgram, Supervisor
 from posor_msgs.msg import JointTransform
 from posor_ros.lifecycle_node import LISTENERS_STATUS
 
 from posor_lab.harness.message_conversion import is_usable
+from posor_lab.harness.rig_files import JOINT
 from posor_lab.replay_1985.motion_test import MotionStep
 from posor_lab.reports.graph_receiver import GraphReceiver, GraphWatch
 

@@ -17,12 +17,12 @@ from posor.calibration.quantity import Quantity
 from posor.estimation.posor import Posor
 from posor.model.native_coordinates import native_from_rotation
 from posor.reporting.command_line_parser import CommandLineParser
-from posor_bringup.installed import bag_path, calibration_path
 from posor_calibration.attitude_fit import ANGLES, deviation_from_first, read_reference_attitude
 from posor_calibration.procedures.zero_drift import NAME, ZeroDriftOptions, find_zero_drift
 from rich.console import Console
 from scipy.constants import inch
 
+from posor_lab.harness.rig_files import bag_path, calibration_path
 from posor_lab.lab_output import page_notes
 from posor_lab.replay_1985.motion_test import TRUTH_LEVER
 from posor_lab.reports.findings import Finding, Findings, exit_code_of_findings, judge, print_findings
@@ -34,7 +34,8 @@ if TYPE_CHECKING:
     from posor.bags.recording import Recording
     from posor.calibration.calibration_file import Calibration
     from posor.numerics.array_types import FloatArray
-    from posor_bringup.installed import Bag
+
+    from posor_lab.harness.rig_files import Bag
 
 TRUTH = Reference("/truth/machining_centre", (2e-4 * inch,))
 """The machining centre, accurate to 0.0002 in (section 8.2)."""

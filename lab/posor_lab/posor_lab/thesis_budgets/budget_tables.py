@@ -25,9 +25,9 @@ from posor.estimation.posor import Posor
 from posor.uncertainty.budget_poses import middle_pose, scan_at
 from posor.uncertainty.budget_quantities import THETA
 from posor.uncertainty.first_order import sensitivities
-from posor_bringup.installed import calibration_path
 from scipy.constants import inch
 
+from posor_lab.harness.rig_files import calibration_path
 from posor_lab.thesis_budgets.chapter5 import root_sum_square
 from posor_lab.thesis_data import data_path, last_digit, parse_number, read_table
 from posor_lab.thesis_table.row_file import RowFile

@@ -13,13 +13,13 @@ import numpy as np
 from posor.calibration.calibration_file import load_calibration
 from posor.uncertainty.air_index import ICE_POINT
 from posor.uncertainty.interferometer import ZERO, AirQuantities, Input, Interferometer, correct_reading
-from posor_bringup.installed import calibration_path
 from posor_calibration.map_basis import doubled_grid_errors
 from posor_design.contact import hertz_contact
 from posor_design.interferometry import air_effects
 from scipy.constants import inch
 from scipy.optimize import brentq
 
+from posor_lab.harness.rig_files import calibration_path
 from posor_lab.thesis_data import amount, data_path, read_table
 
 if TYPE_CHECKING:

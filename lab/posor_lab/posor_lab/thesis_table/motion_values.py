@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from posor.reporting.figure_style import BLUE, GREY, LIGHT_BLUE, ORANGE
 from posor.reporting.plot import Plot
-from posor_bringup.installed import BAGS
 from posor_calibration.attitude_fit import deviation_from_first
 
+from posor_lab.harness.rig_files import BAGS
 from posor_lab.replay_1985.comparison import KIND_NAMES, UNDER_TABLE, error_figure, expectations, reasons
 from posor_lab.replay_1985.end_of_beam import EndOfBeamProgram, SensorNoise, simulated_errors
 from posor_lab.replay_1985.motion_test import ANGLES, offline_motion_test
@@ -46,8 +46,8 @@ from posor_lab.thesis_table.thesis_row import ComparisonKind
 
 if TYPE_CHECKING:
     from posor.numerics.array_types import FloatArray
-    from posor_bringup.installed import Bag, CalibrationName
 
+    from posor_lab.harness.rig_files import Bag, CalibrationName
     from posor_lab.replay_1985.motion_test import Angle
 
 _TESTS: tuple[EndOfBeamTest, ...] = ("TWIS", "GEN")

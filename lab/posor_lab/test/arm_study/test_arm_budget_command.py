@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 from posor.chain.arm_file import load_arm_file
 from posor.errors import DataFileError, ParameterError, PosorError
-from posor_bringup.installed import share
 from posor_lab.arm_study.arm_budget_command import (
     ENDPOINT_FILE,
     FIGURES,
@@ -28,6 +27,7 @@ from posor_lab.arm_study.arm_budget_command import (
     read_joints,
     thesis_covariance,
 )
+from posor_lab.harness.rig_files import share
 from posor_lab.thesis_data import data_path, read_table
 from scipy.constants import inch
 

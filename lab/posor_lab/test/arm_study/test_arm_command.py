@@ -8,8 +8,8 @@ import shutil
 from pathlib import Path
 
 import pytest
-from posor_bringup.installed import share
 from posor_lab.arm_study.arm_command import main
+from posor_lab.harness.rig_files import share
 
 
 def test_coverage_alone_of_an_arm_without_beams_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -10,7 +10,7 @@ from typing import Any, get_args
 import numpy as np
 import pytest
 from posor.model.scan import DIODES_ESTIMATED, PROBES_ESTIMATED
-from posor_bringup.installed import BAGS, CALIBRATIONS, Bag
+from posor_lab.harness.rig_files import BAGS, CALIBRATIONS, Bag
 from posor_lab.replay_1985.comparison import STEPS, WITHOUT_POSE, compare_with_thesis, expectations
 from posor_lab.replay_1985.motion_test import MotionTest
 from posor_lab.replay_1985.printed_results import PrintedColumns

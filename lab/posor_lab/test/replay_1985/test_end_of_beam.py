@@ -11,8 +11,8 @@ import pytest
 from posor.bags.calibration_recording import read_scans
 from posor.calibration.calibration_file import load_calibration
 from posor.estimation.posor import Posor
-from posor_bringup.installed import bag_path, calibration_path
 from posor_calibration.attitude_fit import deviation_from_first
+from posor_lab.harness.rig_files import bag_path, calibration_path
 from posor_lab.replay_1985.end_of_beam import (
     Z_LEVER,
     EndOfBeamProgram,

@@ -12,8 +12,8 @@ import pytest
 from posor.errors import PosorError
 from posor.model.fault import Fault, State
 from posor.model.scan import DIODES_ESTIMATED, PROBES_ESTIMATED
-from posor_bringup.installed import BAGS, CALIBRATIONS, Bag, CalibrationName
 from posor_calibration.attitude_fit import angles_from_displacements, deviation_from_first
+from posor_lab.harness.rig_files import BAGS, CALIBRATIONS, Bag, CalibrationName
 from posor_lab.replay_1985.comparison import STEPS, compare_with_thesis
 from posor_lab.replay_1985.motion_test import ANGLES, TRUTH_LEVER, MotionTest, offline_motion_test
 from posor_lab.replay_1985.printed_results import PrintedColumns

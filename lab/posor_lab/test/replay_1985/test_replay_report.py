@@ -9,8 +9,8 @@ from collections.abc import Callable
 import pytest
 from posor.calibration.calibration_file import load_calibration
 from posor.model.scan import DIODES_ESTIMATED
-from posor_bringup.installed import calibration_path
 from posor_lab.harness.report_page import ReportPage
+from posor_lab.harness.rig_files import calibration_path
 from posor_lab.replay_1985.comparison import compare_with_thesis
 from posor_lab.replay_1985.motion_test import MotionTest
 from posor_lab.replay_1985.printed_results import EXPECTED_ERRORS_FILE, PrintedColumns, read_predicted_errors

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from posor.bags.calibration_recording import load_recording
 from posor.calibration.calibration_file import load_calibration
-from posor_bringup.installed import Bag, bag_path, calibration_path
 from posor_calibration.procedures.zero_drift import NAME, ZeroDriftOptions, find_zero_drift
+from posor_lab.harness.rig_files import Bag, bag_path, calibration_path
 from posor_lab.replay_1985.zero_drift_command import TESTS, TRUTH, main, search_zero_shifts
 from posor_lab.thesis_data import URAD
 

@@ -18,7 +18,6 @@ from posor.estimation.posor import Posor
 from posor.model.fault import State
 from posor_bringup.arm_files_command import main
 from posor_bringup.arms import check_arm
-from posor_bringup.installed import share
 from posor_bringup.new_arm import SENSORS, Axis, Sensors, arm_texts, new_joints, write_arm
 from posor_drivers.instruments.calibrated_readings import check_readings
 from posor_drivers.instruments.instruments_command import main as instruments
@@ -26,6 +25,7 @@ from posor_drivers.instruments.instruments_file import JointEntry
 from posor_drivers.simulator.arm_simulation import ArmSimulation
 from posor_lab.harness.case_tables import edited, refusal
 from posor_lab.harness.full_disk import contents_of, file_size_limit
+from posor_lab.harness.rig_files import share
 
 MISTAKES = yaml.safe_load(Path(__file__).with_name("arm_mistakes.yaml").read_text(encoding="utf-8"))
 LENGTHS = (0.5, 0.3, 0.2)

@@ -16,8 +16,8 @@ from posor.node_parameters import RECORDING
 from posor_bringup.arm_programs import arm_programs, endpoint_frame_of
 from posor_bringup.arms import load_checked_arm
 from posor_bringup.bringup_options import parse_driver_parameters
-from posor_bringup.installed import share
 from posor_lab.harness.case_tables import refusal
+from posor_lab.harness.rig_files import share
 
 JOINTS = ["base_swivel", "shoulder", "elbow", "wrist_roll", "wrist_yaw"]
 

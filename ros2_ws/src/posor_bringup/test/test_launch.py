@@ -14,7 +14,7 @@ import pytest
 from ament_index_python.packages import get_package_prefix
 from posor_bringup.arm_programs import arm_programs
 from posor_bringup.arms import check_arm, load_checked_arm
-from posor_bringup.installed import BAGS, CALIBRATIONS, share
+from posor_lab.harness.rig_files import BAGS, CALIBRATIONS, share
 
 REPLAY, ARM = (share() / "launch" / f"{name}.launch.py" for name in ("replay_1985", "arm"))
 

@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from posor_bringup.arms import load_checked_arm
-from posor_bringup.installed import bag_path
 from posor_bringup.view_command import main, read_record
 from posor_bringup.view_events import SEVERITY
 from posor_bringup.view_geometry import ArmGeometry
 from posor_bringup.view_messages import BLOCK_S, BagTopics
 from posor_bringup.view_observation import Observer
+from posor_lab.harness.rig_files import bag_path
 
 BAG = Path(__file__).resolve().parents[4] / "bags" / "five_axis_checked"
 JOINTS = ["base_swivel", "shoulder", "elbow", "wrist_roll", "wrist_yaw"]

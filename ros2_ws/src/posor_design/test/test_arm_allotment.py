@@ -19,8 +19,9 @@ from posor.uncertainty.common_errors import CommonErrors
 from posor_design.arm_allotment import Allotment, EndpointWeights, allot, beams_with
 from posor_design.arm_output import joint_requirements, urdf_with_gaps
 from posor_design.design_command import main
-from posor_design.endpoint_budget import configurations, endpoint_budget, monte_carlo
+from posor_design.endpoint_budget import configurations, endpoint_budget
 from posor_design.requirement import load_requirement
+from posor_lab.arm_study.endpoint_monte_carlo import monte_carlo
 
 ARM_FILE = Path(__file__).resolve().parents[2] / "posor_bringup" / "arms" / "five_axis" / "arm.yaml"
 REQUIRED = np.array([15e-6] * 3 + [8e-6] * 3)

@@ -16,7 +16,8 @@ from posor.chain.beams_file import BeamsFile
 from posor.chain.kinematic_chain import Chain
 from posor.errors import CalibrationError, ChainError
 from posor.uncertainty.budget_poses import model_covariances
-from posor_design.endpoint_budget import BEAMS, SHARED, Spread, configurations, disturbed, endpoint_budget, monte_carlo
+from posor_design.endpoint_budget import BEAMS, SHARED, Spread, configurations, endpoint_budget
+from posor_lab.arm_study.endpoint_monte_carlo import disturbed, monte_carlo
 from posor_lab.harness.beams import beams_file, quantity, tube, uncertainty
 from posor_lab.harness.case_tables import refusal
 

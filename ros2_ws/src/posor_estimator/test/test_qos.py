@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 from posor.node_parameters import NodeParameters
-from posor_bringup.installed import calibration_path
 from posor_estimator.posor_node import PosorEstimatorNode
 from posor_lab.harness.graph import Graph
 from posor_lab.harness.in_process_nodes import NodeProcess, run_refused_node
+from posor_lab.harness.rig_files import calibration_path
 from posor_ros.qos import RELIABLE_QOS, input_qos, result_qos
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy

@@ -12,7 +12,6 @@ from posor.bags.recording import POINT, POSE, SCALAR
 from posor.messages.message_definitions import MessageTypes
 from posor.model.scan import HOME_BUMP
 from posor.ros_names import POINT_STAMPED, RAW_SCAN, TRANSFORM_STAMPED
-
 from posor_drivers.message_builder import point_stamped, raw_scan, scan_fields, transform_stamped
 
 if TYPE_CHECKING:

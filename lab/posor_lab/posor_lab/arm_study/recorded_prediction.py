@@ -8,7 +8,6 @@ from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-
 from posor.chain.encoder_filter import WAITS
 from posor.chain.endpoint_predictor import EndpointPredictor
 from posor.errors import ShapeError
