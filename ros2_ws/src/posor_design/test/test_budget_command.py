@@ -109,7 +109,7 @@ def test_the_table_ends_with_totals_and_names_correlated_quantities(
     correlated.write_text(yaml.safe_dump({**content, "fits": [record]}), encoding="utf-8")
     assert main([str(correlated), "--draws", "20000", "--output", str(tmp_path)]) == 0
     out, err = capsys.readouterr()
-    assert not err
+    assert not [line for line in err.splitlines() if not line.startswith("draws: ")]  # progress on a slow host
     order = ["gap_2: tip", "all random", "all systematic", "root sum square", "full covariance", "Monte Carlo, 20000"]
     places = [out.index(text) for text in order]
     assert places == sorted(places)
