@@ -134,6 +134,15 @@ def test_a_record_that_was_changed_is_refused_before_anything_is_started(
     assert all(error.where.startswith(str(path.parent / "record.json")) for error in caught.value.parts)
 
 
+def test_positions_of_several_joints_need_the_name_of_one(bag: Path) -> None:
+    topics = CommissioningTopics(
+        {"elbow": "/five_axis/elbow/raw"}, {"elbow": ("/five_axis/encoders", "")}, "/five_axis/commissioning/step"
+    )
+    error = refusal(BagError, load_commissioning, bag, topics)
+    assert error.where == f"{bag}, topic /five_axis/encoders"
+    assert (error.what, error.expected) == ("5 positions", "one, or the parameter 'encoder.joint'")
+
+
 def test_a_recording_without_steps_is_refused(bag: Path) -> None:
     topics = CommissioningTopics({"elbow": "/five_axis/elbow/raw"}, {}, "/five_axis/other")
     assert "there is no topic /five_axis/other" in refusal(BagError, load_commissioning, bag, topics).what

@@ -176,7 +176,13 @@ def test_an_arm_whose_beams_have_no_uncertainty_says_so(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("options", "code", "message"), REFUSALS)
 def test_refusals(options: str, code: int, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    tables = {"COLUMN": "elbow\n0\n", "CELL": "joint1\n0\n\nx\n", "DEGREES": "joint1\n30\n", "EMPTY": "joint1\n"}
+    tables = {
+        "COLUMN": "elbow\n0\n",
+        "CELL": "joint1\n0\n\nx\n",
+        "WIDE": "joint1\n0,1\n",
+        "DEGREES": "joint1\n30\n",
+        "EMPTY": "joint1\n",
+    }
     names = {"FIVE": str(BAG), "NONE": str(tmp_path / "NONE")}
     for name, text in tables.items():
         names[name] = str(tmp_path / f"{name}.csv")

@@ -125,9 +125,10 @@ def select_model_by_key(key: str, models: Mapping[str, type[FrozenModel] | Entry
     ``models``: the model of each value, or why there is none. Unlike pydantic's discriminated union it leaves the
     location of an error unchanged.
     """
+    classes = tuple(model for model in models.values() if isinstance(model, type))
 
     def select(part: object) -> object:
-        if isinstance(part, FrozenModel):
+        if isinstance(part, classes):
             return part
         if not isinstance(part, dict):
             raise EntryError(format_value(part), expected="a mapping")

@@ -12,7 +12,7 @@ from posor.bags.bag_reader import checked_type, opened_bag
 from posor.bags.block_reader import read_messages
 from posor.bags.calibration_recording import bag_sha256, read_scans
 from posor.bags.recording import Track
-from posor.errors import BagError
+from posor.errors import BagError, TopicError
 from posor.messages.joint_position import joint_position
 from posor.messages.message_definitions import schema_of_topic
 from posor.numerics.stamps import time_ns
@@ -77,7 +77,8 @@ class CommissioningRecording:
 def load_commissioning(bag: Path, topics: CommissioningTopics) -> CommissioningRecording:
     """Read the recording of a commissioning.
 
-    Raises BagError: the bag cannot be read, lacks scans or steps, or a step has no end.
+    Raises BagError: the bag cannot be read, lacks scans or steps, a step has no end, or it is unknown which of several
+    positions is that of a joint.
     """
     where = str(bag)
     scans = {joint: read_scans(bag, topic) for joint, topic in topics.raw.items()}
@@ -113,12 +114,16 @@ def _read(reader: OrderedReader, topic: str, kind: str, where: str) -> list[tupl
 
 
 def _encoder_track(messages: Sequence[tuple[int, Mapping[str, Any]]], name: str, where: str) -> Track | None:
-    """Return the angles of a joint; None: no message holds it. Raises TopicError: a message holds several, unnamed."""
+    """Return the angles of a joint; None: no message holds it. Raises BagError: it has no name among several."""
     found: dict[int, float] = {}
     for stamp, values in messages:
         names, positions = list(values["name"]), list(values["position"])
-        if positions and not (name and name not in names):  # otherwise efforts, or other joints of the topic
+        if not positions or (name and name not in names):
+            continue  # efforts, or other joints of the topic
+        try:
             found[stamp] = joint_position(names, positions, name)
+        except TopicError as error:
+            raise BagError(error.what, where=where, expected=error.expected) from error
     if not found:
         return None
     stamps = sorted(found)
