@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 import pytest
 from posor.bags.recording import Track
@@ -59,7 +61,18 @@ def test_two_orientations_at_one_place_are_two_poses_without_a_distance_or_a_pat
     poses, numbers = pose_cycles(motion, dwells, SAME)
     assert [pose.dwells for pose in poses] == [(1, 3, 5), (2, 4, 6)]
     assert distance_pairs(poses, SAME.distance) == {}
-    assert path_cycles(motion, dwells, numbers, SAME.distance) == []
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")  # such as a division by the length of a path that leads nowhere
+        assert path_cycles(motion, dwells, numbers, SAME.distance) == []
+
+
+def test_an_endpoint_that_settles_after_the_reference_is_in_its_pose() -> None:
+    motion, dwells = visits([(0.0, 0.0), (0.1, 0.3)] * 2)
+    settling = np.tile([10.0 * SAME.turn, 0.0, 0.0, 0.0], len(dwells))
+    late = motion._replace(rotations=motion.rotations * Rotation.from_rotvec(np.outer(settling, [0.0, 0.0, 1.0])))
+    poses, _ = pose_cycles(late, dwells, SAME)
+    assert [pose.dwells for pose in poses] == [(1, 3), (2, 4)]
+    np.testing.assert_allclose(poses[0].attained[:, 5], settling.mean(), rtol=1e-6)
 
 
 def test_a_missing_dwell_does_not_shift_the_cycles_of_a_distance() -> None:
@@ -116,3 +129,12 @@ def test_a_line_between_rare_readings_of_a_curve_is_as_far_from_it_as_stated() -
         away = np.linalg.norm(motion.positions - motion.references, axis=1).max()
         assert away == pytest.approx(wanted, abs=1e-12)
         assert interpolation_error(motion, track, [(0, 900 * MS)]) == pytest.approx(wanted, rel=0.01, abs=1e-12)
+
+
+def test_a_path_with_corners_at_readings_is_the_line_between_them() -> None:
+    readings = np.array([[0.0, 0.0], [0.05, 0.0], [0.1, 0.0], [0.1, 0.05], [0.1, 0.1], [0.15, 0.1], [0.2, 0.1]])
+    every = 10  # scans between two readings
+    track = Track(np.arange(len(readings)) * every * MS, np.pad(readings, ((0, 0), (0, 1))), np.zeros(3), "bag")
+    stamps = np.arange(every * (len(readings) - 1) + 1) * MS
+    poses = np.hstack([track.interpolate(stamps, NS), np.tile([0.0, 0.0, 0.0, 1.0], (len(stamps), 1))])
+    assert interpolation_error(motion_of(stamps, poses, track, NS), track, []) == pytest.approx(0.0, abs=1e-12)
