@@ -218,7 +218,7 @@ def test_refusals(
     ("options", "note"),
     [
         ({"lead_ns": -round((REST_S + MOVE_S) * NS)}, "Dwells whose endpoint is nearer to another pose"),
-        ({"least_ns": NS // 20}, "Between two readings the reference may be up to"),
+        ({"least_ns": NS // 20}, "Between two readings of the reference a path may be"),
     ],
 )
 def test_stamps_off_by_a_dwell_and_rare_readings_are_named(

@@ -247,7 +247,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     notes += _notes(usable, paths, numbers.count(-1), settling_of(motion, dwells), options.same)
     between = interpolation_error(motion, track, dwells)
     if between > MOST_INTERPOLATION * min((each["AT_p"] for each in of_paths.values()), default=math.inf):
-        notes.append(f"Between two readings the reference may be up to {1e6 * between:.1f} µm from the line of a path.")
+        what = f"up to {1e6 * between:.1f} µm off their straight line, which is much of AT_p"
+        notes.append(f"Between two readings of the reference a path may be {what}.")
     content: dict[str, Any] = {
         "format": "posor_iso9283",
         "version": 1,
