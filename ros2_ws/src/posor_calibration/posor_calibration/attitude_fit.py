@@ -16,7 +16,7 @@ import numpy as np
 import pinocchio as pin
 from posor.bags.recording import POINT, POSE, unpack_poses
 from posor.errors import FitError, TrackError
-from posor.estimation.posor import Posor
+from posor.model.fault import State
 from posor.model.native_coordinates import native_from_rotation, native_jacobian
 from posor.model.scan import PROBES_ESTIMATED, SATURATED
 from posor.sensors.base import READING_KINDS
@@ -36,6 +36,7 @@ from posor_calibration.procedure import (
     Table,
     TrustSigmasOption,
 )
+from posor_calibration.recorded_poses import count_from_first_mark, unlimited_posor
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -147,7 +148,12 @@ class AttitudeFit:
 
     def describe(self, count: int) -> tuple[str, ...]:
         """Return the warnings on a fit whose first ``count`` parameters are the result."""
-        return describe_fit(self.fit, self.scales, count, self.readings)
+        unused = int(np.count_nonzero(~self.used))
+        warning = (
+            f"{unused} of {len(self.used)} scans are not used: they give no pose, theta is not counted, they have no "
+            "reference, or a reading was substituted or saturated."
+        )
+        return (*([warning] if unused else []), *describe_fit(self.fit, self.scales, count, self.readings))
 
     def error_figures(
         self, x: FloatArray, x_label: str, angles: Sequence[str] = ANGLES, title: str = "error of {}"
@@ -184,18 +190,23 @@ class _AngleModel:
     """The angles that a POSOR estimates, as a function of its parameters."""
 
     def __init__(self, calibration: Calibration, scans: Scans) -> None:
-        # A wrong parameter must not make the estimator reject scans.
-        self.posor = Posor(calibration.model_copy(update={"motion": None}), false_alarm=0.0)
+        self.posor = unlimited_posor(calibration)
         self.start = self.posor.stack.parameter_values
-        self._scans = scans
+        self._scans = count_from_first_mark(scans)
+        self._has_marks = bool(scans.at_home.any())
 
     def estimate(self, where: IntArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return alpha, beta, theta [rad] (n, 3) and their random covariances (n, 3, 3)."""
+        """Return alpha, beta, theta [rad] (n, 3) and their random covariances (n, 3, 3).
+
+        NaN: the scan gives no pose, or theta is not counted where the recording has a home mark.
+        """
         estimates = self.posor.with_parameter_values(replace_values(self.start, where, values)).estimate_all(
             self._scans
         )
         angles = np.array([native_from_rotation(rotation) for rotation in estimates.rotations])
         angles[:, 2] = estimates.thetas
+        if self._has_marks:
+            angles[estimates.states == int(State.UNCOUNTED)] = np.nan
         return angles, estimates.covariances_random[:, 3:, 3:]
 
     def derivatives(self, used: BoolArray) -> FloatArray:

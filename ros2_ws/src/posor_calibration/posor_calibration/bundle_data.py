@@ -10,7 +10,6 @@ import numpy as np
 import pinocchio as pin
 from posor.bags.recording import POSE, unpack_poses
 from posor.errors import FitError
-from posor.estimation.posor import Posor
 from posor.model.fault import USABLE_STATES, State
 from posor.model.native_coordinates import native_from_rotation
 from posor.numerics.stamps import NS
@@ -22,10 +21,12 @@ from posor_calibration.bundle_problem import BundleData, PoseReference
 from posor_calibration.data_checks import check_axis, check_channels_vary, check_unit
 from posor_calibration.dwells import RestOptions, Settle, Still, average_dwells, scans_with_reference
 from posor_calibration.procedure import LongestGapOption
+from posor_calibration.recorded_poses import count_from_first_mark, unlimited_posor
 
 if TYPE_CHECKING:
     from posor.bags.recording import Recording, Track
     from posor.calibration.calibration_file import Calibration
+    from posor.estimation.posor import Posor
     from posor.numerics.array_types import FloatArray
 
 AXES = ("x", "y", "z", "alpha", "beta")
@@ -63,10 +64,9 @@ def make_bundle_data(recording: Recording, calibration: Calibration, options: Bu
     Raises FitError: no scan is left; TrackError: the reference is unusable, or does not move as this POSOR.
     """
     check_channels_vary(recording.scans, READING_KINDS, recording.source)
-    # The estimator must not reject scans: the fit judges them.
-    posor = Posor(calibration.model_copy(update={"motion": None}), false_alarm=0.0)
+    posor = unlimited_posor(calibration)
     if not options.reference and all(track.values.shape[1] != POSE for track in recording.tracks.values()):
-        estimates = posor.estimate_all(recording.scans)
+        estimates = posor.estimate_all(count_from_first_mark(recording.scans))
         found = np.flatnonzero(np.isin(estimates.states, USABLE_STATES))
         poses = [pin.SE3(estimates.rotations[i], estimates.translations[i]) for i in found]
         left_out = len(recording.scans) - len(found)

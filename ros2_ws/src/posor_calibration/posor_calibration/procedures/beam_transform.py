@@ -22,6 +22,7 @@ import pinocchio as pin
 from posor.bags.recording import POSE, unpack_poses
 from posor.errors import FitError
 from posor.estimation.posor import Posor
+from posor.model.fault import USABLE_STATES
 from posor.model.scan import PROBES_ESTIMATED, SATURATED
 from pydantic import Field
 
@@ -29,6 +30,7 @@ from posor_calibration.data_checks import POSE_AXES, check_axis, check_count, ch
 from posor_calibration.fit_report import check_spread, describe_fit, result_tables
 from posor_calibration.least_squares import fit_parameters
 from posor_calibration.procedure import LongestGapOption, LossOption, Options, Outcome, Procedure, SessionOption, Table
+from posor_calibration.recorded_poses import count_from_first_mark
 
 if TYPE_CHECKING:
     from posor.bags.recording import Recording
@@ -83,9 +85,10 @@ class _Chain:
         scans = recording.without_status(PROBES_ESTIMATED | SATURATED).scans
         gap_ns = round(options.longest_gap * 1e9)
         second, reference = (recording.find_track(topic, POSE) for topic in (options.second, options.reference))
-        estimates = Posor(calibration.for_session(options.session)).estimate_all(scans)
+        estimates = Posor(calibration.for_session(options.session)).estimate_all(count_from_first_mark(scans))
         values = [track.interpolate(scans.stamps_ns, gap_ns) for track in (second, reference)]
-        used: BoolArray = np.asarray(np.isfinite(np.column_stack([estimates.translations, *values])).all(axis=1))
+        known: BoolArray = np.asarray(np.isfinite(np.column_stack(values)).all(axis=1))
+        used: BoolArray = known & np.isin(estimates.states, USABLE_STATES)
         self.count = int(used.sum())
         check_count(self.count, MIN_POSES, "poses that both POSORs and the reference know", NAME)
         self.names = [f"{axis} of scan {number}" for number in scans.numbers[used] for axis in POSE_AXES]

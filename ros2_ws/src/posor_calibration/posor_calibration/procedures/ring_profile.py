@@ -25,10 +25,9 @@ from posor.bags.recording import SCALAR
 from posor.calibration.calibration_file import find_sensor
 from posor.calibration.quantity import Quantity
 from posor.errors import FitError, TrackError
-from posor.estimation.posor import Posor
 from posor.estimation.sensor_stack import Stack
 from posor.model.fault import Fault, State
-from posor.model.scan import PROBES_ESTIMATED, SATURATED, STATED_HOME
+from posor.model.scan import PROBES_ESTIMATED, SATURATED
 from posor.sensors.bumpy_ring import BumpyRingCalibration
 from pydantic import Field
 
@@ -48,6 +47,7 @@ from posor_calibration.procedure import (
     SessionOption,
     Table,
 )
+from posor_calibration.recorded_poses import count_from_first_mark, unlimited_posor
 
 if TYPE_CHECKING:
     from posor.bags.recording import Recording
@@ -200,15 +200,13 @@ def _estimate_poses(
     scans: Scans, calibration: Calibration, reference: FloatArray | None, bump: float, where: str
 ) -> Estimates:
     """Return poses with theta from the first home mark or the reference on; FitError: neither, or count lost."""
-    posor = Posor(calibration.model_copy(update={"motion": None}), false_alarm=0.0)
+    posor = unlimited_posor(calibration)
     if reference is not None:
         return posor.estimate_each(scans, reference)
     homes = np.flatnonzero(scans.at_home)
     if not homes.size:
         raise FitError("no scan saw the home mark", where=where, expected="at least one, or a reference of theta")
-    marks = scans.at_home.copy()
-    marks[homes[0]] = STATED_HOME  # turns that do not close show a spurious mark
-    estimates = posor.estimate_all(scans.with_fields({"at_home": marks}))
+    estimates = posor.estimate_all(count_from_first_mark(scans))  # turns that do not close show a spurious mark
     lost = np.flatnonzero((estimates.faults[homes[0] :] & int(Fault.COUNT)) != 0)
     if lost.size:
         number = int(scans.numbers[homes[0] + lost[0]])

@@ -88,11 +88,6 @@ def find_zero_drift(recording: Recording, calibration: Calibration, options: Zer
     else:
         entries = tuple(f"sensors[{sensor}].probes[{k}].zero_shift" for k in range(count))
         replacements = tuple(Replacement(*new) for new in zip(entries, shifts, sigmas, strict=True))
-    unused = int(np.count_nonzero(~found.used))
-    warning = (
-        f"{unused} of {len(found.used)} scans are not used: they give no pose, have no reference, or a reading was "
-        "substituted or saturated."
-    )
     before = np.array([probe.zero_shift.number for probe in part.probes])
     seconds = (recording.scans.stamps_ns - recording.scans.stamps_ns[0]) * 1e-9
     return Outcome(
@@ -102,7 +97,7 @@ def find_zero_drift(recording: Recording, calibration: Calibration, options: Zer
         replacements=replacements,
         covariances=(found.fixed.joint_covariance(entries, fit),),
         tables=(*result_tables("zero shifts", fit, before, count), found.error_table()),
-        warnings=(*([warning] if unused else []), *found.describe(count)),
+        warnings=found.describe(count),
         figures=found.error_figures(seconds, "time [s]"),
     )
 

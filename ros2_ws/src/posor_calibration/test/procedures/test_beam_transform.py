@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from posor.bags.recording import Recording, Track
-from posor.calibration.designs import design
+from posor.calibration.designs import DesignName, design
 from posor.errors import FitError, TrackError
 from posor.estimation.forward import scans_at
 from posor.estimation.posor import Posor
@@ -28,6 +28,7 @@ ACROSS, PARALLEL = (0.6, 0.0, 0.05, 0.0, np.pi / 2, 0.0), (0.6, 0.0, 0.05, 0.0, 
 SIGMA_M, SIGMA_RAD = 2e-6, 3e-6
 BEFORE_M, BEFORE_RAD = 2e-4, 1e-3
 COUNT = 40
+LIGHT_RING: DesignName = "triad_light_ring"
 
 
 def drawn(random: np.random.Generator, leans: float) -> list[pin.SE3]:
@@ -46,7 +47,7 @@ def track(name: str, stamps: IntArray, poses: list[pin.SE3], random: np.random.G
 
 
 def campaign(
-    random: np.random.Generator, beam: Transform = ACROSS, mounting: float = 1.0
+    random: np.random.Generator, beam: Transform = ACROSS, mounting: float = 1.0, name: DesignName = LIGHT_RING
 ) -> tuple[Recording, FloatArray]:
     """Return a recording and the true corrections of base, beam and end, (18,)."""
     corrections = np.tile([BEFORE_M] * 3 + [BEFORE_RAD] * 3, 3) * random.normal(size=18)
@@ -57,18 +58,18 @@ def campaign(
     first, second = drawn(random, 5e-3), drawn(random, 5e-3)
     seen = [true[0] * a * true[1] * c * true[2] for a, c in zip(first, second, strict=True)]
     stamps = (1 + np.arange(COUNT, dtype=np.int64)) * 100_000_000
-    posor = Posor(design("triad_light_ring"))
+    posor = Posor(design(name))
     rotations, translations = np.array([p.rotation for p in first]), np.array([p.translation for p in first])
     scans = scans_at(posor.stack, rotations, translations, stamps, noise=random)
     tracks = {SECOND: track(SECOND, stamps, second, random), REFERENCE: track(REFERENCE, stamps, seen, random)}
     return Recording(scans, tracks, "simulated"), corrections
 
 
-def identify(recording: Recording, beam: Transform = ACROSS, **options: Any) -> Outcome:
+def identify(recording: Recording, beam: Transform = ACROSS, name: DesignName = LIGHT_RING, **options: Any) -> Outcome:
     before = (BEFORE_M, BEFORE_RAD)
     given: dict[str, Any] = {"second": SECOND, "reference": REFERENCE, "beam": beam, "base": BASE, "end": END}
     given |= {"beam_known": before, "base_known": before, "end_known": before, **options}
-    return PROCEDURE.identify(recording, design("triad_light_ring"), PROCEDURE.options(**given))
+    return PROCEDURE.identify(recording, design(name), PROCEDURE.options(**given))
 
 
 @pytest.mark.long
@@ -106,6 +107,9 @@ def test_bad_data(rng: np.random.Generator) -> None:
     recording, _ = campaign(rng)
     with pytest.raises(TrackError, match="there is no reference /third"):
         identify(recording, second="/third")
+    uncounted, _ = campaign(rng, name="triad_bumpy_ring")
+    with pytest.raises(FitError, match="0 poses that both POSORs and the reference know"):
+        identify(uncounted, name="triad_bumpy_ring")
     few = replace(recording, scans=recording.scans.part(0, 4))
     with pytest.raises(FitError, match="4 poses that both POSORs and the reference know; expected at least 6"):
         identify(few)
