@@ -61,7 +61,7 @@ def test_a_file_that_is_no_table_is_not_replaced(tmp_path: Path, capsys: pytest.
         (["--topic", "/five_axis/target/endpoint"], "is of type geometry_msgs/msg/PoseStamped"),
         (["--names", "a,b"], "2 names"),
         (["--names", "a,b,c,d,e"], "no reading of a, b, c, d, e"),
-        (["--bins", "0"], "0 bins"),
+        (["--bins", "0"], "argument --bins: "),
         (
             ["--names", "base_swivel,elbow,shoulder,wrist_roll,wrist_yaw"],
             "the encoder of joint shoulder follows the POSOR of 'elbow': readings of another joint; expected its own",

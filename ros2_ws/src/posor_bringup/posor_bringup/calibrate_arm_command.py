@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import datetime as dt
-import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,7 +17,7 @@ from posor.certificates.dcc_document import write_dcc
 from posor.certificates.dcc_options import add_dcc_options, read_dcc_options
 from posor.chain.identity import file_sha256
 from posor.errors import ParameterError
-from posor.reporting.command_line_parser import CommandLineParser
+from posor.reporting.command_line_parser import CommandLineParser, number_from, whole_number_from
 from posor.reporting.program_errors import reports_errors
 from posor.reporting.report_console import report_console
 from posor.reporting.report_table import ReportTable
@@ -71,11 +70,11 @@ def parse_options(arguments: Sequence[str] | None) -> argparse.Namespace:
     text = "standard uncertainty of the reflectors in the endpoint (default: %(default)s)"
     parser.add_argument("--tool-uncertainty", default="0.05,0.2", metavar="M,RAD", help=text)
     text = "scans this long before and after the time of a row are averaged [s] (default: %(default)g)"
-    parser.add_argument("--window", type=float, default=0.1, metavar="S", help=text)
+    parser.add_argument("--window", type=number_from(0.0, unit="s"), default=0.1, metavar="S", help=text)
     text = "every Nth pose is not used, but compared with the result; 0: none (default: %(default)d)"
-    parser.add_argument("--hold-out", type=int, default=5, metavar="N", help=text)
+    parser.add_argument("--hold-out", type=whole_number_from(0), default=5, metavar="N", help=text)
     text = "print the N poses of --candidates that determine most, in place of a calibration"
-    parser.add_argument("--select", type=int, metavar="N", help=text)
+    parser.add_argument("--select", type=whole_number_from(1), metavar="N", help=text)
     text = "of --select: a column of angles [rad] for each joint, named by it"
     parser.add_argument("--candidates", type=Path, metavar="FILE.csv", help=text)
     parser.add_argument("--output", type=Path, metavar="FOLDER", help="default: build/calibrate_arm/<name of the arm>")
@@ -91,10 +90,6 @@ def parse_options(arguments: Sequence[str] | None) -> argparse.Namespace:
         raise ParameterError("--dcc with --select", where=WHERE, expected="--select alone: it calibrates nothing")
     if (options.candidates is None) != (options.select is None):
         raise ParameterError("--candidates without --select", where=WHERE, expected="both")
-    for name, least in (("window", 0.0), ("hold_out", 0), ("select", 1)):
-        value = getattr(options, name)
-        if value is not None and not least <= value < math.inf:
-            raise ParameterError(f"{value}", where=f"{WHERE}, --{name.replace('_', '-')}", expected=f"{least} or more")
     if options.hold_out == 1:
         raise ParameterError("no pose would be used", where=f"{WHERE}, --hold-out", expected="0, or 2 or more")
     options.tool = named_numbers(f"{WHERE}, --tool", options.tool, (POINT, PLACE), positive=False)

@@ -23,7 +23,7 @@ from posor.calibration.save import save_calibration
 from posor.chain.commissioning_record import load_record
 from posor.errors import ParameterError
 from posor.output_files import write_files
-from posor.reporting.command_line_parser import CommandLineParser
+from posor.reporting.command_line_parser import CommandLineParser, number_above, number_from, whole_number_from
 from posor.reporting.program_errors import reports_errors
 from posor.ros_names import COMMISSIONING_TOPIC, RAW_TOPIC
 from posor_calibration.commissioning.commissioning_recording import CommissioningTopics, load_commissioning
@@ -90,38 +90,30 @@ def parse_options(arguments: Sequence[str]) -> Namespace:
     text = "topic of a reference of the endpoint (geometry_msgs/PointStamped), in the base frame or another frame"
     parser.add_argument("--reference-topic", default="", metavar="TOPIC", help=text)
     text = f"postures that the reference measures (default: {POSTURES}, without a reference 0)"
-    parser.add_argument("--postures", type=int, metavar="N", help=text)
+    parser.add_argument("--postures", type=whole_number_from(0), metavar="N", help=text)
     text = "a robot program does each step within S seconds of its announcement; default: press Enter"
-    parser.add_argument("--automatic", type=float, default=0.0, metavar="S", help=text)
+    parser.add_argument("--automatic", type=number_from(0.0, unit="s"), default=0.0, metavar="S", help=text)
     text = "time of a sweep with --automatic (default: 12)"
-    parser.add_argument("--sweep-time", type=float, default=12.0, metavar="S", help=text)
+    parser.add_argument("--sweep-time", type=number_from(0.0, unit="s"), default=12.0, metavar="S", help=text)
     text = "time of every other step (default: 2)"
-    parser.add_argument("--rest-time", type=float, default=2.0, metavar="S", help=text)
+    parser.add_argument("--rest-time", type=number_from(0.0, unit="s"), default=2.0, metavar="S", help=text)
     parser.add_argument("--force", action="store_true", help="replace the record of the arm; the old one is kept")
     defaults = CommissioningSettings()
     for option in SETTINGS:
         text = f"{option.text} [{option.unit}] (default: {getattr(defaults, option.name) / option.factor:g})"
         flag = f"--{option.name.replace('_', '-')}"
-        parser.add_argument(flag, dest=option.name, type=float, metavar=option.unit.upper(), help=text)
+        size = number_above(0.0, unit=option.unit)
+        parser.add_argument(flag, dest=option.name, type=size, metavar=option.unit.upper(), help=text)
     return parser.parse_args(list(arguments))
 
 
 def read_settings(options: Namespace) -> CommissioningSettings:
     """Return the settings of a parsed command line. Raises ParameterError: a number is invalid."""
     given = {each: getattr(options, each.name) for each in SETTINGS if getattr(options, each.name) is not None}
-    for option, value in given.items():
-        if not (math.isfinite(value) and value > 0.0):
-            flag = f"--{option.name.replace('_', '-')}"
-            raise ParameterError(f"{flag} {value:g}", where="commission", expected=f"more than 0 {option.unit}")
     default = POSTURES if options.reference_topic else 0
     postures = default if options.postures is None else options.postures
-    if postures < 0 or (postures and not options.reference_topic):
-        expected = "0 or more, and --reference-topic"
-        raise ParameterError(f"--postures {postures}", where="commission", expected=expected)
-    for name in ("automatic", "sweep_time", "rest_time"):
-        if not (math.isfinite(value := getattr(options, name)) and value >= 0.0):
-            what = f"--{name.replace('_', '-')} {value:g}"
-            raise ParameterError(what, where="commission", expected="0 s or more")
+    if postures and not options.reference_topic:
+        raise ParameterError(f"--postures {postures}", where="commission", expected="--reference-topic too")
     values = {option.name: value * option.factor for option, value in given.items()}
     return replace(CommissioningSettings(), **values, postures=postures, serial=options.serial)
 

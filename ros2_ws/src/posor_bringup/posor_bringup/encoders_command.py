@@ -18,7 +18,7 @@ from posor.chain.endpoint_predictor import describe_disagreement, describe_jump,
 from posor.errors import OutputError, ParameterError
 from posor.numerics.vector import wrapped_angles
 from posor.output_files import make_folder, write_files
-from posor.reporting.command_line_parser import CommandLineParser
+from posor.reporting.command_line_parser import CommandLineParser, whole_number_from
 from posor.reporting.program_errors import reports_errors
 from posor.reporting.report_console import report_console
 from posor.reporting.report_table import ReportTable
@@ -50,11 +50,9 @@ def parse_options(arguments: Sequence[str] | None) -> argparse.Namespace:
     text = "names of the joints in the readings, in the order of the chain (default: those of the URDF)"
     parser.add_argument("--names", metavar="A,B,...", default="", help=text)
     text = "bins of each direction over the angles of a joint (default: %(default)s)"
-    parser.add_argument("--bins", type=int, default=36, metavar="N", help=text)
+    parser.add_argument("--bins", type=whole_number_from(1), default=36, metavar="N", help=text)
     parser.add_argument("--output", type=Path, metavar="FILE.csv", help="default: build/encoders/<name of the bag>.csv")
     options = parser.parse_args(arguments)
-    if options.bins < 1:
-        raise ParameterError(f"{options.bins} bins", where="posor encoders, --bins", expected="at least 1")
     options.output = options.output or Path("build/encoders") / f"{options.bag.stem}.csv"
     if options.output.is_file() and not _is_table(options.output):
         raise OutputError("is no table of this program", where=str(options.output), expected="another name")

@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -15,7 +14,7 @@ from posor.bags.offline_pipeline import load_arm
 from posor.bags.result_folder import prepare_outputs
 from posor.errors import DataFileError, OutputError, ParameterError
 from posor.output_files import write_files
-from posor.reporting.command_line_parser import CommandLineParser
+from posor.reporting.command_line_parser import CommandLineParser, number_from, whole_number_from
 from posor.reporting.program_errors import reports_errors
 from posor.tables.table_readings import load_readings
 from posor_calibration.arm.endpoint_references import Uncertainty, references_of
@@ -64,29 +63,19 @@ def parse_options(arguments: Sequence[str] | None) -> argparse.Namespace:
     text = "ball in the endpoint [m]; default: at the endpoint; may be repeated"
     parser.add_argument("--tool", action="append", default=[], metavar="BALL=X,Y,Z", help=text)
     text = "scans this long before and after the time of a dwell are averaged [s] (default: %(default)g)"
-    parser.add_argument("--window", type=float, default=0.1, metavar="S", help=text)
+    parser.add_argument("--window", type=number_from(0.0, unit="s"), default=0.1, metavar="S", help=text)
     text = "the beams deviate by at most this from the temperature of the URDF (default: as the beams file states)"
-    parser.add_argument("--temperature-deviation", type=float, metavar="K", help=text)
+    parser.add_argument("--temperature-deviation", type=number_from(0.0, unit="K"), metavar="K", help=text)
     text = "the mean of the first N tests is the reference (default: %(default)d)"
-    parser.add_argument("--reference-tests", type=int, default=REFERENCE_TESTS, metavar="N", help=text)
+    parser.add_argument("--reference-tests", type=whole_number_from(1), default=REFERENCE_TESTS, metavar="N", help=text)
     text = "probability that a test of a sound arm gives an alarm (default: %(default)g)"
-    parser.add_argument("--false-alarm", type=float, default=FALSE_ALARM, metavar="P", help=text)
+    parser.add_argument("--false-alarm", type=number_from(1e-15, 0.1), default=FALSE_ALARM, metavar="P", help=text)
     parser.add_argument("--output", type=Path, metavar="FOLDER", help="default: build/health/<name of the arm>")
     options = parser.parse_args(arguments)
     given = [name for name in ("bag", "table", "map") if getattr(options, name) is not None]
     if given and len(given) < POINT:
         what = " and ".join(f"--{name}" for name in given)
         raise ParameterError(f"{what} alone", where=WHERE, expected="--bag, --table and --map together")
-    for name, least, most in (
-        ("window", 0.0, math.inf),
-        ("temperature_deviation", 0.0, math.inf),
-        ("reference_tests", 1, math.inf),
-        ("false_alarm", 1e-15, 0.1),
-    ):
-        value = getattr(options, name)
-        if value is not None and not (least <= value <= most and math.isfinite(value)):
-            expected = f"{least:g} or more" if most == math.inf else f"{least:g} to {most:g}"
-            raise ParameterError(f"{value:g}", where=f"{WHERE}, --{name.replace('_', '-')}", expected=expected)
     named = named_numbers(f"{WHERE}, --uncertainty", options.uncertainty, (1, 2), positive=True)
     options.uncertainty = {name: Uncertainty(*numbers) for name, numbers in named.items()}
     options.tool = named_numbers(f"{WHERE}, --tool", options.tool, (POINT,), positive=False)

@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import argparse
 import csv
 import math
 from io import StringIO
@@ -21,7 +20,7 @@ from posor.bags.reprocess_task import Settings
 from posor.errors import BagError, DataFileError, ParameterError
 from posor.numerics.stamps import NS
 from posor.output_files import make_folder, write_files
-from posor.reporting.command_line_parser import CommandLineParser
+from posor.reporting.command_line_parser import CommandLineParser, number_above, number_from
 from posor.reporting.json_text import json_text
 from posor.reporting.program_errors import reports_errors
 from posor.reporting.report_console import report_console
@@ -33,7 +32,8 @@ from posor_design.iso9283_checks import count_elsewhere, interpolation_error, se
 from posor_design.iso9283_cycles import Sameness, distance_cycles, distance_pairs, motion_of, path_cycles, pose_cycles
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
+    from argparse import Namespace
+    from collections.abc import Iterable, Mapping, Sequence
 
     from posor.bags.recording import Track
     from posor.numerics.array_types import FloatArray
@@ -51,21 +51,7 @@ LONGEST_GAP_S = 0.1  # between two readings of the reference, for a value betwee
 OUTPUT_FILES = ("iso9283.json", "points.csv")
 
 
-def _positive(unit: str, *, or_zero: bool = False, largest: float = LARGEST_OPTION) -> Callable[[str], float]:
-    def parse(text: str) -> float:
-        try:
-            number = float(text)
-        except ValueError:
-            number = math.nan
-        if not (0.0 < number <= largest or (or_zero and number == 0.0)):
-            least = "at least" if or_zero else "more than"
-            raise argparse.ArgumentTypeError(f"'{text}' is not a number of {least} 0 and at most {largest:g} {unit}")
-        return number
-
-    return parse
-
-
-def parse_options(arguments: Sequence[str] | None) -> argparse.Namespace:
+def parse_options(arguments: Sequence[str] | None) -> Namespace:
     """Return the options. Raises ParameterError: an option is unknown or invalid."""
     parser = CommandLineParser(
         prog="posor iso9283", description="Accuracy and repeatability of poses, distances and paths (ISO 9283:1998)."
@@ -75,16 +61,16 @@ def parse_options(arguments: Sequence[str] | None) -> argparse.Namespace:
     text = "topic of the commanded or measured poses or points of the endpoint, in the base of the arm"
     parser.add_argument("--reference", required=True, metavar="TOPIC", help=text)
     text = f"the reference stands still within this [m] (default: {DWELL_OPTIONS['still']:g})"
-    parser.add_argument("--still", type=_positive("m"), metavar="M", help=text)
+    parser.add_argument("--still", type=number_above(0.0, LARGEST_OPTION, "m"), metavar="M", help=text)
     text = f"shortest time that it stands still [s] (default: {DWELL_OPTIONS['least']:g})"
-    parser.add_argument("--least", type=_positive("s"), metavar="S", help=text)
+    parser.add_argument("--least", type=number_above(0.0, LARGEST_OPTION, "s"), metavar="S", help=text)
     text = f"time left out at the beginning of each dwell, less than --least [s] (default: {DWELL_OPTIONS['settle']:g})"
-    parser.add_argument("--settle", type=_positive("s", or_zero=True), metavar="S", help=text)
+    parser.add_argument("--settle", type=number_from(0.0, LARGEST_OPTION, "s"), metavar="S", help=text)
     text = "dwells whose references differ by less are cycles of one pose [m] (default: %(default)g)"
-    parser.add_argument("--same", type=_positive("m"), default=1e-3, metavar="M", help=text)
+    parser.add_argument("--same", type=number_above(0.0, LARGEST_OPTION, "m"), default=1e-3, metavar="M", help=text)
     text = "and whose orientations differ by less [rad]; those of the endpoint if the reference is a point"
     text += " (default: %(default)g)"
-    turn = _positive("rad", largest=math.pi)
+    turn = number_above(0.0, math.pi, "rad")
     parser.add_argument("--same-turn", type=turn, default=1e-2, metavar="RAD", help=text)
     text = "dwells, in place of those that are found: a table with the columns begin_ns and end_ns"
     parser.add_argument("--dwells", type=Path, metavar="FILE.csv", help=text)
@@ -120,7 +106,7 @@ def _stated_dwells(path: Path) -> list[tuple[int, int]]:
     return dwells
 
 
-def _read(options: argparse.Namespace) -> tuple[Motion, Track, list[str]]:
+def _read(options: Namespace) -> tuple[Motion, Track, list[str]]:
     """Return the motion, the reference, and notes on endpoints that are left out or DEGRADED.
 
     Raises BagError: no common time, or a reference in another unit or frame, or of another point.

@@ -14,7 +14,7 @@ from posor.certificates.dcc_document import write_dcc
 from posor.certificates.dcc_options import add_dcc_options, read_dcc_options
 from posor.chain.arm_file import load_arm_file
 from posor.output_files import make_folder
-from posor.reporting.command_line_parser import CommandLineParser
+from posor.reporting.command_line_parser import CommandLineParser, number_from, whole_number_from
 from posor.reporting.program_errors import reports_errors
 from posor.reporting.report_console import report_console
 from posor_design.arm_uncertainty import ArmUncertainty
@@ -44,22 +44,6 @@ def _angles(text: str) -> list[float]:
     return angles
 
 
-def _count(text: str) -> int:
-    if not text.isdecimal() or int(text) < 1:
-        raise argparse.ArgumentTypeError(f"'{text}' is not a whole number of at least 1")
-    return int(text)
-
-
-def _deviation(text: str) -> float:
-    try:
-        number = float(text)
-    except ValueError:
-        number = math.nan
-    if not 0.0 <= number < math.inf:
-        raise argparse.ArgumentTypeError(f"'{text}' is not a temperature difference of 0 K or more")
-    return number
-
-
 def parse_options(arguments: Sequence[str] | None) -> argparse.Namespace:
     """Return the options. Raises ParameterError: an option is unknown or invalid, or there is no pose."""
     parser = CommandLineParser(
@@ -73,14 +57,14 @@ def parse_options(arguments: Sequence[str] | None) -> argparse.Namespace:
         help="of the joints from base to endpoint in rad, written --angles=...",
     )
     parser.add_argument("--path", type=Path, metavar="FILE.csv", help="poses: a column of angles in rad for each joint")
-    parser.add_argument("--grid", type=_count, metavar="N", help="poses of the workspace: N angles of each joint")
+    text = "poses of the workspace: N angles of each joint"
+    parser.add_argument("--grid", type=whole_number_from(1), metavar="N", help=text)
     text = "recorded scans: their poses; with --angles, the scatter of the scans of the arm at rest there"
     parser.add_argument("--bag", type=Path, help=text)
-    parser.add_argument(
-        "--average", type=_count, default=1, metavar="N", help="the result is the mean of N scans (default: 1)"
-    )
+    text = "the result is the mean of N scans (default: 1)"
+    parser.add_argument("--average", type=whole_number_from(1), default=1, metavar="N", help=text)
     text = "the beams deviate by at most this from the temperature of the URDF (default: as the beams file states)"
-    parser.add_argument("--temperature-deviation", type=_deviation, metavar="K", help=text)
+    parser.add_argument("--temperature-deviation", type=number_from(0.0, unit="K"), metavar="K", help=text)
     parser.add_argument("--output", type=Path, metavar="FOLDER", help="default: build/statement/<name of the arm>")
     add_dcc_options(parser)
     options = parser.parse_args(arguments)

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import sys
 import time
-from argparse import ArgumentTypeError
 from contextlib import closing
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -19,7 +18,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from posor.arm_names import describe_argument
 from posor.numerics.stamps import NS
-from posor.reporting.command_line_parser import CommandLineParser
+from posor.reporting.command_line_parser import CommandLineParser, whole_number_from
 from posor.reporting.program_errors import reports_errors
 from posor_ros.node_program import non_ros_arguments, ros_context
 
@@ -49,12 +48,6 @@ PORT = 8085
 MAX_PORT = 65535
 
 
-def _port(text: str) -> int:
-    if not (text.isdecimal() and int(text) <= MAX_PORT):
-        raise ArgumentTypeError(f"'{text}' is not a port, 0 to {MAX_PORT}")
-    return int(text)
-
-
 def parse_options(arguments: Sequence[str]) -> Namespace:
     """Return the options. Raises ParameterError: an option is unknown or its value is invalid."""
     parser = CommandLineParser(prog="posor view", description="Show an arm on a web page of this host until Ctrl-C.")
@@ -62,7 +55,7 @@ def parse_options(arguments: Sequence[str]) -> Namespace:
     add_namespace(parser)
     parser.add_argument("--bag", type=Path, metavar="PATH", help="replay this bag; default: the running arm")
     text = f"port of the page; 0: any free port; default: {PORT}"
-    parser.add_argument("--port", type=_port, default=PORT, metavar="N", help=text)
+    parser.add_argument("--port", type=whole_number_from(0, MAX_PORT), default=PORT, metavar="N", help=text)
     return parser.parse_args(list(arguments))
 
 

@@ -14,7 +14,7 @@ from posor.calibration.calibration_file import load_calibration
 from posor.chain.arm_file import load_arm_file
 from posor.estimation.posor import Posor
 from posor.output_files import make_folder, write_files
-from posor.reporting.command_line_parser import CommandLineParser
+from posor.reporting.command_line_parser import CommandLineParser, whole_number_from
 from posor.reporting.json_text import json_text
 from posor.reporting.program_errors import reports_errors
 from posor.reporting.progress import progress_display
@@ -57,17 +57,6 @@ def _numbers(names: Sequence[str]) -> Callable[[str], tuple[float, ...]]:
     return parse_numbers
 
 
-def _count(least: int, name: str) -> Callable[[str], int]:
-    """Return a parser of a whole number."""
-
-    def parse_count(text: str) -> int:
-        if not text.isdecimal() or int(text) < least:
-            raise argparse.ArgumentTypeError(f"'{text}' is not a {name} of at least {least}")
-        return int(text)
-
-    return parse_count
-
-
 def parse_options(arguments: Sequence[str] | None) -> argparse.Namespace:
     """Return the options. Raises ParameterError: an option is unknown, or its value is invalid."""
     parser = CommandLineParser(prog="posor budget", description=DESCRIPTION)
@@ -89,9 +78,9 @@ def parse_options(arguments: Sequence[str] | None) -> argparse.Namespace:
         help="point of the receiving plate [m] whose gap is an output too, written --point=...; may be repeated",
     )
     parser.add_argument("--output", type=Path, metavar="FOLDER", help="default: build/budget/<name of the calibration>")
-    draws, seed = _count(2 * BATCH, "number of draws"), _count(0, "seed, a whole number")
+    draws = whole_number_from(2 * BATCH)
     parser.add_argument("--draws", type=draws, default=10 * BATCH, help="largest number of Monte Carlo draws")
-    parser.add_argument("--seed", type=seed, default=SEED, help=f"seed of the draws (default: {SEED})")
+    parser.add_argument("--seed", type=whole_number_from(0), default=SEED, help=f"seed of the draws (default: {SEED})")
     text = f"arm whose endpoint gets a protection level: {describe_argument()}"
     parser.add_argument("--arm", metavar="ARM", help=text)
     parser.add_argument(

@@ -24,7 +24,7 @@ from posor.bags.result_folder import check_outside_of_bags, check_replaceable, c
 from posor.chain.arm_file import load_arm_file
 from posor.errors import ParameterError
 from posor.lazy_program import EXIT_INTERRUPTED, handle_interrupts, interrupts_handled
-from posor.reporting.command_line_parser import CommandLineParser
+from posor.reporting.command_line_parser import CommandLineParser, whole_number_from
 from posor.reporting.program_errors import reports_errors
 from posor.reporting.progress import progress_display
 
@@ -59,7 +59,9 @@ def parser() -> CommandLineParser:
     command.add_argument("--output", type=Path, help=text)
     command.add_argument("--format", choices=FORMATS, default="bag", help="of the results (default: bag)")
     command.add_argument("--force", action="store_true", help="replace existing results")
-    command.add_argument("--jobs", type=int, default=1, metavar="N", help="bags at a time, each in its own process")
+    command.add_argument(
+        "--jobs", type=whole_number_from(1), default=1, metavar="N", help="bags at a time, each in its own process"
+    )
     command.add_argument("--scheduler", metavar="ADDRESS", help="of a Dask cluster whose workers see the same files")
     text = "use a --scheduler on another machine without TLS: whoever reaches it runs code on its workers"
     command.add_argument("--unencrypted", action="store_true", help=text)
@@ -162,8 +164,6 @@ def _by_joint(option: str, given: Sequence[str], joints: Collection[str] = ()) -
 
 
 def _check(options: argparse.Namespace, tasks: Sequence[Task]) -> None:
-    if options.jobs < 1:
-        raise ParameterError(f"{options.jobs}", where="option --jobs", expected="at least 1")
     if options.scheduler is not None and options.jobs > 1:
         raise ParameterError("both are given", where="options --jobs and --scheduler", expected="one of them")
     for task in tasks:
