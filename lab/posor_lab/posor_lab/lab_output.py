@@ -5,7 +5,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+import sys
+from collections.abc import Mapping, Sequence
 from functools import cache
 from operator import attrgetter
 from pathlib import Path
@@ -36,6 +37,17 @@ def write_json(path: Path, content: Any) -> None:
     """Write figures as JSON and print the path. Raises OutputError: the file cannot be written."""
     write_files({path: json.dumps(content, indent=2) + "\n"})
     print(f"figures written to {path}")
+
+
+def end_study(name: str, failures: Sequence[str], output: Path, figures: Any) -> int:
+    """Write what does not hold, one clause each, to standard error, and the figures as JSON; return the exit code.
+
+    Raises OutputError: the file cannot be written.
+    """
+    for clause in failures:
+        sys.stderr.write(f"{name}: {clause}\n")
+    write_json(output, figures)
+    return 1 if failures else 0
 
 
 @cache

@@ -50,12 +50,17 @@ class TruePosor:
         stated = {"supply_voltages": supply_voltages, "temperatures": temperatures}
         scans = scans.with_fields({name: values for name, values in stated.items() if values is not None})
         scans = scans.with_fields(self.joint(stack).readings(rotations, translations, supply_voltages, temperatures))
-        for sensor in stack.sensors:
-            if noise is not None and isinstance(sensor, RowSensor):
-                scans = scans.with_fields(sensor.disturbed(scans, noise))
-        return scans
+        return scans if noise is None else with_noise(scans, stack, noise)
 
     def joint(self, stack: Stack) -> TrueJoint:
         """Return the joint whose parameters have the values of ``stack``."""
         errors = stack.parameter_values - self._nominal.parameter_values
         return self._joint.with_errors(dict(zip(stack.parameter_names, errors.tolist(), strict=True)))
+
+
+def with_noise(scans: Scans, stack: Stack, random: np.random.Generator) -> Scans:
+    """Return scans with the noise that the product states for the readings of a stack."""
+    for sensor in stack.sensors:
+        if isinstance(sensor, RowSensor):
+            scans = scans.with_fields(sensor.disturbed(scans, random))
+    return scans

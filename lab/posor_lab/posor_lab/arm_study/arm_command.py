@@ -34,7 +34,7 @@ from posor_lab.arm_study.arm_run import ArmLiveTable, ArmRun
 from posor_lab.arm_study.shared_arm import write_shared_arm
 from posor_lab.harness.ros_domain import isolated_network
 from posor_lab.lab_output import write_json
-from posor_lab.reports.console_progress import InterruptedRunError, StageProgress
+from posor_lab.reports.console_progress import StageProgress, interruption_check
 from posor_lab.reports.findings import COMPARISON_HEADINGS, exit_code_of_findings, print_findings, print_verdict
 
 if TYPE_CHECKING:
@@ -165,14 +165,13 @@ def _run_nodes(
 def _measure_coverage(arm: ArmFile, arms: int, console: Console) -> Coverage:
     """Draw many arms and show the progress."""
     title = f"{arm.name}: drawing {arms} arms, {POSES} poses of each"
-
-    def check() -> None:
-        if stop.requested:
-            raise InterruptedRunError("interrupted", where="arm")
-
     if not console.is_terminal:
         console.print(title, soft_wrap=True, markup=False)
-    with StopSignal() as stop, StageProgress(console, check) as progress, progress.stage(title, arms) as on_drawn:
+    with (
+        StopSignal() as stop,
+        StageProgress(console, interruption_check(stop, "arm")) as progress,
+        progress.stage(title, arms) as on_drawn,
+    ):
         return arm_coverage(arm, arms, on_drawn=on_drawn)
 
 

@@ -10,7 +10,7 @@ the scenario its raw scans go through estimators and chain as in the nodes, whic
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -33,8 +33,9 @@ from posor_drivers.simulator.scenario import load_scenario
 
 from posor_lab.accuracy.consistency import REGION_LIMIT, MeanEstimate, normalised_squares
 from posor_lab.arm_study.arm_record import pose_array, pose_errors, rms
+from posor_lab.arm_study.filter_runs import FALSE_ALARM, spread_evenly, stack_joints
 from posor_lab.independent.true_arm import TrueArm
-from posor_lab.reports.process_pool import ordered_map
+from posor_lab.reports.process_pool import draw_batches
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -52,7 +53,6 @@ POSES = 6
 BATCH = 25  # arms per task of a worker
 IN_THE_BUDGET = Imperfections.only("noise", "quantisation", "calibration_errors", "beam_errors", "sag")
 """Imperfections that the published covariance includes: noise, quantisation, calibration, beams and their sag."""
-FALSE_ALARM = 1e-9  # of the chi-square test, so that noise is not taken for a fault: that would trim the errors
 
 
 @dataclass(frozen=True)
@@ -110,7 +110,7 @@ def coverage_figures(sample: ArmSample, predicted: FloatArray) -> Coverage:
         arms=arms,
         poses=poses,
         lost=sample.lost,
-        inside=_inside(sample.normalised),
+        inside=share_inside(sample.normalised),
         nees=MeanEstimate.of(np.array([np.nanmean(of_arm) for of_arm in sample.normalised[known.any(axis=1)]])),
         normalised=sample.normalised[known],
         rms_m=rms(sample.errors[..., :3].reshape(-1, 3)),
@@ -118,12 +118,12 @@ def coverage_figures(sample: ArmSample, predicted: FloatArray) -> Coverage:
         shift_found_m=shifts.sum(axis=0) / np.maximum(known.sum(axis=0), 1)[:, None],
         shift_predicted_m=predicted,
         shift_ratio=MeanEstimate.of(along[seen] / scale[seen]),
-        inside_independent=None if sample.independent is None else _inside(sample.independent),
+        inside_independent=None if sample.independent is None else share_inside(sample.independent),
     )
 
 
-def _inside(normalised: FloatArray) -> MeanEstimate:
-    """Return the share of the poses inside their 95 % region; NaN, a lost pose, is outside."""
+def share_inside(normalised: FloatArray) -> MeanEstimate:
+    """Return the share of poses inside their 95 % region, of (a, p); NaN, a lost pose, is outside."""
     return MeanEstimate.of(np.mean(np.where(np.isfinite(normalised), normalised, np.inf) <= REGION_LIMIT, axis=1))
 
 
@@ -176,8 +176,7 @@ class ArmSampler:
         self._nominal = NominalArm(self.chain, self._truth)
         self._posors = {joint: Posor(arm.calibration(joint), false_alarm=FALSE_ALARM) for joint in self._nominal.joints}
         self._terms = [tuple(posor.calibration.shared) for posor in self._posors.values()]
-        cycle = self.scenario.cycle_ticks
-        self.ticks = (np.arange(poses) * cycle) // poses + cycle // (2 * poses)
+        self.ticks = spread_evenly(poses, self.scenario.cycle_ticks)
         self._commanded = self.scenario.commanded_angles(self._nominal, self._source)[self.ticks]
 
     def draw(self, seeds: range) -> ArmSample:
@@ -208,10 +207,8 @@ class ArmSampler:
         truth = true_cycle(scenario, self.chain, self._nominal, self._commanded, imperfections, self._truth, heats)
         found = {joint: self._estimate_joint(joint, scenario, seen) for joint, seen in truth.T_parent_child.items()}
         known = np.all([estimates.states != State.LOST for estimates in found.values()], axis=0)
-        measured, random, systematic, effects = (
-            np.stack([getattr(each, name) for each in found.values()], axis=1)[known]
-            for name in ("poses", "covariances_random", "covariances_systematic", "shared_effects")
-        )
+        measured, random, systematic = (each[known] for each in stack_joints(found.values()))
+        effects = np.stack([each.shared_effects for each in found.values()], axis=1)[known]
         effects = effects[:, :, : max(map(len, self._terms))]
         return MeasuredArm(known, truth.endpoint.select(known), measured, random, systematic, effects, heats)
 
@@ -254,13 +251,8 @@ def _to_pose_array(poses: FloatArray) -> PoseArray:
     return pose_array([pin.XYZQUATToSE3(pose) for pose in poses])
 
 
-@cache  # each worker reads the files once
 def _sampler(path: Path, poses: int) -> ArmSampler:
     return ArmSampler(load_arm_file(path), poses)
-
-
-def _draw(path: Path, poses: int, seeds: range) -> ArmSample:
-    return _sampler(path, poses).draw(seeds)
 
 
 def sample_arms(
@@ -276,9 +268,8 @@ def sample_arms(
 
     ``workers`` of 0: one for each processor; ``on_drawn`` as in ``arm_coverage``.
     """
-    batches = [range(begin, min(begin + BATCH, seed + arms)) for begin in range(seed, seed + arms, BATCH)]
-    draw = partial(_draw, arm.path, poses)
-    parts = ordered_map(draw, batches, workers, lambda part: on_drawn(len(part.normalised)))
+    sampler, seeds = partial(_sampler, arm.path, poses), range(seed, seed + arms)
+    parts = draw_batches(sampler, ArmSampler.draw, seeds, BATCH, workers, lambda part: on_drawn(len(part.normalised)))
 
     def join(name: str) -> FloatArray:
         return np.concatenate([getattr(part, name) for part in parts])

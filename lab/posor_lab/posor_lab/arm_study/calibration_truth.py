@@ -23,6 +23,7 @@ from posor_calibration.arm.arm_poses import poses_at
 from posor_calibration.arm.endpoint_references import EndpointReferences, Reading
 from scipy.special import chdtri
 
+from posor_lab.accuracy.consistency import normalised_squares
 from posor_lab.arm_study.shared_arm import write_shared_arm
 from posor_lab.arm_study.statement_truth import DrawnArm, StatementTruth
 from posor_lab.harness.beams import quantity
@@ -117,7 +118,7 @@ class CalibrationTruth:
         name = next(iter(REFLECTORS))
         guess = problem.predict(found, tested, name)
         errors = np.array([pin.log6(a.actInv(b)).vector for a, b in zip(guess.places, true, strict=True)])
-        squares, of_place = (_squares(errors[:, :k], guess.covariances[:, :k, :k]) for k in (DIMENSIONS, 3))
+        squares, of_place = (normalised_squares(errors[:, :k], guess.covariances[:, :k, :k]) for k in (DIMENSIONS, 3))
         mounting = problem.fit(range(len(references.readings)), mounting_only=True)
         alone = replace(found, values=problem.whole(mounting))
         before = problem.predict(alone, tested, name).places
@@ -130,10 +131,6 @@ class CalibrationTruth:
         for draw, drawn in zip(draws, self.draw(draws), strict=True):
             found.append(self.outcome(drawn, *self.readings(drawn, np.random.default_rng([draw, 2]))))
         return found
-
-
-def _squares(errors: FloatArray, covariances: FloatArray) -> FloatArray:
-    return np.asarray(np.einsum("na,na->n", errors, np.linalg.solve(covariances, errors[..., None])[..., 0]))
 
 
 class Consistency(NamedTuple):

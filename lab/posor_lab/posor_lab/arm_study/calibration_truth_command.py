@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import sys
 import tempfile
-from functools import cache, partial
+from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -22,29 +23,18 @@ from posor.reporting.report_table import ReportTable
 from posor_lab.arm_study.calibration_truth import CalibrationTruth, Consistency, Outcome, write_assembled_arm
 from posor_lab.arm_study.tracker_recording import write_calibration_recording
 from posor_lab.lab_output import check_writable, write_json
-from posor_lab.reports.process_pool import ordered_map
+from posor_lab.reports.process_pool import draw_batches
 
 if TYPE_CHECKING:
-    import argparse
     from collections.abc import Sequence
 
 ARM, USED, TESTED, ARMS, SEED, BATCH = "five_axis", 40, 200, 100, 1985, 5
 
 
-@cache  # each worker reads the files once
-def _truth(path: Path, used: int, tested: int) -> CalibrationTruth:
-    return CalibrationTruth(path, used, tested, SEED)
-
-
-def _outcomes(path: Path, used: int, tested: int, draws: range) -> list[Outcome]:
-    return _truth(path, used, tested).outcomes(draws)
-
-
 def calibrated_arms(path: Path, used: int, tested: int, arms: int) -> list[Outcome]:
     """Return the outcomes of drawn arms."""
-    batches = [range(begin, min(begin + BATCH, SEED + arms)) for begin in range(SEED, SEED + arms, BATCH)]
-    found = ordered_map(partial(_outcomes, path, used, tested), batches)
-    return [outcome for batch in found for outcome in batch]
+    truth = partial(CalibrationTruth, path, used, tested, SEED)
+    return list(chain(*draw_batches(truth, CalibrationTruth.outcomes, range(SEED, SEED + arms), BATCH)))
 
 
 @reports_errors
@@ -57,7 +47,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--output", type=Path, default=Path("build/calibration_truth.json"))
     text = "write arm, bag, table and map of one simulated calibration, in place of the comparison"
     parser.add_argument("--files", type=Path, metavar="FOLDER", help=text)
-    options: argparse.Namespace = parser.parse_args(arguments)
+    options = parser.parse_args(arguments)
     arm = load_arm_file(ARM)
     if options.files is not None:
         write_calibration_recording(arm, options.files, options.poses, SEED)

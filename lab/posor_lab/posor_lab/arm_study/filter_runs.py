@@ -26,12 +26,13 @@ from posor_lab.accuracy.consistency import DrawnPosors
 from posor_lab.independent.true_arm import TrueArm
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Collection, Iterator
 
     from posor.chain.arm_file import ArmFile
     from posor.chain.forward_kinematics import Endpoints
+    from posor.estimation.estimate import Estimates
     from posor.model.scan import Scans
-    from posor.numerics.array_types import FloatArray
+    from posor.numerics.array_types import FloatArray, IntArray
     from posor_drivers.simulator.pose_array import PoseArray
 
 RATE = 200  # scans per second
@@ -65,7 +66,7 @@ def filter_runs(arm: ArmFile, arms: int, poses: int, scans: int) -> Iterator[Fil
     nominal = NominalArm(chain, geometry)
     posors = {joint: Posor(arm.calibration(joint), false_alarm=FALSE_ALARM) for joint in nominal.joints}
     cycle = scenario.commanded_angles(nominal, str(arm.scenario))
-    starts = cycle[(np.arange(poses) * len(cycle)) // poses + len(cycle) // (2 * poses)]
+    starts = cycle[spread_evenly(poses, len(cycle))]
     times_s, signs = np.arange(scans) / RATE, np.resize([1.0, -1.0], len(nominal.joints))
     turned = JOINT_RATE * (times_s[:, None] + LEAD_S) * signs
     commanded = np.concatenate([start + moves * turned for start in starts for moves in (0.0, 1.0)])
@@ -74,27 +75,41 @@ def filter_runs(arm: ArmFile, arms: int, poses: int, scans: int) -> Iterator[Fil
         drawn, random = scenario.model_copy(update={"seed": own_seed}), np.random.default_rng(own_seed)
         truth = true_cycle(drawn, chain, nominal, commanded, DRAWN, geometry)
         readings = {
-            joint: noisy_scans(posor, truth.T_parent_child[joint], random).with_fields({"stamps_ns": stamps_ns})
-            for joint, posor in posors.items()
+            joint: noisy_scans(posor, truth.T_parent_child[joint], stamps_ns, random) for joint, posor in posors.items()
         }
         for n in range(2 * poses):
             part = slice(n * scans, (n + 1) * scans)
             found = []
             for joint, posor in posors.items():
-                posor.reset()
-                posor.confirm_theta(float(thetas_of(truth.T_parent_child[joint].rotations[part][:1])[0]), THETA_SIGMA)
-                found.append(posor.estimate_all(readings[joint].select(part)))
+                first = truth.T_parent_child[joint].rotations[part.start]
+                found.append(estimate_run(posor, readings[joint].select(part), first))
                 if (found[-1].states != State.OK).any():
                     raise ParameterError("a scan is not OK", where=f"{joint} of drawn arm {own_seed}", expected="OK")
-            endpoints = chain.estimate_all(
-                np.stack([each.poses for each in found], axis=1),
-                np.stack([each.covariances_random for each in found], axis=1),
-                np.stack([each.covariances_systematic for each in found], axis=1),
-            )
+            endpoints = chain.estimate_all(*stack_joints(found))
             yield FilterRun(n % 2 == 1, times_s, endpoints, truth.endpoint.translations[part])
 
 
-def noisy_scans(posor: Posor, seen: PoseArray, random: np.random.Generator) -> Scans:
-    """Return scans without stamps of a POSOR drawn within its calibration, at poses of its target plate."""
+def spread_evenly(count: int, total: int) -> IntArray:
+    """Return ``count`` indices below ``total`` in equal distances, half a distance from both ends."""
+    return (np.arange(count) * total) // count + total // (2 * count)
+
+
+def noisy_scans(posor: Posor, seen: PoseArray, stamps_ns: IntArray, random: np.random.Generator) -> Scans:
+    """Return scans of a POSOR drawn within its calibration, at poses of its target plate."""
     rotations, translations = np.ascontiguousarray(seen.rotations), np.ascontiguousarray(seen.translations)
-    return DrawnPosors(posor, random).scans(rotations, translations, random)
+    scans = DrawnPosors(posor, random).scans(rotations, translations, random)
+    return scans.with_fields({"stamps_ns": stamps_ns})
+
+
+def estimate_run(posor: Posor, scans: Scans, rotation: FloatArray, sigma: float = THETA_SIGMA) -> Estimates:
+    """Return the estimates of consecutive scans; the true ``rotation`` (3, 3) of the first counts the ring."""
+    posor.reset()
+    posor.confirm_theta(float(thetas_of(rotation[None])[0]), sigma)
+    return posor.estimate_all(scans)
+
+
+def stack_joints(found: Collection[Estimates]) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return poses (n, j, 7), random and systematic covariances (n, j, 6, 6) of the estimates of an arm's j joints."""
+    fields = ("poses", "covariances_random", "covariances_systematic")
+    poses, random, systematic = (np.stack([getattr(each, name) for each in found], axis=1) for name in fields)
+    return poses, random, systematic

@@ -20,13 +20,12 @@ from posor.estimation.posor import Posor
 from posor.model.fault import State
 from posor.node_parameters import EncodersParameters
 from posor.numerics.stamps import NS, tick_stamp_ns
-from posor.numerics.vector import thetas_of
 from posor_drivers.simulator.arm_truth import true_cycle
 from posor_drivers.simulator.nominal_arm import NominalArm
 from posor_drivers.simulator.scenario import load_scenario
 
 from posor_lab.accuracy.consistency import normalised_squares
-from posor_lab.arm_study.filter_runs import DRAWN, FALSE_ALARM, THETA_SIGMA, noisy_scans
+from posor_lab.arm_study.filter_runs import DRAWN, FALSE_ALARM, estimate_run, noisy_scans, spread_evenly, stack_joints
 from posor_lab.arm_study.recorded_prediction import PredictedEndpoints, RecordedTransforms, predict_recorded
 from posor_lab.harness.random_poses import errors_in_parent
 from posor_lab.independent.true_arm import TrueArm
@@ -102,8 +101,7 @@ class PredictionTruth:
         commanded, ticks = self._commanded, self._ticks
         if at_rest:
             ticks = round(REST_S * RATE)
-            poses = (np.arange(REST_POSES) * len(commanded)) // REST_POSES + len(commanded) // (2 * REST_POSES)
-            commanded = np.repeat(commanded[poses], ticks, axis=0)
+            commanded = np.repeat(commanded[spread_evenly(REST_POSES, len(commanded))], ticks, axis=0)
         imperfections = DRAWN if at_rest else IN_MOTION
         scenario, random = self._scenario.model_copy(update={"seed": seed}), np.random.default_rng([seed, at_rest])
         truth = true_cycle(scenario, self._chain, self._nominal, commanded, imperfections, self._truth)
@@ -111,7 +109,7 @@ class PredictionTruth:
         at_scans = np.arange(0, len(truth.encoder), TICKS_PER_SCAN)
         stamps_ns, seen = tick_stamp_ns(at_scans, RATE) + NS, truth.select(at_scans)
         readings = {
-            name: noisy_scans(posor, seen.T_parent_child[name], random).with_fields({"stamps_ns": stamps_ns})
+            name: noisy_scans(posor, seen.T_parent_child[name], stamps_ns, random)
             for name, posor in self._posors.items()
         }
         parts = [slice(n, n + ticks // TICKS_PER_SCAN) for n in range(0, len(at_scans), ticks // TICKS_PER_SCAN)]
@@ -121,14 +119,11 @@ class PredictionTruth:
         """Estimate a part of the scans, and of the readings of the encoders at all ticks."""
         found = []
         for name, posor in self._posors.items():
-            posor.reset()
-            posor.confirm_theta(float(thetas_of(seen.T_parent_child[name].rotations[part][:1])[0]), THETA_SIGMA)
-            found.append(posor.estimate_all(readings[name].select(part)))
-        poses, random, systematic, shared = (
-            np.stack([getattr(each, name) for each in found], axis=1)
-            for name in ("poses", "covariances_random", "covariances_systematic", "shared_effects")
-        )
-        shared, usable = shared[:, :, : self._most_terms], np.stack([each.states == State.OK for each in found], axis=1)
+            first = seen.T_parent_child[name].rotations[part.start]
+            found.append(estimate_run(posor, readings[name].select(part), first))
+        poses, random, systematic = stack_joints(found)
+        shared = np.stack([each.shared_effects for each in found], axis=1)[:, :, : self._most_terms]
+        usable = np.stack([each.states == State.OK for each in found], axis=1)
         stamps_ns = found[0].stamps_ns
         arrivals_ns = stamps_ns + LATENCY_TICKS * NS // RATE
         transforms = RecordedTransforms(stamps_ns, arrivals_ns, poses, random, systematic, shared, usable)

@@ -9,9 +9,9 @@ most 1.5 times that at scans, the errors are in the stated region as often as st
 from __future__ import annotations
 
 import sys
-from functools import cache, partial
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from posor.arm_names import find_arm
@@ -22,11 +22,10 @@ from posor.reporting.report_table import ReportTable
 
 from posor_lab.accuracy.consistency import REGION_LIMIT, MeanEstimate
 from posor_lab.arm_study.prediction_truth import AHEAD, BETWEEN, GAPS, SCANS, PredictionTruth
-from posor_lab.lab_output import check_writable, write_json
-from posor_lab.reports.process_pool import ordered_map
+from posor_lab.lab_output import check_writable, end_study
+from posor_lab.reports.process_pool import draw_batches
 
 if TYPE_CHECKING:
-    import argparse
     from collections.abc import Mapping, Sequence
 
     from posor_lab.arm_study.prediction_truth import Sample
@@ -38,14 +37,10 @@ LARGEST_COST_S = 30e-6  # of a reading of all encoders, median
 MOTION = {False: "in motion", True: "at rest"}
 
 
-@cache  # each worker reads the files once
-def _truth(path: Path, seconds: float) -> PredictionTruth:
-    return PredictionTruth(path, seconds)
-
-
-def _samples(path: Path, seconds: float, seed: int) -> dict[tuple[str, bool], dict[str, float]]:
+def _summaries(truth: PredictionTruth, seeds: range) -> dict[tuple[str, bool], dict[str, float]]:
     """Return mean square error [m^2] and share inside the region of a drawn arm, by case and whether it is at rest."""
-    return {key: summary(sample) for key, sample in _truth(path, seconds).samples(seed).items()}
+    (seed,) = seeds  # one arm in a batch
+    return {key: summary(sample) for key, sample in truth.samples(seed).items()}
 
 
 def summary(sample: Sample) -> dict[str, float]:
@@ -90,8 +85,8 @@ def failures(found: Mapping[str, Mapping[str, float]], cost_s: float) -> list[st
 
 def sample_predictions(path: Path, arms: int, seconds: float, *, workers: int = 0) -> dict[str, dict[str, float]]:
     """Return the figures of drawn arms; ``workers``: number of processes, 0: one for each processor."""
-    seeds = range(SEED, SEED + arms)
-    return figures(ordered_map(partial(_samples, path, seconds), seeds, workers, lambda _: None))
+    truth = partial(PredictionTruth, path, seconds)
+    return figures(draw_batches(truth, _summaries, range(SEED, SEED + arms), 1, workers))
 
 
 @reports_errors
@@ -104,7 +99,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     text = "part of the scenario that is run [s]; 0: all of it"
     parser.add_argument("--seconds", type=float, default=0.0, help=text)
     parser.add_argument("--output", type=Path, default=Path("build/prediction.json"))
-    options: argparse.Namespace = parser.parse_args(arguments)
+    options = parser.parse_args(arguments)
     check_writable(options.output)
     path = find_arm(ARM)
     found = sample_predictions(path, options.arms, options.seconds)
@@ -118,12 +113,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     console = report_console(140)
     ReportTable(title, header, rows).print(console)
     console.print(f"A reading of all encoders costs {1e6 * cost_s:.1f} µs (median).", markup=False)
-    wrong = failures(found, cost_s)
-    for clause in wrong:
-        sys.stderr.write(f"prediction_truth: {clause}\n")
-    content: dict[str, Any] = {"arms": options.arms, "cost_s": cost_s, "cases": found}
-    write_json(options.output, content)
-    return 1 if wrong else 0
+    content = {"arms": options.arms, "cost_s": cost_s, "cases": found}
+    return end_study("prediction_truth", failures(found, cost_s), options.output, content)
 
 
 if __name__ == "__main__":

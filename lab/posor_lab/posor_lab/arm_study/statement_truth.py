@@ -20,15 +20,15 @@ from posor.estimation.forward import empty_scans
 from posor.estimation.posor import Posor
 from posor.model.fault import USABLE_STATES
 from posor.numerics.stamps import NS
-from posor.numerics.vector import thetas_of
-from posor.sensors.base import RowSensor
 from posor_bringup.new_arm import Axis, Sensors, arm_texts, new_joints, write_arm
 from posor_design.arm_uncertainty import ArmUncertainty, EndpointUncertainty
 
-from posor_lab.arm_study.arm_coverage import FALSE_ALARM
 from posor_lab.arm_study.arm_record import pose_array, pose_errors
+from posor_lab.arm_study.endpoint_monte_carlo import disturbed
+from posor_lab.arm_study.filter_runs import FALSE_ALARM, estimate_run
 from posor_lab.arm_study.shared_arm import write_shared_arm
 from posor_lab.independent.true_arm import TrueArm
+from posor_lab.true_scans import with_noise
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -156,14 +156,10 @@ class StatementTruth:
         count, size = len(randoms), len(self.angles)
         stamps_ns = np.repeat(np.arange(1, count + 1) * STEP_NS, size)
         scans = empty_scans(stamps_ns).with_fields({name: np.concatenate(values) for name, values in fields.items()})
-        for sensor in stack.sensors:
-            if isinstance(sensor, RowSensor):
-                scans = scans.with_fields(sensor.disturbed(scans, randoms[0]))
+        scans = with_noise(scans, stack, randoms[0])
         poses = np.empty((count, size, 7))
         for k in range(size):
-            posor.reset()
-            posor.confirm_theta(thetas_of(self._rotations[k : k + 1, j])[0], THETA_SIGMA)
-            estimates = posor.estimate_all(scans.select(slice(k, None, size)))
+            estimates = estimate_run(posor, scans.select(slice(k, None, size)), self._rotations[k, j], THETA_SIGMA)
             if not np.isin(estimates.states, USABLE_STATES).all():
                 raise ChainError(f"a drawn POSOR has no pose: {estimates.lost_reasons()}", where=f"joint '{joint}'")
             poses[:, k] = estimates.poses
@@ -172,11 +168,10 @@ class StatementTruth:
     def _drawn_arm(self, random: np.random.Generator, terms: Mapping[str, float]) -> TrueArm:
         """Return the truth with errors of its beams."""
         warm = random.uniform(-1.0, 1.0)
-        links = []
-        for link, known in zip(self._truth.links, self.model.chain.links, strict=True):
+        links = list(self._truth.links)
+        for n, (link, known) in enumerate(zip(self._truth.links, self.model.chain.links, strict=True)):
             beam = known.beam
             if beam is None:
-                links.append(link)
                 continue
             error = np.sqrt(np.diagonal(beam.covariance)) * random.normal(size=6)
             factor = 1.0 + beam.sag_sigma * random.normal()
@@ -185,8 +180,8 @@ class StatementTruth:
                 factor += terms[name] * beam.shared_sags[name]
             error[:3] += 0.0 if len(beam.thermal) else warm * beam.expansion
             error += random.normal(size=len(beam.thermal)) @ beam.thermal
-            end = pin.SE3(pin.exp3(error[3:]) @ link.end.rotation, link.end.translation + error[:3])
-            links.append(replace(link, end=end, start_gain=factor * link.start_gain, end_gain=factor * link.end_gain))
+            end = disturbed(link.end, error)
+            links[n] = replace(link, end=end, start_gain=factor * link.start_gain, end_gain=factor * link.end_gain)
         return self._truth.with_links(links)
 
 

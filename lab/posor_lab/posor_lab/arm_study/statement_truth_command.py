@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import sys
 import tempfile
-from functools import cache, partial
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,13 +23,10 @@ from posor.reporting.report_table import ReportTable
 
 from posor_lab.arm_study.statement_truth import Drawn, StatementTruth, write_four_joint_arm
 from posor_lab.lab_output import check_writable, write_json
-from posor_lab.reports.process_pool import ordered_map
+from posor_lab.reports.process_pool import draw_batches
 
 if TYPE_CHECKING:
-    import argparse
     from collections.abc import Sequence
-
-    from posor.numerics.array_types import FloatArray
 
 ARMS, FOUR_JOINTS = ("five_axis", "six_axis"), "four_joint"
 POSES, DRAWS, SEED, BATCH = 20, 2000, 1985, 50
@@ -37,21 +34,11 @@ DEVIATION = 0.5  # of the temperature of the beams [K], so that it does not hide
 TOLERANCE = 0.05  # of U
 
 
-@cache  # each worker reads the files once
-def _truth(path: Path, poses: int, seed: int, deviation: float) -> StatementTruth:
-    return StatementTruth(path, poses, seed, deviation=deviation)
-
-
-def _errors(path: Path, poses: int, seed: int, deviation: float, draws: range) -> FloatArray:
-    return _truth(path, poses, seed, deviation).errors(draws)
-
-
 def draw_arm(path: Path, poses: int, draws: int, seed: int, deviation: float) -> Drawn:
     """Draw arms with the files of an arm."""
-    batches = [range(begin, min(begin + BATCH, seed + draws)) for begin in range(seed, seed + draws, BATCH)]
-    task = partial(_errors, path, poses, seed, deviation)
-    errors = np.concatenate(ordered_map(task, batches))
-    return Drawn(_truth(path, poses, seed, deviation).stated, errors)
+    truth = partial(StatementTruth, path, poses, seed, deviation=deviation)
+    errors = draw_batches(truth, StatementTruth.errors, range(seed, seed + draws), BATCH)
+    return Drawn(truth().stated, np.concatenate(errors))
 
 
 def figures(drawn: Drawn) -> dict[str, Any]:
@@ -75,7 +62,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--draws", type=int, default=DRAWS, help="arms drawn of each (default: %(default)s)")
     parser.add_argument("--poses", type=int, default=POSES, help="poses of each arm (default: %(default)s)")
     parser.add_argument("--output", type=Path, default=Path("build/statement_truth.json"))
-    options: argparse.Namespace = parser.parse_args(arguments)
+    options = parser.parse_args(arguments)
     check_writable(options.output)
     found: dict[str, Any] = {}
     with tempfile.TemporaryDirectory() as folder:

@@ -31,7 +31,7 @@ from posor_lab.benchmark.tick_statistics import host_description
 from posor_lab.harness.browser import missing_for_pages
 from posor_lab.harness.ros_domain import isolated_network
 from posor_lab.lab_output import check_writable, write_json
-from posor_lab.reports.console_progress import InterruptedRunError
+from posor_lab.reports.console_progress import interruption_check
 from posor_lab.reports.trial_program import Option
 from posor_lab.reports.trial_program import parse_options as parse
 
@@ -120,13 +120,8 @@ def _measure_sections(options: Namespace, results: dict[str, Any], stop: StopSig
     register_nodes(arms_folder)
     sys.path.append(str(arms_folder))  # for the section ``tick``
     os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [str(arms_folder), os.environ.get("PYTHONPATH")]))
-
-    def interrupted() -> bool:
-        if stop.requested:
-            raise InterruptedRunError("interrupted", where=PROGRAM)
-        return False
-
-    sections = BenchmarkSections(plan, GraphMeasurement(folder / "runs", interrupted), arms, console.print)
+    measurement = GraphMeasurement(folder / "runs", interruption_check(stop, PROGRAM))
+    sections = BenchmarkSections(plan, measurement, arms, console.print)
     for name in SECTIONS:
         if name in selected:
             results |= getattr(sections, name)()

@@ -28,7 +28,7 @@ from posor_lab.benchmark.scaling_tables import scaling_tables
 from posor_lab.benchmark.tick_statistics import host_description
 from posor_lab.harness.ros_domain import isolated_network
 from posor_lab.lab_output import check_writable, write_json
-from posor_lab.reports.console_progress import InterruptedRunError
+from posor_lab.reports.console_progress import interruption_check
 from posor_lab.reports.trial_program import Option, parse_options
 
 if TYPE_CHECKING:
@@ -60,12 +60,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     console = Console(highlight=False, soft_wrap=True, markup=False)
     folder = prepare_output_folder(options.output.resolve().with_suffix(""), ("arms", "runs", "cluster"))
     with isolated_network(), ros_context([PROGRAM]) as stop:
-
-        def interrupted() -> bool:
-            if stop.requested:
-                raise InterruptedRunError("interrupted", where=PROGRAM)
-            return False
-
+        interrupted = interruption_check(stop, PROGRAM)
         host = host_description()
         arms = BenchmarkArms(folder / "arms", options.joints)
         load = GraphLoad(arms[options.joints], "graph", "composed", options.rate)

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from posor.chain.arm_file import load_arm_file
@@ -24,7 +24,7 @@ from posor.reporting.report_table import ReportTable
 
 from posor_lab.correction.correction_study import CorrectionStudy, PathErrors, failures, stop_after
 from posor_lab.correction.simulated_robot import SimulatedRobot
-from posor_lab.lab_output import check_writable, write_json
+from posor_lab.lab_output import check_writable, end_study
 from posor_lab.reports.process_pool import ordered_map
 
 if TYPE_CHECKING:
@@ -115,12 +115,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     ReportTable("Simulated: failures in motion", ("failure", "correction stops after [ms]"), stopped).print(
         report_console(140)
     )
-    found = findings(gains, stops)
-    for clause in found:
-        sys.stderr.write(f"correction: {clause}\n")
-    cases: dict[str, Any] = {case: [each[case]._asdict() for each in robots] for case in gains}
-    write_json(options.output, {"robots": cases, "stops_s": stops})
-    return 1 if found else 0
+    cases = {case: [each[case]._asdict() for each in robots] for case in gains}
+    return end_study("correction", findings(gains, stops), options.output, {"robots": cases, "stops_s": stops})
 
 
 if __name__ == "__main__":

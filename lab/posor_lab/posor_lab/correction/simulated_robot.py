@@ -16,7 +16,6 @@ import pinocchio as pin
 from posor.errors import ParameterError
 from posor.estimation.posor import Posor
 from posor.model.fault import State
-from posor.numerics.vector import thetas_of
 from posor_drivers.simulator.arm_truth import true_cycle
 from posor_drivers.simulator.electronics import JointElectronics
 from posor_drivers.simulator.imperfections import Imperfections, RandomStream
@@ -24,6 +23,7 @@ from posor_drivers.simulator.mechanics import quantise_encoder
 from posor_drivers.simulator.nominal_arm import NominalArm
 from posor_drivers.simulator.scenario import load_scenario
 
+from posor_lab.arm_study.filter_runs import FALSE_ALARM, estimate_run, stack_joints
 from posor_lab.independent.true_arm import TrueArm
 
 if TYPE_CHECKING:
@@ -33,8 +33,6 @@ if TYPE_CHECKING:
     from posor_drivers.simulator.pose_array import PoseArray
 
 LINK_SIGMA, ZERO_SIGMA = 1e-4, 2e-4  # standard deviations of lengths of links [m] and of joint zeros [rad]
-THETA_SIGMA = 1e-5  # of the reference that counts each ring at the begin of a motion [rad]
-FALSE_ALARM = 1e-9  # of the chi-square test, so that no sound scan is missing
 MEASURED = Imperfections.only("noise", "quantisation", "calibration_errors", "beam_errors", "sag")
 
 
@@ -103,12 +101,9 @@ class SimulatedRobot:
         truth = true_cycle(self._scenario, self.chain, self._robot, output + self._zeros, MEASURED, self._truth)
         found = [self._estimate(name, ticks, seen) for name, seen in truth.T_parent_child.items()]
         known = np.all([each.states != State.LOST for each in found], axis=0)
-        measured = (
-            np.stack([getattr(each, name) for each in found], axis=1)[known]
-            for name in ("poses", "covariances_random", "covariances_systematic")
-        )
         poses = np.full((len(commanded), 7), np.nan)
-        poses[known] = self.chain.estimate_all(*measured).poses
+        measured, random, systematic = (each[known] for each in stack_joints(found))
+        poses[known] = self.chain.estimate_all(measured, random, systematic).poses
         return Motion(truth.endpoint.translations, poses, self._read_encoders(commanded))
 
     def _read_encoders(self, commanded: FloatArray) -> FloatArray:
@@ -119,10 +114,7 @@ class SimulatedRobot:
 
     def _estimate(self, joint: str, ticks: IntArray, seen: PoseArray) -> Estimates:
         posor, scans = self._posors[joint], self._electronics[joint].scans(ticks, lambda _: seen).scans
-        if ticks[0] == 0:
-            posor.reset()
-            posor.confirm_theta(float(thetas_of(seen.rotations[:1])[0]), THETA_SIGMA)
-        return posor.estimate_all(scans)
+        return estimate_run(posor, scans, seen.rotations[0]) if ticks[0] == 0 else posor.estimate_all(scans)
 
 
 def _length(link: pin.SE3) -> float:

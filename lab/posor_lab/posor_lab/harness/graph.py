@@ -24,7 +24,6 @@ from posor_lab.harness.program import wait_until
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from types import TracebackType
 
     from posor.model.scan import Scan
 
@@ -49,9 +48,7 @@ class Graph:
         """Return itself."""
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Destroy the node."""
         self._executor.remove_node(self.node)
         self._executor.shutdown()

@@ -16,7 +16,6 @@ from rclpy.parameter import Parameter
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
-    from types import TracebackType
 
     import pytest
 
@@ -37,9 +36,7 @@ class NodeProcess:
         """Return itself."""
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Stop the nodes, the last one first."""
         for node in reversed(self.nodes):
             leave_executor(node)

@@ -19,7 +19,6 @@ from posor.node_parameters import RECORDING
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
-    from types import TracebackType
 
 HAND_FED: Mapping[str, Any] = {**RECORDING, "freshness.max_silence": math.inf}
 """Parameters of nodes whose input a test publishes now and then, with stamps of its own."""
@@ -68,9 +67,7 @@ class Program:
         """Return the program."""
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """End the program if it is still running, so that it ends the programs that it has started."""
         if self.process.poll() is None:
             self.process.terminate()

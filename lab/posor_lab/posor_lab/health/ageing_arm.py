@@ -18,8 +18,6 @@ from posor.estimation.estimate import Estimates
 from posor.estimation.forward import empty_scans
 from posor.messages.estimate_arrays import ArmEstimates, EndpointEstimates
 from posor.numerics.stamps import NS
-from posor.numerics.vector import thetas_of
-from posor.sensors.base import RowSensor
 from posor_calibration.arm.endpoint_references import EndpointReferences, Reading
 from posor_calibration.commissioning.file_checks import arm_identity
 from posor_calibration.health.health_history import HealthHistory
@@ -28,8 +26,11 @@ from posor_calibration.health.health_report import MONTH_NS
 from posor_calibration.health.health_test import HealthArm
 from posor_design.arm_uncertainty import chain_at
 
+from posor_lab.arm_study.endpoint_monte_carlo import disturbed
+from posor_lab.arm_study.filter_runs import estimate_run
 from posor_lab.arm_study.statement_truth import SURROUNDINGS, THETA_SIGMA, surroundings_of
 from posor_lab.independent.true_arm import TrueArm
+from posor_lab.true_scans import with_noise
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
@@ -151,27 +152,22 @@ class AgeingArm:
         true = self._truth.joint(joint, errors).readings(*poses, supply, warmth)
         every = (stamps_ns[:, None] + STEP_NS * (np.arange(SCANS) - SCANS // 2)).ravel()
         scans = empty_scans(every).with_fields({name: np.repeat(each, SCANS, axis=0) for name, each in true.items()})
-        for sensor in posor.stack.sensors:
-            if isinstance(sensor, RowSensor):
-                scans = scans.with_fields(sensor.disturbed(scans, random))
-        found = []
-        for pose, theta in enumerate(thetas_of(self._rotations[:, j]).tolist()):
-            posor.reset()
-            posor.confirm_theta(theta, THETA_SIGMA)
-            found.append(posor.estimate_all(scans.select(slice(pose * SCANS, (pose + 1) * SCANS))))
-        return Estimates.concatenate(found)
+        scans = with_noise(scans, posor.stack, random)
+        return Estimates.concatenate(
+            [
+                estimate_run(posor, scans.select(slice(n * SCANS, (n + 1) * SCANS)), rotation, THETA_SIGMA)
+                for n, rotation in enumerate(self._rotations[:, j])
+            ]
+        )
 
     def _bumped(
         self, placements: Mapping[str, FloatArray], bumps: Mapping[str, FloatArray], random: np.random.Generator
     ) -> TrueArm:
         """Return the truth with errors, temperatures and bumps of its beams."""
-        links = []
-        for link, known in zip(self._truth.links, self.health.chain.links, strict=True):
-            beam = known.beam
-            if beam is None:
-                links.append(link)
-                continue
-            shift = placements[beam.name][:3] + random.uniform(-1.0, 1.0) * beam.expansion + bumps.get(beam.name, 0.0)
-            turn = pin.exp3(placements[beam.name][3:]) @ link.end.rotation
-            links.append(replace(link, end=pin.SE3(turn, link.end.translation + shift)))
+        links = list(self._truth.links)
+        for n, (link, known) in enumerate(zip(self._truth.links, self.health.chain.links, strict=True)):
+            if (beam := known.beam) is not None:
+                error = placements[beam.name].copy()
+                error[:3] = error[:3] + random.uniform(-1.0, 1.0) * beam.expansion + bumps.get(beam.name, 0.0)
+                links[n] = replace(link, end=disturbed(link.end, error))
         return self._truth.with_links(links)

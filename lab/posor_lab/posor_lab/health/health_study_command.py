@@ -27,7 +27,6 @@ from posor_lab.lab_output import check_writable, write_json
 from posor_lab.reports.process_pool import ordered_map
 
 if TYPE_CHECKING:
-    import argparse
     from collections.abc import Sequence
 
 ARMS = ("five_axis", "six_axis")
@@ -107,7 +106,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--output", type=Path, default=Path("build/health.json"))
     text = "write a history in which a probe creeps, in place of the study: creep.parquet"
     parser.add_argument("--files", type=Path, metavar="FOLDER", help=text)
-    options: argparse.Namespace = parser.parse_args(arguments)
+    options = parser.parse_args(arguments)
     if options.files is not None:
         name = (options.arm or ARMS)[0]
         part, ageing = cases_of(name, SEED)[2]

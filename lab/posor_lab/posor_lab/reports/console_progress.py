@@ -17,6 +17,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
+    from posor_ros.node_program import StopSignal
     from rich.console import RenderableType
 
 
@@ -24,6 +25,17 @@ class InterruptedRunError(PosorError):
     """SIGINT or SIGTERM interrupted a run."""
 
     exit_code = EXIT_INTERRUPTED
+
+
+def interruption_check(stop: StopSignal, program: str) -> Callable[[], bool]:
+    """Return a function that returns False, and raises InterruptedRunError once a signal has stopped a program."""
+
+    def check() -> bool:
+        if stop.requested:
+            raise InterruptedRunError("interrupted", where=program)
+        return False
+
+    return check
 
 
 class LiveView:
@@ -59,7 +71,7 @@ class LiveView:
 class StageProgress:
     """A context manager that shows the stages of a run: bars in a terminal, else a line at the end of each stage."""
 
-    def __init__(self, console: Console, check: Callable[[], None] = lambda: None) -> None:
+    def __init__(self, console: Console, check: Callable[[], object] = lambda: None) -> None:
         """Create the display; an exception of ``check``, called after each part, ends the stage."""
         self._console = console
         self._check = check

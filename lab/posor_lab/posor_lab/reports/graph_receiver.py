@@ -28,7 +28,6 @@ from posor_lab.reports.console_progress import InterruptedRunError
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
     from pathlib import Path
-    from types import TracebackType
 
     from posor_bringup.supervisor import ProgramCommand, RunningProgram
 
@@ -75,9 +74,7 @@ class GraphReceiver(Node):
         """Return itself."""
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Leave the graph."""
         self._executor.remove_node(self)
         self._executor.shutdown()

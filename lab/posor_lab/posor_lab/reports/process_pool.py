@@ -8,13 +8,15 @@ import multiprocessing
 import os
 import signal
 from concurrent.futures import ProcessPoolExecutor
-from typing import TYPE_CHECKING, TypeVar
+from functools import cache, partial
+from typing import TYPE_CHECKING, Any, TypeVar
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
 
 ItemT = TypeVar("ItemT")
 ResultT = TypeVar("ResultT")
+SamplerT = TypeVar("SamplerT")
 
 
 def ordered_map(
@@ -42,6 +44,31 @@ def ordered_map(
         return _collect(pool.map(function, items), on_result)
     finally:
         pool.shutdown(cancel_futures=True)
+
+
+def draw_batches(
+    make: partial[SamplerT],
+    draw: Callable[[SamplerT, range], ResultT],
+    seeds: range,
+    size: int,
+    workers: int = 0,
+    on_result: Callable[[ResultT], None] = lambda _: None,
+) -> list[ResultT]:
+    """Draw with consecutive seeds in batches of ``size`` seeds; return the results of the batches, see ``ordered_map``.
+
+    Each process calls ``make`` once, whose arguments are hashable; ``draw`` gets the object that it made, and a batch.
+    """
+    batches = [seeds[begin : begin + size] for begin in range(0, len(seeds), size)]
+    return ordered_map(partial(_draw_batch, make, draw), batches, workers, on_result)
+
+
+def _draw_batch(make: partial[SamplerT], draw: Callable[[SamplerT, range], ResultT], seeds: range) -> ResultT:
+    return draw(_made_once(make.func, *make.args, **make.keywords), seeds)
+
+
+@cache
+def _made_once(function: Callable[..., Any], *arguments: Any, **options: Any) -> Any:
+    return function(*arguments, **options)
 
 
 def _collect(results: Iterable[ResultT], on_result: Callable[[ResultT], None]) -> list[ResultT]:

@@ -18,7 +18,7 @@ from rich.console import Console
 
 from posor_lab.harness.ros_domain import isolated_network
 from posor_lab.lab_output import check_writable, write_json
-from posor_lab.reports.console_progress import InterruptedRunError, StageProgress
+from posor_lab.reports.console_progress import StageProgress, interruption_check
 from posor_lab.reports.findings import FIGURE_HEADINGS, exit_code_of_findings, print_findings, print_verdict
 
 if TYPE_CHECKING:
@@ -121,15 +121,10 @@ class TrialProgram:
             tempfile.TemporaryDirectory(prefix=f"{self.name}-") as folder,
             isolated_network(),
             ros_context(argv) as stop,
+            StageProgress(console, interruption_check(stop, self.name)) as progress,
         ):
-
-            def check() -> None:
-                if stop.requested:
-                    raise InterruptedRunError("interrupted", where=self.name)
-
-            with StageProgress(console, check) as progress:
-                trial = Trial(options, Path(folder), progress, console, lambda: stop.requested)
-                findings, content = self.run(trial)
+            trial = Trial(options, Path(folder), progress, console, lambda: stop.requested)
+            findings, content = self.run(trial)
         print_findings(findings, console, self.title, FIGURE_HEADINGS)
         if self.output:
             write_json(options.output, content)

@@ -20,12 +20,11 @@ from posor.reporting.program_errors import reports_errors
 from posor.reporting.report_console import report_console
 from posor.reporting.report_table import ReportTable
 
-from posor_lab.lab_output import check_writable, write_json
+from posor_lab.lab_output import check_writable, end_study
 from posor_lab.shop.shop_arm import write_shop_arm
 from posor_lab.shop.shop_study import SWING_K, WITH, WITHOUT, WRONG_SIGN, sample_shop
 
 if TYPE_CHECKING:
-    import argparse
     from collections.abc import Mapping, Sequence
 
     from posor_lab.shop.shop_study import CaseSample
@@ -71,7 +70,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--arms", type=int, default=ARMS, help="arms with drawn temperatures (default: %(default)s)")
     parser.add_argument("--shift-arms", type=int, default=SHIFT_ARMS, help="arms during a shift (default: %(default)s)")
     parser.add_argument("--output", type=Path, default=Path("build/shop.json"))
-    options: argparse.Namespace = parser.parse_args(arguments)
+    options = parser.parse_args(arguments)
     if min(options.arms, options.shift_arms) < MIN_ARMS:
         raise ParameterError("too few arms", where="shop", expected=f"at least {MIN_ARMS} of either kind")
     check_writable(options.output)
@@ -86,11 +85,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     header = ("case", "rms, drawn temperatures [µm]", f"rms, shift of +-{SWING_K:g} K [µm]", "inside 95 % region")
     title = f"Simulated: five_axis, {options.arms} arms at {POSES} poses; a shift of {options.shift_arms} arms"
     ReportTable(title, header, rows).print(report_console(140))
-    found = failures(drawn, shift)
-    for clause in found:
-        sys.stderr.write(f"shop: {clause}\n")
-    write_json(options.output, {"drawn": drawn, "shift": shift})
-    return 1 if found else 0
+    return end_study("shop", failures(drawn, shift), options.output, {"drawn": drawn, "shift": shift})
 
 
 if __name__ == "__main__":

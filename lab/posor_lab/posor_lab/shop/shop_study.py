@@ -9,7 +9,7 @@ warm beams, its sag and its readings are those of the independent truth (``indep
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,9 +19,8 @@ from posor.chain.beam_temperatures import CELSIUS, PERIOD_NS, BeamTemperatures
 from posor_drivers.simulator.imperfections import Imperfections
 from posor_drivers.simulator.scenario import BeamTemperature
 
-from posor_lab.accuracy.consistency import REGION_LIMIT, MeanEstimate
-from posor_lab.arm_study.arm_coverage import ArmSampler
-from posor_lab.reports.process_pool import ordered_map
+from posor_lab.arm_study.arm_coverage import ArmSampler, share_inside
+from posor_lab.reports.process_pool import draw_batches
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -29,6 +28,7 @@ if TYPE_CHECKING:
     from posor.chain.endpoint_estimator import EndpointEstimator
     from posor.numerics.array_types import FloatArray
 
+    from posor_lab.accuracy.consistency import MeanEstimate
     from posor_lab.arm_study.arm_coverage import MeasuredArm
 
 IN_THE_SHOP = Imperfections.only("noise", "quantisation", "calibration_errors", "beam_errors", "sag", "temperature")
@@ -56,7 +56,7 @@ class CaseSample:
     @property
     def inside(self) -> MeanEstimate:
         """Share of the poses inside their 95 % region; a lost pose is outside."""
-        return MeanEstimate.of(np.mean(np.nan_to_num(self.normalised, nan=np.inf) <= REGION_LIMIT, axis=1))
+        return share_inside(self.normalised)
 
 
 def read_thermometers(
@@ -106,19 +106,10 @@ class ShopSampler:
         return samples
 
 
-@cache  # each worker reads the files once
-def _sampler(path: Path, poses: int, swing: bool) -> ShopSampler:  # noqa: FBT001  by position, for the cache
-    return ShopSampler(path, poses, swing=swing)
-
-
-def _draw(path: Path, poses: int, swing: bool, seeds: range) -> dict[str, CaseSample]:  # noqa: FBT001
-    return _sampler(path, poses, swing).draw(seeds)
-
-
 def sample_shop(path: Path, arms: int, poses: int, seed: int, *, swing: bool = False) -> dict[str, CaseSample]:
     """Draw many arms, see ``ShopSampler``."""
-    batches = [range(begin, min(begin + BATCH, seed + arms)) for begin in range(seed, seed + arms, BATCH)]
-    parts = ordered_map(partial(_draw, path, poses, swing), batches)
+    sampler = partial(ShopSampler, path, poses, swing=swing)
+    parts = draw_batches(sampler, ShopSampler.draw, range(seed, seed + arms), BATCH)
     return {
         case: CaseSample(
             *(np.concatenate([getattr(part[case], name) for part in parts]) for name in ("errors", "normalised"))

@@ -21,12 +21,11 @@ from posor.reporting.program_errors import reports_errors
 from posor.reporting.report_console import report_console
 from posor.reporting.report_table import ReportTable
 
-from posor_lab.lab_output import check_writable, write_json
+from posor_lab.lab_output import check_writable, end_study
 from posor_lab.vibration.vibrating_arm import write_vibrating_arm
 from posor_lab.vibration.vibration_study import AMPLITUDE_M, DYNAMIC, STATIC, VibrationStudy, sample_vibration
 
 if TYPE_CHECKING:
-    import argparse
     from collections.abc import Mapping, Sequence
 
     from posor_lab.vibration.vibration_study import Case
@@ -83,7 +82,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--arms", type=int, default=ARMS, help="arms drawn at each frequency (default: %(default)s)")
     parser.add_argument("--output", type=Path, default=Path("build/vibration.json"))
     parser.add_argument("--figure", type=Path, help="also draw the table into this file (PNG or SVG)")
-    options: argparse.Namespace = parser.parse_args(arguments)
+    options = parser.parse_args(arguments)
     if options.arms < MIN_ARMS:
         raise ParameterError("too few arms", where="vibration", expected=f"at least {MIN_ARMS}")
     for path in filter(None, (options.output, options.figure)):
@@ -117,20 +116,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     ReportTable(title, header, rows).print(console)
     text = f"Control, natural frequencies x {CONTROL_ERROR:g} at {CONTROL_HZ:g} Hz: {control.inside:.1%} inside 95 %."
     console.print(text, markup=False)
-    clauses = failures(found, limit_hz, control)
-    for clause in clauses:
-        sys.stderr.write(f"vibration: {clause}\n")
     if options.figure is not None:
         draw(found, limit_hz, options.figure)
         print(f"figure written to {options.figure}")
-    content = {
-        str(frequency): {name: case._asdict() for name, case in cases.items()} for frequency, cases in found.items()
-    }
-    write_json(
-        options.output,
-        {"arms": options.arms, "limit_hz": limit_hz, "frequencies": content, "control": control._asdict()},
-    )
-    return 1 if clauses else 0
+    cases = {str(frequency): {name: case._asdict() for name, case in each.items()} for frequency, each in found.items()}
+    content = {"arms": options.arms, "limit_hz": limit_hz, "frequencies": cases, "control": control._asdict()}
+    return end_study("vibration", failures(found, limit_hz, control), options.output, content)
 
 
 if __name__ == "__main__":

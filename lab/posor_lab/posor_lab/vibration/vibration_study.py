@@ -21,7 +21,6 @@ from posor.chain.kinematic_chain import Chain
 from posor.errors import ParameterError
 from posor.estimation.posor import Posor
 from posor.numerics.stamps import NS, tick_stamp_ns
-from posor.numerics.vector import thetas_of
 from posor_drivers.simulator.arm_truth import true_cycle
 from posor_drivers.simulator.imperfections import Imperfections
 from posor_drivers.simulator.link_vibration import BeamAccelerometers
@@ -29,7 +28,7 @@ from posor_drivers.simulator.nominal_arm import NominalArm
 from posor_drivers.simulator.scenario import LinkVibration, load_scenario
 
 from posor_lab.accuracy.consistency import REGION_LIMIT, normalised_squares
-from posor_lab.arm_study.filter_runs import FALSE_ALARM, THETA_SIGMA, noisy_scans
+from posor_lab.arm_study.filter_runs import FALSE_ALARM, estimate_run, noisy_scans, stack_joints
 from posor_lab.harness.random_poses import errors_in_parent
 from posor_lab.independent.true_arm import TrueArm
 from posor_lab.reports.process_pool import ordered_map
@@ -106,13 +105,8 @@ class VibrationStudy:
         found = []
         for name, posor in self._posors.items():
             plates = seen.T_parent_child[name]
-            posor.reset()
-            posor.confirm_theta(float(thetas_of(plates.rotations[:1])[0]), THETA_SIGMA)
-            found.append(posor.estimate_all(noisy_scans(posor, plates, random).with_fields({"stamps_ns": stamps_ns})))
-        parts = [
-            np.stack([getattr(each, name) for each in found], axis=1)
-            for name in ("poses", "covariances_random", "covariances_systematic")
-        ]
+            found.append(estimate_run(posor, noisy_scans(posor, plates, stamps_ns, random), plates.rotations[0]))
+        parts = stack_joints(found)
         static = self._static.estimate_all(*parts)
         estimator = chain.estimator()
         vibrations = BeamVibrations(chain.beams, estimator)
@@ -141,9 +135,7 @@ class VibrationStudy:
         }
 
 
-@cache  # each worker reads the files once
-def _study(path: Path) -> VibrationStudy:
-    return VibrationStudy(path)
+_study = cache(VibrationStudy)  # each worker reads the files once
 
 
 def _errors(path: Path, frequency: float, chain: Path, seed: int) -> dict[str, tuple[FloatArray, ...]]:
@@ -158,9 +150,7 @@ def sample_vibration(
     ``chain``: arm file of the chain that estimates; None: the same; ``workers``: number of processes, 0: one for each
     processor.
     """
-    parts = ordered_map(
-        partial(_errors, path, frequency, chain or path), range(seed, seed + arms), workers, lambda _: None
-    )
+    parts = ordered_map(partial(_errors, path, frequency, chain or path), range(seed, seed + arms), workers)
     found = {}
     for name in (STATIC, DYNAMIC):
         errors, covariances, bounded = (np.concatenate(each) for each in zip(*(p[name] for p in parts), strict=True))

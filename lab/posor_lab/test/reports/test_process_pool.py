@@ -10,7 +10,7 @@ from functools import partial
 from pathlib import Path
 
 import pytest
-from posor_lab.reports.process_pool import ordered_map
+from posor_lab.reports.process_pool import draw_batches, ordered_map
 
 ITEMS = 5000
 
@@ -21,6 +21,21 @@ def process(item: int) -> tuple[int, int]:
 
 def touch(folder: Path, item: int) -> None:
     (folder / str(item)).touch()
+
+
+class Sampler:
+    def __init__(self, folder: Path, *, name: str) -> None:
+        (folder / f"{name} {os.getpid()} {len(list(folder.iterdir()))}").touch()
+
+    def draw(self, seeds: range) -> tuple[list[int], int]:
+        return list(seeds), os.getpid()
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_each_process_makes_one_sampler_for_all_its_batches(workers: int, tmp_path: Path) -> None:
+    found = draw_batches(partial(Sampler, tmp_path, name="made"), Sampler.draw, range(3, 11), 3, workers)
+    assert [seeds for seeds, _ in found] == [[3, 4, 5], [6, 7, 8], [9, 10]]
+    assert len(list(tmp_path.iterdir())) == len({pid for _, pid in found})
 
 
 @pytest.mark.parametrize("workers", [1, 2])
