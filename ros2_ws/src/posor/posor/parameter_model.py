@@ -16,8 +16,9 @@ from typing import TYPE_CHECKING, Any, Literal, TypeVar, get_args, get_origin
 from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic_core import PydanticUndefined
 
-from posor.calibration.file_model import FrozenModel
+from posor.calibration.file_model import FrozenModel, format_value
 from posor.errors import ParameterError, similar_name, sum_up
+from posor.ros_names import ROS_SWITCHES
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -206,6 +207,14 @@ def validate_parameters(model: type[ModelT], values: Mapping[str, object], *, no
     if errors:
         raise sum_up(errors)
     return parameters
+
+
+def check_switches(values: Mapping[str, object], *, node: str) -> None:
+    """Raise ParameterError: a switch of every node of rclpy is not true or false; rclpy would go on without it."""
+    for name in ROS_SWITCHES:
+        if not isinstance(values.get(name, False), bool):
+            where = f"node {node}, parameter '{name}'"
+            raise ParameterError(format_value(values[name]), where=where, expected=_NOUNS[bool][0], parameter=name)
 
 
 def _parameter_error(details: ErrorDetails, known: Mapping[str, ParameterSpec], node: str) -> ParameterError:

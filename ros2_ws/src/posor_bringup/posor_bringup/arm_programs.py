@@ -10,12 +10,12 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Literal, get_args
 
 import yaml
-from posor.chain.arm_file import CHAIN_NODE, POSOR_NODE, node_errors, posor_parameters
+from posor.chain.arm_file import CHAIN_NODE, POSOR_NODE, node_errors, other_files, posor_parameters
 from posor.chain.arm_file import chain_parameters as chain_parameters_of
 from posor.errors import ErrorCollector, ParameterError, PosorError, similar_name
 from posor.node_parameters import RECORDING, ChainParameters, PosorParameters
 from posor.output_files import write_files
-from posor.parameter_model import validate_parameters
+from posor.parameter_model import check_switches, validate_parameters
 from posor.ros_names import ROS_OWN_PARAMETERS, TEMPERATURE_TOPIC
 from posor_drivers.driver_parameters import driver_parameters_for
 from posor_drivers.sources.source import LiveSource, load_source_class
@@ -98,7 +98,7 @@ def arm_programs(
         joint = program.namespace.removeprefix(arm.namespace).lstrip("/")
         own = {**arm.driver_locations, **options} if program.executable == DRIVER_NODE else arm.node_locations(joint)
         of_files = {each: place for (node, each), place in places.items() if node == name}
-        if found := _parameter_errors(program):
+        if found := [*_parameter_errors(program), *_file_errors(arm, joint, program)]:
             node = DRIVER_NODE if program.executable == DRIVER_NODE else program.name  # errors of all drivers are one
             errors.add(node_errors(found, node, {**own, **of_files}, str(arm.path)))
     errors.raise_errors()
@@ -133,6 +133,8 @@ def _parameter_errors(program: ProgramCommand) -> list[PosorError]:
     errors, own, name = ErrorCollector(), own_parameters(program), program.executable
     with errors.collecting():
         QosOverrides(name, {each: value for each, value in program.parameters.items() if each.startswith(PREFIX)})
+    with errors.collecting():
+        check_switches(program.parameters, node=program.name)
     model: type[BaseModel] = PosorParameters if name == POSOR_NODE else ChainParameters
     if name == DRIVER_NODE:
         with errors.collecting():
@@ -145,6 +147,11 @@ def _parameter_errors(program: ProgramCommand) -> list[PosorError]:
     with errors.collecting():
         validate_parameters(model, own, node=name if name == DRIVER_NODE else program.name)
     return errors.errors
+
+
+def _file_errors(arm: ArmFile, joint: str, program: ProgramCommand) -> list[ParameterError]:
+    """Return an error for each parameter that replaces a file of the arm; drivers have none."""
+    return [] if program.executable == DRIVER_NODE else other_files(arm, joint, program.parameters)
 
 
 def _arm_node(

@@ -11,7 +11,7 @@ from posor.arm_names import find_arm, installed_arms
 from posor.bags.reprocess_command import parser, tasks_of
 from posor.bags.reprocess_task import Settings
 from posor.chain.arm_file import load_arm_file
-from posor.errors import CalibrationError, ChainError, NodeError, ParameterError, PosorError
+from posor.errors import CalibrationError, ChainError, NodeError, ParameterError, PosorError, SeveralErrors
 from posor.node_parameters import RECORDING
 from posor_bringup.arm_programs import arm_programs, endpoint_frame_of
 from posor_bringup.arms import load_checked_arm
@@ -185,6 +185,46 @@ def test_parameters_of_a_joint_go_to_its_posor_node(rig_copy: Path) -> None:
             arm_programs(load_arm_file(path))
         assert says in str(caught.value)
         assert "node joint1/posor_node" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("below", "name", "value"),
+    [
+        ("joint1", "calibration", "nowhere.yaml"),
+        ("joint1", "session", "monday"),
+        ("", "urdf", "other.urdf"),
+        ("", "beams", "other.yaml"),
+        ("", "endpoint_frame", "tip"),
+    ],
+)
+def test_a_parameter_does_not_replace_a_file_of_the_arm(rig_copy: Path, below: str, name: str, value: str) -> None:
+    path = rig_copy / "arm.yaml"
+    node = f"/test_rig/{below}/posor_node" if below else "/test_rig/chain_node"
+    own = {each.executable: each.parameters for each in arm_programs(load_arm_file(path))}[node.rpartition("/")[2]]
+    file = rig_copy / "parameters.yaml"
+    file.write_text(f"{node}: {{ros__parameters: {{{name}: '{own[name]}'}}}}\n", encoding="utf-8")
+    arm_programs(load_arm_file(path), parameter_files=[file])  # as 'ros2 param dump' writes it
+    file.write_text(f"{node}: {{ros__parameters: {{{name}: {value}}}}}\n", encoding="utf-8")
+    error = refusal(NodeError, arm_programs, load_arm_file(path), parameter_files=[file])
+    assert (f"{file}, line 1" in error.where, f"{name}: '{value}'" in error.what) == (True, True)
+    entry = f"parameters: {{{name}: {value}}}"
+    if below:
+        change(rig_copy, "^  joint1: .*$", f"  joint1:\n    calibration: calibrations/joint1.yaml\n    {entry}")
+    else:
+        change(rig_copy, "^joints:", f"chain:\n  {entry}\njoints:")
+    error = refusal(NodeError, arm_programs, load_arm_file(path))
+    assert str(path) in error.where
+    with pytest.raises(NodeError, match=re.escape(error.where)):
+        tasks_of(parser().parse_args(["bag", "--arm", str(path)]))
+
+
+@pytest.mark.parametrize("name", ["use_sim_time", "start_type_description_service"])
+def test_a_switch_of_rclpy_is_true_or_false(rig_copy: Path, name: str) -> None:
+    file = rig_copy / "parameters.yaml"
+    file.write_text(f"/**: {{ros__parameters: {{{name}: 'true'}}}}\n", encoding="utf-8")
+    with pytest.raises(SeveralErrors) as refused:
+        arm_programs(load_arm_file(rig_copy / "arm.yaml"), parameter_files=[file])
+    assert [name in part.what or name in part.where for part in refused.value.parts] == [True] * 3  # of each node
 
 
 def test_arm_is_found_by_name_file_or_folder(rig_copy: Path) -> None:

@@ -67,7 +67,12 @@ def _sections(content: Any, path: tuple[str, ...], locations: FileLocations) -> 
             name = "/" + "/".join(path).lstrip("/")
             paths = dict(_flat(part, ()))
             parameters = {".".join(parts): value for parts, value in paths.items()}
-            places = {".".join(parts): locations.describe(*path, key, *parts) for parts in paths}
+            places = dict[str, str]()
+            for parts in paths:
+                place = locations.describe(*path, key, *parts)
+                if other := places.get(".".join(parts)):  # as one word and as a group
+                    raise ParameterError("is stated twice", where=place, expected=f"once; the other is {other}")
+                places[".".join(parts)] = place
             for parts, value in paths.items():
                 _refuse_leading_zeros(value, (*path, key, *parts), locations)
             yield ParameterSection(name, parameters, places, locations.describe(*path))

@@ -84,6 +84,13 @@ def test_sections_that_no_node_of_the_program_reads_are_logged_and_misspelt_name
     assert quiet.warnings == quiet.informations == []
 
 
+def test_a_parameter_that_is_stated_as_a_word_and_in_a_group_is_refused(tmp_path: Path) -> None:
+    file = tmp_path / "file.yaml"
+    file.write_text("/**:\n  ros__parameters:\n    age.most: 2.0\n    age: {least: 1.0,\n      most: 3.0}\n")
+    error = refusal(ParameterError, load_parameter_file, file)
+    assert (error.what, "line 5" in error.where, "line 3" in error.expected) == ("is stated twice", True, True)
+
+
 @pytest.mark.parametrize(("text", "number"), [("0100", "0100"), ("-010", "-010"), ("[1, 07]", "07"), ("{b: 00}", "00")])
 def test_a_number_that_is_octal_to_ros_is_refused(text: str, number: str, tmp_path: Path) -> None:
     file = tmp_path / "file.yaml"

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from posor.bags.recorded_topics import BagMetadata
 
 MAGIC = b"SQLite format 3\0"
+EXPECTED_LOG = "the one that was written with the file"
 WAL_MAGIC = (b"\x37\x7f\x06\x82", b"\x37\x7f\x06\x83")
 WAL_HEAD, WAL_FRAME_HEAD = 32, 24  # bytes before the first page, and before each page
 WAL_SALTS, WAL_SALTS_OF_FRAME = slice(16, 24), slice(8, 16)
@@ -43,6 +44,7 @@ class SqliteFile(StoredFile):
         if not is_copy:
             _check_size(path)
         frames = _frames_of(log, path) if is_copy and log.is_file() else 0
+        without_log = _count_without_log(storage) if frames else 0
         with self._errors():
             self._database = sqlite3.connect(
                 f"{storage.absolute().as_uri()}{'' if is_copy else '?immutable=1'}", uri=True, check_same_thread=False
@@ -69,6 +71,9 @@ class SqliteFile(StoredFile):
                     raise BagError(what, where=str(path), expected=expected)
                 counts[number] = count
                 self.start_ns, self.end_ns = min(self.start_ns, start_ns), max(self.end_ns, end_ns)
+        if (count := sum(counts.values())) < without_log:  # a recorder only adds
+            what = f"the log leaves {count} of the {without_log} messages of {path.name}"
+            raise BagError(what, where=f"{path}-wal", expected=EXPECTED_LOG)
         for topic in topics:
             self._add_topic(_topic_of(topic, definitions), counts.pop(topic["id"], 0), metadata)
         for number, count in counts.items():
@@ -137,8 +142,7 @@ def _frames_of(log: Path, path: Path) -> int:
     with log.open("rb") as file:
         size, head, count = log.stat().st_size, file.read(WAL_HEAD), 0
         if len(head) < WAL_HEAD or head[:4] not in WAL_MAGIC:
-            expected = "the one that was written with the file"
-            raise BagError("is not a write-ahead log of SQLite", where=f"{path}-wal", expected=expected)
+            raise BagError("is not a write-ahead log of SQLite", where=f"{path}-wal", expected=EXPECTED_LOG)
         page_size = int.from_bytes(head[8:12])
         while (begin := WAL_HEAD + count * (WAL_FRAME_HEAD + page_size)) + WAL_FRAME_HEAD <= size:
             file.seek(begin)
@@ -146,6 +150,15 @@ def _frames_of(log: Path, path: Path) -> int:
                 break
             count += 1
     return count
+
+
+def _count_without_log(storage: Path) -> int:
+    """Return the number of messages of a file without its write-ahead log; 0 where it cannot be read without."""
+    try:
+        with closing(sqlite3.connect(f"{storage.absolute().as_uri()}?immutable=1", uri=True)) as database:
+            return int(database.execute("SELECT count(*) FROM messages").fetchone()[0])
+    except sqlite3.Error:
+        return 0
 
 
 def _check_size(path: Path) -> None:

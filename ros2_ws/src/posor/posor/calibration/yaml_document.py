@@ -333,6 +333,7 @@ def parse_document(
         raise CalibrationError("is not a mapping", where=f"{source}, line 1", expected=keys)
     version = content.get("version")
     if type(version) is not int or version not in versions:  # True and 1.0 are equal to 1
+        _refuse_other_format({**content, "version": versions[-1]}, locations, validate)
         what = f"version {format_value(version)}" if "version" in content else "key 'version' is missing"
         known = " or ".join(", ".join(str(number) for number in versions).rsplit(", ", 1))
         if type(version) is int and version > max(versions):
@@ -343,6 +344,18 @@ def parse_document(
     except ValidationError as error:
         problems = all_problems(error, content, validate)
         raise sum_up([_error_of(problem, locations) for problem in problems]) from error
+
+
+def _refuse_other_format(
+    content: dict[str, Any], locations: FileLocations, validate: Callable[[dict[str, Any]], object]
+) -> None:
+    """Raise CalibrationError: the document is of another kind, whose versions are others."""
+    try:
+        validate(content)
+    except ValidationError as error:
+        for problem in all_problems(error, content, validate):
+            if problem.location == ("format",):
+                raise _error_of(problem, locations) from error
 
 
 def _error_of(problem: Problem, locations: FileLocations) -> CalibrationError:

@@ -21,9 +21,9 @@ from posor.calibration.calibration_file import Calibration, Provenance, load_cal
 from posor.calibration.file_model import EntryError, FrozenModel, Name, format_value
 from posor.calibration.yaml_document import load_document
 from posor.chain.kinematic_chain import Chain, load_chain
-from posor.errors import ChainError, NodeError, ParameterError, PosorError, similar_name, sum_up
+from posor.errors import ChainError, ErrorCollector, NodeError, ParameterError, PosorError, similar_name, sum_up
 from posor.node_parameters import ChainParameters, PosorParameters
-from posor.parameter_model import validate_parameters
+from posor.parameter_model import check_switches, validate_parameters
 from posor.ros_names import OUTER_NAMESPACE_RULE, ROS_OWN_PARAMETERS, is_outer_namespace
 
 if TYPE_CHECKING:
@@ -246,12 +246,7 @@ def chain_parameters(arm: ArmFile, *, checked: bool = True) -> dict[str, Paramet
     ``checked``: whether chain_node must accept them. Raises NodeError: the arm file gives chain_node an unknown
     parameter or an invalid value; names the line.
     """
-    parameters: dict[str, ParameterValue] = {"urdf": str(arm.urdf), "endpoint_frame": arm.endpoint_frame}
-    if arm.beams is not None:
-        parameters["beams"] = str(arm.beams)
-    if arm.commissioning is not None:
-        parameters["commissioning"] = str(arm.commissioning)
-    parameters |= arm.chain_parameters
+    parameters = {**_stated_files(arm, ""), **arm.chain_parameters}
     return _checked(arm, "", ChainParameters, parameters) if checked else parameters
 
 
@@ -261,9 +256,8 @@ def posor_parameters(arm: ArmFile, joint: str, *, checked: bool = True) -> dict[
     ``checked``: whether posor_node must accept them. Raises NodeError: the arm file gives posor_node an unknown
     parameter or an invalid value; ParameterError: a placeholder in it is unknown; both name the line.
     """
-    own: dict[str, ParameterValue] = {"calibration": str(arm.calibrations[joint]), "session": arm.sessions[joint]}
     filled = arm.fill_placeholders(arm.posor_parameters[joint], joint, arm.node_locations(joint))
-    parameters = {**own, **filled}
+    parameters = {**_stated_files(arm, joint), **filled}
     return _checked(arm, joint, PosorParameters, parameters) if checked else parameters
 
 
@@ -276,11 +270,43 @@ def _checked(
     """
     own = {name: value for name, value in parameters.items() if not name.startswith(ROS_OWN_PARAMETERS)}
     node = f"{joint}/{POSOR_NODE}" if joint else CHAIN_NODE
-    try:
+    errors = ErrorCollector()
+    errors.errors.extend(other_files(arm, joint, own))
+    with errors.collecting():
+        check_switches(parameters, node=node)
+    with errors.collecting():
         validate_parameters(model, own, node=node)
-    except ParameterError as error:
-        raise node_errors(error.parts, node, arm.node_locations(joint), str(arm.path)) from error
+    if errors.errors:
+        raise node_errors(errors.errors, node, arm.node_locations(joint), str(arm.path))
     return own
+
+
+def _stated_files(arm: ArmFile, joint: str) -> dict[str, ParameterValue]:
+    """Return the parameters of a joint's posor_node ('': of chain_node) that keys of the arm file state."""
+    if joint:
+        return {"calibration": str(arm.calibrations[joint]), "session": arm.sessions[joint]}
+    files = {"beams": arm.beams, "commissioning": arm.commissioning}
+    stated: dict[str, ParameterValue] = {"urdf": str(arm.urdf), "endpoint_frame": arm.endpoint_frame}
+    return stated | {name: str(path) for name, path in files.items() if path is not None}
+
+
+def other_files(arm: ArmFile, joint: str, parameters: Mapping[str, ParameterValue]) -> list[ParameterError]:
+    """Return an error for each parameter of a node that differs from the key of the arm file for it.
+
+    ``joint``: of its posor_node; '': chain_node. The arm file alone states the files of the arm: checks and programs
+    without nodes read those.
+    """
+    stated = _stated_files(arm, joint)
+    names = ("calibration", "session") if joint else ("urdf", "endpoint_frame", "beams", "commissioning")
+    return [
+        ParameterError(
+            f"{name}: {format_value(parameters[name])}",
+            expected=f"{format_value(stated.get(name, ''))}, as in the arm file {arm.path}",
+            parameter=name,
+        )
+        for name in names
+        if name in parameters and parameters[name] != stated.get(name, "")
+    ]
 
 
 def node_errors(errors: Sequence[PosorError], node: str, places: Mapping[str, str], otherwise: str) -> NodeError:

@@ -181,6 +181,18 @@ class _Reader:
         for name in ("origin", "axis"):
             if len(found := element.called(name)) > 1:
                 self.refuse(f"{owner} has {len(found)} elements '{name}'", found[1].line, "at most one")
+            if not found:
+                self.check_not_inside(element, name, owner)
+
+    def check_not_inside(self, element: _Element, name: str, owner: str) -> None:
+        """Refuse an element of a joint that is inside another one, where nobody reads it."""
+        for part in element.children:
+            if part.name in ATTRIBUTES:
+                continue  # is refused with any element inside
+            for misplaced in part.called(name):
+                what = f"{name} inside the {part.name} of {owner}"
+                self.refuse(what, misplaced.line, f"it directly inside {owner}")
+            self.check_not_inside(part, name, owner)
 
     def read_geometry(self, joint: _Joint) -> UrdfJoint:
         """Return a joint with its geometry; what is wrong is the identity."""

@@ -425,6 +425,21 @@ def test_a_cut_write_ahead_log_is_noted(tmp_path: Path) -> None:
     assert len(read(path)[0]) == 20
 
 
+def test_a_log_that_takes_messages_away_is_refused(tmp_path: Path) -> None:
+    def write_whole(database: sqlite3.Connection) -> None:
+        insert_rows(database)
+        database.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+
+    def shorten(database: sqlite3.Connection) -> None:
+        database.execute("PRAGMA journal_mode = wal")
+        database.execute("DELETE FROM messages WHERE id > 5")
+
+    whole = sqlite_bag(tmp_path / "whole", write_whole, ())
+    shutil.copy(sqlite_bag(tmp_path / "short", shorten, ("-wal",)).with_name("bag.db3-wal"), whole.parent)
+    with pytest.raises(BagError, match=r"bag.db3-wal: the log leaves 5 of the 60 messages of bag.db3; "):
+        read(whole)
+
+
 def test_a_log_of_another_name_is_refused(tmp_path: Path) -> None:
     path = sqlite_bag(tmp_path, insert_rows, ("-wal",))
     renamed = path.rename(path.with_name("run 1.db3"))

@@ -8,7 +8,7 @@ import math
 import os
 import re
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import pytest
 import yaml
@@ -101,6 +101,19 @@ def test_a_number_of_other_notations_is_refused_with_the_right_one(number: str, 
     error = refusal(CalibrationError, load_document, file, "file", "number", 1, OneNumber.model_validate)
     assert error.where == f"{file}, line 3, key number"
     assert hint in error.expected
+
+
+def test_a_document_of_another_format_is_named_before_its_version(file: Path) -> None:
+    class Document(FrozenModel):
+        format: Literal["posor_scenario"]
+        version: int
+
+    file.write_text("format: posor_beams\nversion: 2\n", encoding="utf-8")
+    error = refusal(CalibrationError, load_document, file, "file", "format", 1, Document.model_validate)
+    assert (error.where, "posor_scenario" in error.expected) == (f"{file}, line 1, key format", True)
+    file.write_text("format: posor_scenario\nversion: 2\n", encoding="utf-8")
+    error = refusal(CalibrationError, load_document, file, "file", "format", 1, Document.model_validate)
+    assert error.where == f"{file}, line 2, key version"
 
 
 @pytest.mark.parametrize(

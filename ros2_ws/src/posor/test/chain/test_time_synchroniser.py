@@ -54,6 +54,13 @@ def replay(events: str) -> tuple[str, dict[int, str]]:
     return " ".join(complete), incomplete
 
 
+def test_of_two_items_of_one_stamp_the_first_counts(synchroniser: TimeSynchroniser[str]) -> None:
+    for item in ("sound", "lost, because it was sent twice"):
+        assert synchroniser.add("shoulder", 7, item, 0.0) is None
+    add(synchroniser, "elbow", 7)
+    assert add(synchroniser, "wrist", 7) == whole(7) | {"shoulder": "sound"}
+
+
 @pytest.mark.parametrize(**cases(__file__, "synchronised_items.yaml"))
 def test_items_are_combined_by_stamp_and_epoch(events: str, complete: str, incomplete: dict[int, str]) -> None:
     assert replay(events) == (complete, incomplete)
