@@ -30,7 +30,7 @@ from posor.model.scan import Scans
 from posor.numerics.array_types import freeze_arrays
 from pydantic import ValidationError
 
-from posor_calibration.calibration_update import FitContext, update_calibration, update_text
+from posor_calibration.calibration_update import FitContext, update_text
 from posor_calibration.procedure_registry import PROCEDURES
 from posor_calibration.reference_checks import find_drifts, without_repeated_values
 
@@ -219,13 +219,11 @@ def fit_recording(
         texts = {name: _option_text(value) for name, value in given.items()}
         date = dt.datetime.now(tz=dt.UTC)
         context = FitContext(procedure.name, texts, instruments, date, scales or {}, thermometers or {})
-        if text:
-            text = update_text(text, source, outcome, recording, context)
-            new = parse_calibration(text, source)
-        else:
-            new = update_calibration(calibration, outcome, recording, context)
-            content = new.model_dump(mode="json", exclude_defaults=True)
-            text = document_text(content, f"Fitted by {procedure.name}.")
+        if not text:
+            content = calibration.model_dump(mode="json", exclude_defaults=True)
+            text, source = document_text(content, f"Fitted by {procedure.name}."), calibration.name
+        text = update_text(text, source, outcome, recording, context)
+        new = parse_calibration(text, source)
     else:
         text = ""
     return FitResult(procedure.name, new, calibration, outcome, recording.source, text)

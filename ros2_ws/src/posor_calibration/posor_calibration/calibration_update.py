@@ -10,7 +10,7 @@ from pathlib import PurePath
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from posor.calibration.calibration_file import VERSION, calibration_from, parse_calibration
+from posor.calibration.calibration_file import VERSION, parse_calibration
 from posor.calibration.edit import edit_document, parse_key_path
 from posor.calibration.file_model import first_problem
 from posor.calibration.fit_record import CovarianceRecord, FitRecord, Instrument, RecordedData, Residuals
@@ -53,23 +53,6 @@ def update_text(text: str, source: str, outcome: Outcome, recording: Recording, 
     result = edit_document(text, source, _list_changes(parse_calibration(text, source), outcome, recording, context))
     parse_calibration(result, f"{source} with the result of {context.procedure}")
     return result
-
-
-def update_calibration(
-    calibration: Calibration, outcome: Outcome, recording: Recording, context: FitContext
-) -> Calibration:
-    """Return a calibration with the outcome of a procedure, as ``update_text`` writes it; raises the same errors."""
-    content: Any = calibration.model_dump(mode="json", exclude_defaults=True)
-    for key, new in _list_changes(calibration, outcome, recording, context).items():
-        *path, last = parse_key_path(key)
-        part = content
-        for step in path:
-            part = part[step]
-        part[last] = new
-    try:
-        return calibration_from(content)
-    except ValidationError as error:
-        raise _refusal(error, context.procedure) from None
 
 
 def _list_changes(
