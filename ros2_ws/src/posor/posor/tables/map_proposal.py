@@ -9,6 +9,7 @@ import datetime as dt
 import re
 from collections import Counter
 from dataclasses import dataclass, field
+from itertools import islice
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -23,7 +24,7 @@ from posor.tables.table_file import is_text, open_table, read_bytes
 from posor.tables.table_map import READINGS, FileLayout
 from posor.tables.table_time import parse_moment
 from posor.tables.table_units import UNITS
-from posor.tables.text_table import LEFT_OUT, byte_order_mark, utf_16_without_mark
+from posor.tables.text_table import byte_order_mark, lines_of, names_fit, utf_16_without_mark, without_empty_end
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -142,7 +143,8 @@ def guess_layout(path: Path) -> tuple[FileLayout, dict[str, str]]:
             data.decode("utf-8")
         except UnicodeDecodeError:
             encoding, doubts["encoding"] = "cp1252", "the file is not UTF-8; other encodings look alike"
-    lines = data.decode(mark or encoding, "replace").splitlines()[:_SAMPLE_LINES]
+    text = data.decode(mark or encoding, "replace")
+    lines, with_comments = (list(islice(lines_of(text, each), _SAMPLE_LINES)) for each in (FileLayout().comment, ""))
     separator, decimal = max(_layouts(), key=lambda each: _score(lines, *each))
     header_line, data_line = _header_of(lines, separator, decimal)
     options: dict[str, object] = {
@@ -150,8 +152,10 @@ def guess_layout(path: Path) -> tuple[FileLayout, dict[str, str]]:
         "decimal": decimal,
         "encoding": encoding,
     }
-    first = next((n for n, line in enumerate(lines, 1) if line.strip() and not line.startswith("#")), 1)
-    if header_line != first:
+    if header_line == 0 and _header_of(with_comments, separator, decimal)[0]:  # names behind a '#', as of numpy
+        options["comment"], lines = "", with_comments
+        header_line, data_line = _header_of(lines, separator, decimal)
+    if header_line != (lines[0][0] if lines else 1):
         options["header_line"] = header_line
     if data_line != header_line + 1:
         options["data_line"] = data_line
@@ -165,36 +169,43 @@ def _layouts() -> list[tuple[str, str]]:
 def _cells(line: str, separator: str) -> list[str]:
     if separator == "space":
         return line.split()
-    return [cell.strip() for cell in next(csv.reader([line], delimiter=separator, skipinitialspace=True), [])]
+    try:
+        row = next(csv.reader([line], delimiter=separator, skipinitialspace=True), [])
+    except csv.Error:  # a text of 100 kB is no cell
+        row = [line]
+    return [cell.strip() for cell in row]
 
 
-def _score(lines: Sequence[str], separator: str, decimal: str) -> tuple[int, int]:
+def _score(lines: Sequence[tuple[int, str]], separator: str, decimal: str) -> tuple[int, int]:
     """Return the number of numbers in rows as wide as most rows; for equal numbers, blanks come last."""
-    rows = [_cells(line, separator) for line in lines if line.strip() and not line.startswith("#")]
+    rows = [_cells(line, separator) for _, line in lines]
     counts = [len(row) for row in rows]
     width = max(set(counts), key=counts.count) if counts else 0
     numbers = sum(is_number(cell, decimal) for row in rows if len(row) == width for cell in row) if width > 1 else 0
     return numbers, int(separator != "space")
 
 
-def _header_of(lines: Sequence[str], separator: str, decimal: str) -> tuple[int, int]:
+def _header_of(lines: Sequence[tuple[int, str]], separator: str, decimal: str) -> tuple[int, int]:
     """Return the lines of the header (0: none) and of the first data."""
-    rows = [
-        (n, _cells(line, separator)) for n, line in enumerate(lines, 1) if line.strip() and not line.startswith("#")
-    ]
+    rows = [(n, _cells(line, separator)) for n, line in lines]
+    count = {n: sum(is_number(cell, decimal) for cell in row) for n, row in rows}
     numbers = Counter[int]()  # by width
-    for _, row in rows:
-        numbers[len(row)] += sum(is_number(cell, decimal) for cell in row)
+    for n, row in rows:
+        numbers[len(row)] += count[n]
     width = max(numbers, key=lambda each: (numbers[each], each), default=0)
-    data = [n for n, row in rows if len(row) == width and 2 * sum(is_number(cell, decimal) for cell in row) > width]
-    first = data[0] if data else rows[-1][0] + 1 if rows else 1
-    above = [(n, row) for n, row in rows if n < first and len(row) == width + (row[-1] == LEFT_OUT)]
+    first = next((i for i, (n, row) in enumerate(rows) if len(row) == width and 2 * count[n] > width), None)
+    if first is None:
+        return 0, rows[-1][0] + 1 if rows else 1
+    data = rows[first][1]
+    while first and 2 * count[rows[first - 1][0]] > len(without_empty_end(rows[first - 1][1])):
+        first -= 1  # a row of data with more or fewer cells, such as a comment or a separator at its end
+    above = [(n, row) for n, row in rows[:first] if len(row) == width or names_fit(row, data)]
     if not above:
-        return 0, first
+        return 0, rows[first][0]
     # names, then perhaps units: the names are the first of the rows directly above the data
     units = [n for n, row in above[1:] if sum(cell.strip("[]()") in UNITS or not cell for cell in row) * 2 > width]
     header = next((n for n, _ in reversed(above) if n not in units), above[0][0])
-    return header, first
+    return header, rows[first][0]
 
 
 def _propose_time(draft: _Draft, path: Path) -> None:

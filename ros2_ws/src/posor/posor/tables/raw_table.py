@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-import re
+import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from posor.errors import DataFileError
+from posor.tables.number_text import OVERLOAD, parse_number
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
@@ -24,9 +25,6 @@ if TYPE_CHECKING:
 
 MISSING = {"", "nan", "na", "n/a", "#n/a", "null", "none", "-", "--", "---"}
 """Texts of a cell without a value, in lower case."""
-OVERLOAD = 9.9e37
-"""Least amount that SCPI instruments give in place of a reading that is too large or invalid (SCPI-99, 7.2.1)."""
-_NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][-+]?\d+)?", re.ASCII)
 
 
 class Column(NamedTuple):
@@ -69,6 +67,8 @@ class RawTable(ABC):
     place_word = "row"
     hint = ""
     """What may make a column missing, for errors."""
+    decimal_hint = ""
+    """What makes a decimal comma a number, for errors."""
 
     def __init__(self, path: Path, columns: Sequence[Column]) -> None:
         """Store the columns that the file has."""
@@ -182,7 +182,11 @@ def parse_numbers(texts: Sequence[str], decimal: str, column: int, first_row: in
         plain = cell.replace(",", ".") if decimal == "," and "." not in cell else "" if decimal == "," else cell
         if decimal == "," and cell.lstrip("+-").isdigit():
             plain = cell
-        if _NUMBER.fullmatch(plain) and abs(number := float(plain.translate(_EXPONENTS))) < OVERLOAD:
+        try:
+            number = parse_number(plain)
+        except ValueError:
+            number = math.nan
+        if abs(number) < OVERLOAD:
             numbers[n] = number
         else:
             cells.invalid.append(InvalidCell(first_row + n, column, text))
@@ -195,4 +199,3 @@ def is_number(cell: str, decimal: str) -> bool:
 
 
 _LONGEST_NAME = 80
-_EXPONENTS = str.maketrans("dD", "ee")

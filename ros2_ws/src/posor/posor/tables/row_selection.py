@@ -79,7 +79,7 @@ class RowSelection:
         if _GROUPS.fullmatch(cell.text.strip()):
             expected += " without separators of thousands"
         if self.map.file.decimal == "." and "," in cell.text and "." not in cell.text:
-            expected += " with a decimal point; file: {decimal: ','} in the map if it has a decimal comma"
+            expected += f" with a decimal point{self.table.decimal_hint}"
         self._refuse(
             "invalid_cells",
             self._place(cell.row, cell.column),

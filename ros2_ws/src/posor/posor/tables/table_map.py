@@ -151,6 +151,23 @@ READINGS = {  # readings of a joint, and their SI units
 }
 
 
+_STATES = {"lit_sources", "home_mark", "light"}  # of a scan
+_ENVIRONMENT = {"supply_voltage", "temperature", "reference_voltage"}
+
+
+def may_share_column(one: Key, other: Key) -> bool:
+    """Return whether one column may be two entries of a map, by their locations.
+
+    It may be several states, the same quantity of the environment of several joints, or of several references.
+    """
+    if {one[0], other[0]} == {"references"}:
+        return one[1] != other[1]
+    if {one[0], other[0]} != {"joints"}:
+        return False
+    readings = {one[2], other[2]}
+    return readings <= _STATES or (len(readings) == 1 and readings <= _ENVIRONMENT)
+
+
 class JointMap(FrozenModel):
     """Readings of a joint, in the order of its calibration file."""
 
@@ -211,13 +228,8 @@ class JointMap(FrozenModel):
         for name in ("light", "demodulated"):
             if getattr(self, name) and not self.diodes:
                 raise EntryError(f"{name} without diode currents", key=(name,), expected="diode_currents")
-        users: dict[ColumnName, Key] = {}
         for key, si, entry in self.entries():
             _check_conversion(entry, si, key)
-            if si != "1" and entry.column in users:
-                what = f"column '{entry.column}' is used twice, also as {_text(users[entry.column])}"
-                raise EntryError(what, key=(*key, "column"), expected="a column of its own for each reading")
-            users[entry.column] = key
         return self
 
 
@@ -279,10 +291,6 @@ def _check_conversion(entry: ColumnEntry, si: str, key: Key) -> None:
         entry.conversion(si)
     except EntryError as error:
         raise EntryError(error.what, key=(*key, *error.key), expected=error.expected) from None
-
-
-def _text(key: Key) -> str:
-    return "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in key).lstrip(".")
 
 
 class FileLayout(FrozenModel):

@@ -20,7 +20,7 @@ from posor.tables.channel_ranges import channels_of, compared_values, light_sour
 from posor.tables.joint_scans import JointColumns
 from posor.tables.row_selection import RowSelection
 from posor.tables.table_file import open_table
-from posor.tables.table_map import READINGS, ColumnEntry, load_table_map
+from posor.tables.table_map import READINGS, ColumnEntry, load_table_map, may_share_column
 from posor.tables.table_time import parse_zone, start_ns, times_at_rate, times_of_numbers, times_of_texts
 from posor.tables.table_units import UNITS
 
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from posor.numerics.array_types import BoolArray, FloatArray, IntArray
     from posor.tables.channel_ranges import Channel
     from posor.tables.raw_table import Cells, RawTable
-    from posor.tables.table_map import JointMap, LoadedMap, ReferenceMap, TableMap
+    from posor.tables.table_map import JointMap, Key, LoadedMap, ReferenceMap, TableMap
 
 _MOST_RATE_ERROR = 1e-3
 """Largest relative difference between the rate of a map and that of the file."""
@@ -136,6 +136,7 @@ class _Reader:
         }
         self._check_header_units(entries)
         calibrations = {name: self._calibration(name, joint) for name, joint in table_map.joints.items()}
+        self._refuse_second_uses(entries, times, number)
         cells = table.read({*entries.values(), *number}, {*times, *flags.values()})
         if not (len(cells.places) or cells.incomplete):
             raise DataFileError("has no rows", where=str(table.path), expected="one row for each scan after the header")
@@ -200,6 +201,20 @@ class _Reader:
 
     def _index(self, column: str | int, key: tuple[str | int, ...]) -> int:
         return self.table.index(column, self._place(*key))
+
+    def _refuse_second_uses(self, entries: dict[int, int], times: list[int], number: list[int]) -> None:
+        """Refuse a column that the map takes for two quantities, by whichever of its names."""
+        users: dict[int, list[Key]] = {n: [("number",)] for n in number}
+        users.update({n: [("time", "column")] for n in times})
+        for key, _, entry in self.map.entries():
+            column = entries[id(entry)]
+            others = users.setdefault(column, [])
+            if other := next((each for each in others if not may_share_column(key, each)), None):
+                name, use = self.table.columns[column].name, self.loaded.locations.find(*other)[1]
+                what = f"column '{name}' is used twice, also as {use}"
+                where = self._place(*key, "column")
+                raise CalibrationError(what, where=where, expected="a column of its own for each reading")
+            others.append(key)
 
     def _check_header_units(self, entries: dict[int, int]) -> None:
         """Refuse a unit that contradicts the file's, and a rate that contradicts that of a channel."""

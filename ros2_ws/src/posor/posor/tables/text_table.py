@@ -8,7 +8,7 @@ import codecs
 import csv
 import io
 import re
-from itertools import islice
+from itertools import islice, pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -83,10 +83,32 @@ def decode(data: bytes, encoding: str, where: str, *, growing: bool = False) -> 
         raise DataFileError(f"is not {encoding}", where=where, expected="the encoding in the map") from None
 
 
+def lines_of(text: str, comment: str) -> Iterator[tuple[int, str]]:
+    """Yield number and text of each line that is neither empty nor a comment; line ends of any system."""
+    for number, line in enumerate(io.StringIO(text, newline=None), 1):
+        is_comment = bool(comment) and line.startswith(comment) and not _ERROR_CELL.match(line)
+        is_comment |= number == 1 and line.startswith("sep=")  # of Excel
+        if line.strip() and not is_comment:
+            yield number, line
+
+
+def without_empty_end(cells: list[str]) -> list[str]:
+    """Return the cells of a line without the empty ones at its end, which separators at the end make."""
+    return cells[: max((n for n, cell in enumerate(cells, 1) if cell), default=0)]
+
+
+def names_fit(names: list[str], row: list[str]) -> bool:
+    """Return whether a row of data has a cell for each name and no more; either may have separators at its end."""
+    names = without_empty_end(names)
+    least = len(names) - (names[-1:] == [LEFT_OUT])
+    return 0 < len(without_empty_end(row)) <= len(names) and least <= len(row)
+
+
 class TextTable(RawTable):
     """A text file with a row of names, and one row for each scan."""
 
     place_word = "line"
+    decimal_hint = "; file: {decimal: ','} in the map if it has a decimal comma"
 
     def __init__(self, path: Path, text: str, layout: FileLayout) -> None:
         """Read the header."""
@@ -113,11 +135,22 @@ class TextTable(RawTable):
         if others:
             self.hint = f"; file: {{separator: {others[0]}}} in the map if it separates the cells"
         if header_line == 0:
+            self._refuse_skipped_names()
             header = [str(n + 1) for n in range(len(header))]
-        while len(header) > 1 and not header[-1]:
-            header.pop()  # a separator at the end of the line
+        header = without_empty_end(header) or header[:1]
         columns = [Column(name, unit_in_name(name) or _unit_below(units, n)) for n, name in enumerate(header)]
         super().__init__(path, columns)
+
+    def _refuse_skipped_names(self) -> None:
+        """Refuse a map without header that skips a line of texts right above the data, as wide as they are."""
+        for (number, names), (line, row) in pairwise(self._rows(1)):
+            if line >= self._data_line:
+                is_text = not any(is_number(cell, self._layout.decimal) for cell in names)
+                if number < self._data_line and is_text and names_fit(names, row):
+                    what, where = "holds names or units, which header_line: 0 skips", f"{self._where}, line {number}"
+                    expected = f"the line of the names in the map, such as file: {{header_line: {number}}}"
+                    raise DataFileError(what, where=where, expected=expected)
+                return
 
     def _rows(self, first_line: int) -> Iterator[tuple[int, list[str]]]:
         """Yield line number and cells of every line that is neither empty nor a comment."""
@@ -126,11 +159,8 @@ class TextTable(RawTable):
 
         def lines() -> Iterator[str]:
             nonlocal number
-            for line in io.StringIO(self._text, newline=None):
-                number += 1
-                is_comment = bool(layout.comment) and line.startswith(layout.comment) and not _ERROR_CELL.match(line)
-                is_comment |= number == 1 and line.startswith("sep=")  # of Excel
-                if number >= first_line and line.strip() and not is_comment:
+            for number, line in lines_of(self._text, layout.comment):
+                if number >= first_line:
                     yield " ".join(line.split()) if layout.separator == "space" else line
 
         reader = csv.reader(lines(), delimiter=separator, skipinitialspace=True, strict=True)

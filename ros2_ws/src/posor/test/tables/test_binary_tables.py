@@ -188,6 +188,17 @@ def test_types_of_parquet_columns(tmp_path: Path) -> None:
             stamps(times, unit, volts)
 
 
+def test_a_decimal_comma_in_a_text_of_parquet_has_no_key_of_text_files_as_remedy(tmp_path: Path) -> None:
+    pa = pytest.importorskip("pyarrow")
+    import pyarrow.parquet  # noqa: PLC0415
+
+    path = tmp_path / "a.parquet"
+    pyarrow.parquet.write_table(pa.table(COLUMNS | {NAMES[1]: ["715,767"] * COUNT}), path)
+    with pytest.raises(DataFileError, match=r"row 1, column 'AI0 \(mV\)'") as caught:
+        read_table(path, write_map(tmp_path))
+    assert "decimal:" not in str(caught.value)
+
+
 def test_a_matlab_file_of_one_row(tmp_path: Path) -> None:
     savemat(tmp_path / "a.mat", {"daq": {"t": 0.0, "u": 0.71, "v": -0.25, "plate": 20.0}})
     time = {"column": "daq.t", "unit": "s", "start": START}

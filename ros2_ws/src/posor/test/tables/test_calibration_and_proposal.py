@@ -113,6 +113,44 @@ def test_a_proposed_map_reads_the_file(way: str, scans: Scans, tmp_path: Path) -
     assert (states == int(State.OK)).all()
 
 
+ENDS: dict[str, Callable[[str, list[str]], list[str]]] = {
+    "separators below the names": lambda names, rows: [names, *(f"{row},," for row in rows)],
+    "a separator behind the names": lambda names, rows: [f"{names},", *rows],
+    "separators, but not in the first row": lambda names, rows: [names, rows[0], *(f"{row}," for row in rows[1:])],
+    "a separator in the first row": lambda names, rows: [names, f"{rows[0]},", *rows[1:]],
+    "separators below names and in the units": lambda _, rows: [
+        ",".join(name.partition(" ")[0] for name in NAMES),
+        ",".join(name.partition(" ")[2].strip("()") for name in NAMES) + ",",
+        *(f"{row}," for row in rows),
+    ],
+    "a comment in the first row": lambda names, rows: [f"{names},Comment", f"{rows[0]},begin", *rows[1:]],
+    "form feeds": lambda names, rows: [f"\f{names}", f"\f{rows[0]}", *rows[1:]],
+    "vertical tab": lambda names, rows: [names, rows[0].replace(",", "\v,"), *rows[1:]],
+    "a separator of files": lambda names, rows: ["# a\x1cb", names, *rows],
+    "a next line": lambda names, rows: ["# a\x85b", names, *rows],
+    "names behind a comment sign": lambda names, rows: [f"# {names}", *rows],
+    "names behind the last of two comment signs": lambda names, rows: ["# of the lab", f"#{names}", *rows],
+    "a line separator of Unicode": lambda names, rows: ["# a\u2028b", names, *rows],
+}
+
+
+@pytest.mark.parametrize("kind", ENDS)
+def test_a_proposal_finds_names_and_rows_where_the_reader_does(kind: str, scans: Scans, tmp_path: Path) -> None:
+    path = write_csv(tmp_path / "daq.csv", columns_of(scans), NAMES)
+    names, *rows = path.read_text(encoding="utf-8").splitlines()
+    path.write_text("\n".join(ENDS[kind](names, rows)) + "\n", encoding="utf-8")
+    read = read_table(path, propose(path)[0])
+    np.testing.assert_allclose(read.gap_voltages, scans.gap_voltages, atol=1e-9)
+    np.testing.assert_allclose(np.diff(read.stamps_ns), 2_000_000)
+
+
+def test_a_proposal_skips_no_row_that_begins_with_an_error_of_a_spreadsheet(scans: Scans, tmp_path: Path) -> None:
+    path = write_csv(tmp_path / "daq.csv", columns_of(scans), NAMES)
+    path.write_text(path.read_text(encoding="utf-8").replace("\n0.000000", "\n#N/A", 1), encoding="utf-8")
+    with pytest.raises(DataFileError, match=r"line 2, column 'Time \(s\)'"):
+        read_table(path, propose(path)[0])
+
+
 def test_a_proposal_states_what_is_missing(scans: Scans, tmp_path: Path) -> None:
     path = write_csv(tmp_path / "daq.csv", columns_of(scans)[1:8], NAMES[1:8])
     table_map, unsure = propose(path)
@@ -199,6 +237,9 @@ def test_a_file_without_rows_has_no_proposal(tmp_path: Path) -> None:
     path = tmp_path / "daq.csv"
     path.write_text("a,b\n", encoding="utf-8")
     with pytest.raises(DataFileError, match="has no rows"):
+        propose(path)
+    path.write_text("a" * 200_000 + "\n1,2\n", encoding="utf-8")
+    with pytest.raises(DataFileError, match="line 1: field larger than field limit"):
         propose(path)
     path.write_text("AI0 (mV)  AI1 (mV)\n1  2\n3  4\n", encoding="utf-8")
     with pytest.raises(DataFileError, match="line 2: there are 2 cells; expected 4, as in the header"):

@@ -277,6 +277,11 @@ BAD: dict[str, tuple[str, dict[str, Any], str]] = {
         "{csv}, line 1: holds numbers in place of names; expected names, or file: {{header_line: 0}} in the map if ",
     ),
     "names behind #": ("# " + TEXT.replace(",ok", ""), {}, "line 2: holds numbers in place of names"),
+    "names that the map skips": (
+        TEXT,
+        {"file": {"header_line": 0, "data_line": 2}},
+        "{csv}, line 1: holds names or units, which header_line: 0 skips; expected the line of the names in the map, ",
+    ),
     "another separator": (csv_of(separator=";"), {}, "; file: {{separator: ';'}} in the map if it separates "),
     "second header in another order": (
         TEXT + ",".join([NAMES[0], *NAMES[2:0:-1], *NAMES[3:]]) + "\n1,1,2,3,ok\n",
@@ -402,7 +407,7 @@ WRONG_MAPS: dict[str, tuple[dict[str, Any], str]] = {
     ),
     "a column twice": (
         {"joints": {"elbow": JOINT | {"gap_voltages": [{"column": "AI0 (mV)", "unit": "mV"}] * 2}}},
-        "column 'AI0 (mV)' is used twice, also as gap_voltages[0]",
+        "column 'AI0 (mV)' is used twice, also as joints.elbow.gap_voltages[0]; expected a column of its own for each ",
     ),
     "no lit source": (
         {"joints": {"elbow": JOINT | {"diode_currents": [{"column": n, "unit": "A"} for n in range(1, 5)]}}},
@@ -436,6 +441,84 @@ def test_a_wrong_map_is_refused(kind: str, tmp_path: Path) -> None:
         read_table(write_csv(tmp_path / "daq.csv"), write_map(tmp_path, **changes))
     assert sentence in str(caught.value)
     assert str(tmp_path / "map.yaml") in str(caught.value)
+
+
+def entry(column: str | int, unit: str = "V") -> dict[str, Any]:
+    return {"column": column, "unit": unit}
+
+
+def write_uses(folder: Path, uses: dict[str, Any]) -> tuple[Path, Path]:
+    """Write a table, and the map of joints a and b and of references r and s; ``uses`` adds keys to them."""
+    table = folder / "uses.csv"
+    lines = ["t,u,v,w,lit,x,y,z", *(f"{n},1,2,3,0,7,8,9" for n in range(1, 4))]
+    table.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    joints = {
+        name: {"frame_id": name, "gap_voltages": [entry(gap)], **uses.get(name, {})}
+        for name, gap in (("a", "u"), ("b", "v"))
+    }
+    references = {name: {"frame_id": "table", **uses[name]} for name in ("r", "s") if name in uses}
+    time = {"column": "t", "unit": "s", "start": START}
+    changes = {"joints": joints, "references": references, "number": uses.get("number")}
+    return table, write_map(folder, time=time, **changes)
+
+
+NUMBER = {"standard_uncertainty": {"value": 1e-6, "unit": "m"}}
+RATIOS = {"x": entry("x", "1"), "y": entry(6, "1"), "total": {"value": 1.0, "unit": "A"}}
+TWICE: dict[str, tuple[dict[str, Any], str]] = {
+    "name and number": ({"a": {"gap_voltages": [entry("u"), entry(2)]}}, "joints.a.gap_voltages[1].column"),
+    "name with a blank": ({"a": {"gap_voltages": [entry("u"), entry(" u")]}}, "joints.a.gap_voltages[1].column"),
+    "two joints": ({"b": {"gap_voltages": [entry(2)]}}, "joints.b.gap_voltages[0].column"),
+    "environment and reading": ({"a": {"supply_voltage": entry(3)}}, "joints.b.gap_voltages[0].column"),
+    "environment of one joint": (
+        {"a": {"supply_voltage": entry("w"), "reference_voltage": entry("w")}},
+        "joints.a.reference_voltage.column",
+    ),
+    "environments of two joints": (
+        {"a": {"supply_voltage": entry("w")}, "b": {"reference_voltage": entry("w")}},
+        "joints.b.reference_voltage.column",
+    ),
+    "state and reading": ({"a": {"home_mark": entry("v", "1")}}, "joints.b.gap_voltages[0].column"),
+    "ratios of a diode": ({"a": {"lit_sources": [0], "diode_ratios": [RATIOS]}}, "joints.a.diode_ratios[0].y.column"),
+    "coordinates": (
+        {"r": {"position": [entry("x", "m"), entry("y", "m"), entry(6, "m")]}},
+        "references.r.position[2].column",
+    ),
+    "reading and reference": ({"r": {"reading": entry("u", "m"), **NUMBER}}, "references.r.reading.column"),
+    "time and reading": ({"a": {"gap_voltages": [entry(1)]}}, "joints.a.gap_voltages[0].column"),
+    "number and reading": ({"number": "w", "a": {"supply_voltage": entry(4)}}, "joints.a.supply_voltage.column"),
+}
+
+
+@pytest.mark.parametrize("kind", TWICE)
+def test_a_column_of_two_quantities_is_refused(kind: str, tmp_path: Path) -> None:
+    uses, key = TWICE[kind]
+    with pytest.raises(CalibrationError, match=rf"map\.yaml, line \d+, key {re.escape(key)}: .* is used twice"):
+        load_readings(*write_uses(tmp_path, uses))
+
+
+def test_columns_that_a_map_may_use_several_times(tmp_path: Path) -> None:
+    """Environment and states of two joints, a text of a reading, the times as scan numbers, and two references."""
+    joint = {
+        "supply_voltage": entry("w"),
+        "home_mark": entry("lit", "1"),
+        "flags": {"saturated": {"column": "u", "pattern": "OVER"}},
+    }
+    point = {"position": [entry(name, "m") for name in "xyz"]}
+    readings = load_readings(
+        *write_uses(
+            tmp_path, {"number": "t", "a": joint, "b": joint, "r": point, "s": {"reading": entry("z", "m"), **NUMBER}}
+        )
+    )
+    assert [each.scans.supply_voltages.tolist() for each in readings.joints.values()] == [[3.0] * 3] * 2
+    assert readings.joints["b"].scans.numbers.tolist() == [1, 2, 3]
+    assert readings.references["r"].values[:, 2].tolist() == readings.references["s"].values[:, 0].tolist() == [9.0] * 3
+
+
+def test_rows_that_a_map_without_names_skips_are_no_names(tmp_path: Path) -> None:
+    changes = WAYS["no header"][1] | {"file": {"header_line": 0, "data_line": 3}}
+    path = tmp_path / "daq.csv"
+    path.write_bytes(WAYS["no header"][0])
+    assert len(read_table(path, write_map(tmp_path, **changes))) == COUNT - 2
 
 
 def test_flags_references_and_lit_sources(tmp_path: Path) -> None:

@@ -208,6 +208,11 @@ class Device(ABC, Generic[SettingsT]):
         return find_exposures(names, self.reading_order, self.channel_interval_s, 1.0 / self.frame_rate, entry)
 
     @property
+    def incomplete_frame(self) -> str:
+        """What has been received of the next frame, such as ``12 bytes without a line feed``; empty: nothing."""
+        return ""
+
+    @property
     @abstractmethod
     def address(self) -> str:
         """Where the device is, such as ``192.168.0.5:10001``, for messages."""

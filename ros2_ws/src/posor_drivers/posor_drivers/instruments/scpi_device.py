@@ -47,6 +47,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 from posor.calibration.file_model import EntryError, Expression, FrozenModel
 from posor.calibration.yaml_document import load_document
 from posor.claim import claim
+from posor.tables.number_text import OVERLOAD, parse_number
 from pydantic import Field, model_validator
 
 from posor_drivers.instruments.device import Channel, refuse_repeated_numbers, starting_channels
@@ -107,7 +108,7 @@ class Dialect(FrozenModel):
     read: str
     """Question for one value of each channel, in ascending order of the numbers."""
     separator: str = ","
-    overload: Annotated[float, Field(strict=True, gt=0.0)]
+    overload: Annotated[float, Field(strict=True, gt=0.0)] = OVERLOAD
     """A value of at least this size, of either sign, is out of range."""
     error: str
     """Question for the oldest entry of the error queue, which it removes."""
@@ -175,13 +176,14 @@ class ScpiDevice(PolledDevice[ScpiSettings]):
 
         """
         super().__init__(name, settings)
-        keys = "format, version, identify, model, setup, functions, read, separator, overload, error, no_error"
+        keys = "format, version, identify, model, setup, functions, read, separator, error, no_error"
         path, check = settings.dialect_path, Dialect.model_validate
         self._dialect = load_document(path, "dialect file", keys, DIALECT_VERSION, check)[0]
         self._numbers = [channel.number for channel in settings.channels.values()]
         self._numbers_of: dict[str, list[int]] = {}  # by function, ascending
         for channel_name, channel in sorted(settings.channels.items(), key=lambda entry: entry[1].number):
             self._numbers_of.setdefault(self._function_of(channel_name, channel), []).append(channel.number)
+        self._identity = ""
         self._dark_left, self._next_dark_s = 0, 0.0
         self._claim: socket.socket | None = None
         apertures = [self._dialect.functions[function].aperture for function in self._numbers_of]
@@ -259,7 +261,7 @@ class ScpiDevice(PolledDevice[ScpiSettings]):
             instrument.read_termination = instrument.write_termination = dialect.termination
         except Exception as error:  # noqa: BLE001  pyvisa-py raises a plain Exception where the host cannot be reached
             raise self.error(f"no connection to {self.address}, {error}", "an instrument at this address") from None
-        identity = self._query(dialect.identify)
+        self._identity = identity = self._query(dialect.identify)
         if re.search(dialect.model, identity) is None:
             raise self.error(f"the instrument is '{identity}'", f"a model that matches '{dialect.model}'")
         if self.settings.light is not None:
@@ -362,15 +364,25 @@ class ScpiDevice(PolledDevice[ScpiSettings]):
         finally:
             instrument.timeout = answer_time_ms
 
+    def _refuse_late_answers(self) -> None:
+        """Raise DeviceError: a greeting or another line came before the answers, so each belongs to an earlier query.
+
+        Asked before an answer is refused: what such an answer seems to say is wrong.
+        """
+        if (answer := self._query(self._dialect.identify)) != self._identity:
+            what = f"the answers to '{self._dialect.identify}' are '{self._identity}' and then '{answer}'"
+            raise self.error(what, "one line for each query")
+
     def ask(self) -> Sequence[float]:
         """Return the reading of each channel."""
         dialect = self._dialect
         answer = self._query(dialect.read)
         try:
-            readings = [float(number) for number in answer.split(dialect.separator)]
+            readings = [parse_number(number) for number in answer.split(dialect.separator)]
         except ValueError:
             readings = []
         if len(readings) != len(self._numbers):
+            self._refuse_late_answers()
             self._check_errors()
             what = f"the answer to '{dialect.read}' is '{answer}'"
             raise self.error(what, f"{len(self._numbers)} numbers, separated by '{dialect.separator}'")
@@ -384,6 +396,7 @@ class ScpiDevice(PolledDevice[ScpiSettings]):
         for name in self._numbers_of if self._dialect.function else ():
             answer, expected = self._query(self._dialect.function), self._dialect.functions[name].answer
             if not re.search(expected, answer):
+                self._refuse_late_answers()
                 raise self.error(f"the instrument measures {answer}", f"{name}, '{expected}'")
 
     def _check_errors(self) -> None:
@@ -400,11 +413,15 @@ class ScpiDevice(PolledDevice[ScpiSettings]):
                 break
             errors.append(answer)
         if errors:
+            self._refuse_late_answers()
             raise self.error(f"the instrument reports {'; '.join(errors)}", "an empty error queue")
 
     def _query(self, command: str) -> str:
-        answer: str = self._transfer("query", command)
-        return answer.strip()
+        """Return the answer to a question. Raises DeviceError: there is none, or only the question again."""
+        answer: str = self._transfer("query", command).strip()
+        if answer == command.strip():
+            raise self.error(f"the instrument echoes '{command}'", "answers without the question")
+        return answer
 
     def _transfer(self, method: str, command: str) -> Any:
         """Write a command, or query its answer.

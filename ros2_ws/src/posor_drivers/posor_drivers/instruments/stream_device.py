@@ -25,7 +25,6 @@ For lines such as ``0.7161,-0.2566`` over TCP, which need no counter because TCP
 
 from __future__ import annotations
 
-import math
 import re
 import select
 import socket
@@ -36,6 +35,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 import numpy as np
 from posor.calibration.file_model import EntryError, FrozenModel
+from posor.tables.number_text import OVERLOAD, parse_number
 from pydantic import AfterValidator, Field, model_validator
 
 from posor_drivers.instruments.device import Device, DeviceSettings, FrameCounter, Frames, Host, Port
@@ -245,6 +245,12 @@ class StreamDevice(Device[StreamSettings]):
         rows = self._lines(data[:whole]) if self.settings.is_text else list(self._frame.iter_unpack(data[:whole]))
         return self._frames(rows, arrived_ns) if rows else None
 
+    @property
+    def incomplete_frame(self) -> str:
+        """Bytes after the last whole frame."""
+        missing = " without a line feed" if self.settings.is_text else f" of a frame of {self._frame.size}"
+        return f"{len(self._rest)} bytes{missing}" if self._rest else ""
+
     def _receive_datagrams(self, port: socket.socket) -> bytes:
         """Return the content of all datagrams received so far. Raises DeviceError: they are of two senders."""
         data = b""
@@ -266,7 +272,7 @@ class StreamDevice(Device[StreamSettings]):
     def _lines(self, data: bytes) -> list[list[float | str]]:
         """Return the cells of whole lines: numbers, and texts of fields that are no numbers."""
         separator = self.settings.separator or ","
-        lines = [line for line in data.decode("ascii", "replace").splitlines() if line.strip()]
+        lines = [line for line in data.decode("ascii", "replace").split("\n") if line.strip()]
         if self._is_first and lines:
             self._is_first = False
             del lines[0]
@@ -275,31 +281,31 @@ class StreamDevice(Device[StreamSettings]):
             cells = line.split() if separator == " " else [cell.strip() for cell in line.split(separator)]
             if len(cells) != len(self.settings.fields):
                 expected = f"{len(self.settings.fields)}, separated by '{separator}'"
-                raise self.error(f"the line '{line[:60]}' has {len(cells)} values", expected)
+                raise self.error(f"the line {line[:60].strip()!r} has {len(cells)} values", expected)
             rows.append([self._cell(cell) for cell in cells])
         return rows
 
     def _cell(self, cell: str) -> float | str:
         if cell == self.settings.overload:
-            return math.nan
+            return np.nan
         try:
-            number = float(cell)
+            return parse_number(cell)
         except ValueError:
             return cell
-        return number if math.isfinite(number) else math.nan
 
     def _frames(self, rows: Sequence[Sequence[Any]], arrived_ns: int) -> Frames:
         for row in rows:
             for column, name, value in self._constants:
                 if row[column] != value:
-                    what = f"'{name}' is {row[column]} in a frame"
-                    raise self.error(what, f"{value}; the frames may be of another layout")
+                    what = f"'{name}' is {row[column]!r} in a frame"
+                    raise self.error(what, f"{value!r}; the frames may be of another layout")
         numbers = [[row[column] for column in self._columns] for row in rows]
         text = next((each for row in numbers for each in row if isinstance(each, str)), None)
         if text is not None:
-            raise self.error(f"'{text}' in place of a number", "a number, or the text of the key overload")
-        values = np.array(numbers, dtype=np.float64) * self._scales
-        values[np.isinf(values)] = np.nan
+            raise self.error(f"{text!r} in place of a number", "a number, or the text of the key overload")
+        unscaled = np.array(numbers, dtype=np.float64)
+        values = unscaled * self._scales
+        values[(np.abs(unscaled) >= OVERLOAD) | np.isinf(values)] = np.nan
         counters = np.array([self._number_of(row) for row in rows], dtype=np.int64)
         return Frames(counters, values, arrived_ns=arrived_ns)
 
@@ -312,5 +318,5 @@ class StreamDevice(Device[StreamSettings]):
         if isinstance(counter, float) and counter.is_integer() and counter >= 0.0:
             counter = int(counter)
         if not isinstance(counter, int) or abs(counter) > self._greatest:
-            raise self.error(f"'{counter}' in place of the counter", f"a whole number of at most {self._greatest}")
+            raise self.error(f"{str(counter)!r} in place of the counter", f"a whole number of at most {self._greatest}")
         return self._numbers.number(counter)

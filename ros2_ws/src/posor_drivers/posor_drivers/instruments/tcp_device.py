@@ -105,6 +105,11 @@ class PacketDevice(Device[SettingsT]):
         self.received = b""
         self.connection = TcpConnection(self.error, host, port, timeout_s)
 
+    @property
+    def incomplete_frame(self) -> str:
+        """Bytes after the last whole packet."""
+        return f"{len(self.received)} bytes of a packet that is not whole" if self.received else ""
+
     @abstractmethod
     def take_packet(self) -> Frames | None:
         """Take the first packet from ``received`` and return its frames; None if it is not complete.

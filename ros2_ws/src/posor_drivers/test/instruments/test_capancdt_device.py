@@ -312,6 +312,13 @@ def test_no_answer_within_the_time(server: CapaNcdtServer) -> None:
     assert 0.19 < time.monotonic() - started_s < 1.0
 
 
+def test_a_packet_that_is_never_whole_is_named(server: CapaNcdtServer) -> None:
+    server.split_at = 9
+    with running(CapaNcdtDevice("probes", settings(server))) as reader:
+        wait_for_fault(reader, ", but 9 bytes of a packet that is not whole; expected ")
+        server.released.set()
+
+
 @pytest.mark.parametrize("port", ["command_port", "data_port"])
 def test_closed_port_and_unknown_host_are_named(server: CapaNcdtServer, port: str) -> None:
     with socket.create_server(("127.0.0.1", 0)) as closed:

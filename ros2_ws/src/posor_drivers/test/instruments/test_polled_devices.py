@@ -4,11 +4,13 @@
 
 from __future__ import annotations
 
+import socketserver
 import time
 from collections.abc import Iterator
-from contextlib import closing
+from contextlib import closing, contextmanager, suppress
 from itertools import pairwise
 from pathlib import Path
+from threading import Thread
 from types import SimpleNamespace
 from typing import Any
 
@@ -244,6 +246,8 @@ def test_faults_of_a_scanner_are_named(scanner: ScpiServer) -> None:
         wait_for_frames(reader)
         scanner.answer = "1.0,2.0,3.0"
         wait_for_fault(reader, "meter: the answer to 'READ?' is '1.0,2.0,3.0'; expected 2 numbers, separated by ','.")
+        scanner.answer = "1_0,2.0"  # a number for Python alone
+        wait_for_fault(reader, "meter: the answer to 'READ?' is '1_0,2.0'")
         scanner.answer = f"1.5,{OVERLOAD:E}"
         wait_for_frames(reader)
         np.testing.assert_array_equal(reader.newest_values(), [np.nan, 1.5])
@@ -264,6 +268,73 @@ def test_an_unsolicited_line_is_named_before_it_is_taken_for_an_answer(scanner: 
     with pytest.raises(DeviceError, match=sentence):
         meter.read(1.0)
     meter.close()
+
+
+@pytest.mark.parametrize(
+    ("answer", "sentence"),
+    [
+        ("READ?\n1.0,2.0", r"the instrument echoes 'READ\?'; expected answers without the question"),
+        ("1.0\n2.0,3.0", r"the answers to '\*IDN\?' are '.*' and then '2\.0,3\.0'; expected one line for each query"),
+    ],
+    ids=["echo", "two lines"],
+)
+def test_a_line_before_the_answer_is_no_error_of_the_instrument(
+    scanner: ScpiServer, answer: str, sentence: str
+) -> None:
+    scanner.answer = answer
+    with closing(ScpiDevice("meter", scpi_settings(scanner.port))) as meter:
+        meter.connect(5.0)
+        with pytest.raises(DeviceError, match=sentence):
+            meter.read(1.0)
+
+
+IDENTITY = "Keysight Technologies,DAQ970A,MY12345678,A.02.04"
+
+
+@contextmanager
+def greeting(line: str, *, echo: bool = False) -> Iterator[int]:
+    """Send a line to each client before the answers to its questions; yield the port."""
+
+    class Meter(socketserver.StreamRequestHandler):
+        def handle(self) -> None:
+            self.wfile.write(line.encode())
+            with suppress(OSError):
+                for received in self.rfile:
+                    question = received.decode().strip()
+                    answers = [question] if echo else []
+                    if question.endswith("?"):
+                        answers.append({"*IDN?": IDENTITY, "FUNC?": '"VOLT"'}.get(question, '+0,"No error"'))
+                    self.wfile.write("".join(f"{each}\n" for each in answers).encode())
+
+    class Server(socketserver.ThreadingTCPServer):
+        allow_reuse_address = daemon_threads = True
+
+    with Server(("127.0.0.1", 0), Meter) as server:
+        thread = Thread(target=server.serve_forever, kwargs={"poll_interval": 0.02})
+        thread.start()
+        try:
+            yield server.server_address[1]
+        finally:
+            server.shutdown()
+            thread.join()
+
+
+@pytest.mark.parametrize("line", ["Welcome to Keysight DAQ970A", IDENTITY])
+@pytest.mark.parametrize("dialect", ["keysight_daq970a", "single_meter"])
+def test_a_greeting_is_never_taken_for_an_answer(line: str, dialect: str) -> None:
+    channels = {"gap": {"number": 101, "unit": "V"}}
+    with greeting(f"{line}\r\n") as port:
+        meter = ScpiDevice("meter", scpi_settings(port, dialect=dialect, channels=channels))
+        with closing(meter), pytest.raises(DeviceError) as caught:
+            meter.connect(1.0)
+    assert caught.value.expected == "one line for each query"
+
+
+def test_an_echo_is_named_when_the_driver_connects() -> None:
+    with greeting("", echo=True) as port, closing(ScpiDevice("meter", scpi_settings(port))) as meter:
+        with pytest.raises(DeviceError) as caught:
+            meter.connect(1.0)
+        assert caught.value.expected == "answers without the question"
 
 
 def test_settings_that_another_user_changes_are_named(scanner: ScpiServer, labjack: LabJackServer) -> None:

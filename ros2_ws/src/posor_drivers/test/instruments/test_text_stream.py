@@ -104,11 +104,54 @@ def test_values_of_frames(way: str) -> None:
         assert (reader.state.values["frames_lost"], reader.state.values["connections"]) == (0, 1)
 
 
-def test_a_number_out_of_range_is_invalid() -> None:
-    changes = {"overload": "OVER"}
-    with serving(lambda _: b"OVER,nan\n") as port, running(StreamDevice("box", settings(port, **changes))) as reader:
+@pytest.mark.parametrize(
+    ("frame", "form"),
+    [
+        (b"OVER,nan\n", "text"),
+        (b"9.9E37,-9.91e+37\n", "text"),
+        (b"1D38,-inf\n", "text"),
+        (struct.pack("<2d", 9.9e37, -np.inf), "<2d"),
+    ],
+    ids=["texts", "overload of SCPI", "larger", "binary"],
+)
+def test_a_number_out_of_range_is_invalid(frame: bytes, form: str) -> None:
+    changes: dict[str, Any] = {"channels": {"gap1": {"unit": "m", "scale": 1e-9}, "gap2": {"unit": "V"}}}
+    changes |= {"format": form, "overload": "OVER" if form == "text" else None}
+    with serving(lambda _: frame) as port, running(StreamDevice("box", settings(port, **changes))) as reader:
         wait_for_frames(reader)
         assert np.isnan(newest_values(reader)).all()
+
+
+@pytest.mark.parametrize("control", ["\r", "\v", "\f", "\x1c", "\x1d", "\x1e"], ids=repr)
+def test_only_a_line_feed_ends_a_frame(control: str) -> None:
+    frame = f"0.5,-1.25{control}0.5,-1.25\n".encode()
+    with serving(lambda _: frame) as port, running(StreamDevice("box", settings(port))) as reader:
+        wait_for_fault(reader, " has 3 values")
+        assert reader.state.fault.isprintable()
+
+
+@pytest.mark.parametrize("step", [0, -1], ids=["still", "down"])
+def test_a_counter_that_does_not_rise_is_named(step: int) -> None:
+    def frame(n: int) -> bytes:
+        return f"{5000 + n * step},0.5,-1.25\n".encode()
+
+    fields = ["counter", "gap1", "gap2"]
+    with serving(frame) as port, running(StreamDevice("box", settings(port, fields=fields))) as reader:
+        wait_for_fault(reader, "box: the frame counter has not risen above ")
+
+
+@pytest.mark.parametrize(
+    ("frame", "form", "words"),
+    [
+        (lambda _: b"0.5,-1.25\r", "text", " bytes without a line feed; expected 200 frames per second."),
+        (lambda n: b"" if n else bytes(5), "<2d", ", but 5 bytes of a frame of 16; expected 200 frames per second."),
+    ],
+    ids=["lines that end in CR", "a part of a binary frame"],
+)
+def test_bytes_that_are_no_frame_are_named(frame: Callable[[int], bytes], form: str, words: str) -> None:
+    with serving(frame) as port, running(StreamDevice("box", settings(port, format=form))) as reader:
+        wait_for_fault(reader, words)
+        assert reader.state.fault.startswith("box: no frame for 0.3")
 
 
 @pytest.mark.parametrize(
@@ -117,6 +160,7 @@ def test_a_number_out_of_range_is_invalid() -> None:
         (b"0.5\n", {}, "the line '0.5' has 1 values; expected 2, separated by ','"),
         (b"0.5;1\n", {}, "has 1 values"),
         (b"0.5,x\n", {}, "'x' in place of a number; expected a number, or the text of the key overload"),
+        (b"0.5,1_0\n", {}, "'1_0' in place of a number"),
         (b"x,0.5,1\n", {"fields": ["counter", "gap1", "gap2"]}, "'x' in place of the counter; expected a whole number"),
         (
             b"0,0.5,1\n",

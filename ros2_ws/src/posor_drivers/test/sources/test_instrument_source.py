@@ -126,7 +126,7 @@ def test_flags_and_refusals_follow_the_channels(tmp_path: Path) -> None:
         scan_of(source)
         values[0] = (gap, *currents, lit, 1.0, plate)
         assert scan_of(source, lambda scan: scan.status != 0).status == HOME_BUMP
-        values[0] = (float("nan"), *currents, lit, 0.0, plate)
+        values[0] = (9.9e37, *currents, lit, 0.0, plate)
         saturated = scan_of(source, lambda scan: scan.status not in {0, HOME_BUMP})
         assert saturated.status == SATURATED
         assert np.isnan(saturated.gap_voltages).all()
