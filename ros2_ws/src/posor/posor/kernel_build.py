@@ -207,11 +207,14 @@ def assemble(entries: list[Entry]) -> str:
     return str(machine.emit_assembly(module))
 
 
-def c_source(entries: list[Entry], assembler: str) -> str:
-    """Return the C text of the exported functions, of the manifest, and of functions that are never called."""
+def c_source(entries: list[Entry], assembler: str, sources: str) -> str:
+    """Return the C text of the exported functions, of the manifest, and of functions that are never called.
+
+    ``sources``: hash of the sources of the kernels before they were compiled.
+    """
     kernel_library = import_module("posor.numerics.kernel_library")
     kernels = {entry.name: entry.manifest for entry in entries}
-    manifest = json.dumps({"sources": kernel_library.hash_of_sources(), "kernels": kernels})
+    manifest = json.dumps({"sources": sources, "kernels": kernels})
     lines = ["#include <stdint.h>", "#include <stdlib.h>", IN_TURN_TEXT.format(name=kernel_library.IN_TURN)]
     mentioned = sorted({word for line in assembler.splitlines() for word in _functions_of(line)})
     lines += [f'__attribute__((visibility("hidden"))) void {name}(void) {{ abort(); }}' for name in mentioned]
@@ -252,15 +255,16 @@ def is_current(file: Path) -> bool:
 def write_texts(folder: Path) -> None:
     """Compile the kernels and write the texts of the library into a folder."""
     os.environ |= {"POSOR_KERNELS": "numba", "NUMBA_CPU_NAME": PROCESSOR, "NUMBA_CPU_FEATURES": ""}
+    os.environ["NUMBA_OPT"] = "1"  # LLVM optimises all once more, after the kernels are linked
     folder.mkdir(parents=True, exist_ok=True)
     entries: list[Entry] = []
-    assembler = ""
+    assembler, sources = "", import_module("posor.numerics.kernel_library").hash_of_sources()
     with ProcessPoolExecutor(len(PARTS), get_context("fork")) as pool:  # forks: tests replace functions
         for part, (compiled, text) in zip(PARTS, pool.map(compile_part, PARTS), strict=True):
             (folder / ASSEMBLER.format(part)).write_text(text, encoding="utf-8")
             entries += compiled
             assembler += text
-    (folder / C_TEXT).write_text(c_source(entries, assembler), encoding="utf-8")
+    (folder / C_TEXT).write_text(c_source(entries, assembler, sources), encoding="utf-8")
 
 
 def main() -> int:

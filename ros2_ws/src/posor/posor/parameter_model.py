@@ -18,7 +18,7 @@ from pydantic_core import PydanticUndefined
 
 from posor.calibration.file_model import FrozenModel, format_value
 from posor.errors import ParameterError, similar_name, sum_up
-from posor.ros_names import ROS_SWITCHES
+from posor.ros_names import ROS_BOOLEAN_PARAMETERS
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -209,9 +209,9 @@ def validate_parameters(model: type[ModelT], values: Mapping[str, object], *, no
     return parameters
 
 
-def check_switches(values: Mapping[str, object], *, node: str) -> None:
-    """Raise ParameterError: a switch of every node of rclpy is not true or false; rclpy would go on without it."""
-    for name in ROS_SWITCHES:
+def check_boolean_parameters(values: Mapping[str, object], *, node: str) -> None:
+    """Raise ParameterError: a boolean parameter that rclpy declares is not true or false; rclpy would ignore it."""
+    for name in ROS_BOOLEAN_PARAMETERS:
         if not isinstance(values.get(name, False), bool):
             where = f"node {node}, parameter '{name}'"
             raise ParameterError(format_value(values[name]), where=where, expected=_NOUNS[bool][0], parameter=name)

@@ -42,8 +42,8 @@ ODOMETRY = "nav_msgs/msg/Odometry"
 TEMPERATURE = "sensor_msgs/msg/Temperature"
 IMU = "sensor_msgs/msg/Imu"
 
-ROS_SWITCHES = ("use_sim_time", "start_type_description_service")  # true or false, of every node of rclpy
-ROS_OWN_PARAMETERS = (*ROS_SWITCHES, "qos_overrides.")
+ROS_BOOLEAN_PARAMETERS = ("use_sim_time", "start_type_description_service")  # that rclpy declares
+ROS_OWN_PARAMETERS = (*ROS_BOOLEAN_PARAMETERS, "qos_overrides.")
 """Parameters (or groups of parameters) that rclpy declares on every node."""
 
 ROS_NAME_RULE = "a letter, then letters, digits and underscores, at most 80 characters"

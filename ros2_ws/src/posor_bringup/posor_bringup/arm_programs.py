@@ -10,12 +10,12 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Literal, get_args
 
 import yaml
-from posor.chain.arm_file import CHAIN_NODE, POSOR_NODE, node_errors, other_files, posor_parameters
+from posor.chain.arm_file import CHAIN_NODE, POSOR_NODE, conflicting_parameters, node_errors, posor_parameters
 from posor.chain.arm_file import chain_parameters as chain_parameters_of
 from posor.errors import ErrorCollector, ParameterError, PosorError, similar_name
 from posor.node_parameters import RECORDING, ChainParameters, PosorParameters
 from posor.output_files import write_files
-from posor.parameter_model import check_switches, validate_parameters
+from posor.parameter_model import check_boolean_parameters, validate_parameters
 from posor.ros_names import ROS_OWN_PARAMETERS, TEMPERATURE_TOPIC
 from posor_drivers.driver_parameters import driver_parameters_for
 from posor_drivers.sources.source import LiveSource, load_source_class
@@ -54,10 +54,10 @@ def arm_programs(
         arm: The arm.
         drivers: Whether to start the drivers; without them the scans come from elsewhere, such as a bag.
         driver_parameters: ROS parameters of all drivers; they replace those of the arm file.
-        chain_parameters: ROS parameters of chain_node; they replace those of the arm file.
+        chain_parameters: ROS parameters of chain_node; they replace those of the arm file, but not its files.
         parameters: ROS parameters of all nodes, such as ``use_sim_time``; they replace the freshness of the stamps that
             follows from the source.
-        parameter_files: ROS parameter files; their values replace all others.
+        parameter_files: ROS parameter files; their values replace all others, but not the files of the arm file.
 
     Raises:
         NodeError: A node has an unknown parameter or an invalid value.
@@ -134,7 +134,7 @@ def _parameter_errors(program: ProgramCommand) -> list[PosorError]:
     with errors.collecting():
         QosOverrides(name, {each: value for each, value in program.parameters.items() if each.startswith(PREFIX)})
     with errors.collecting():
-        check_switches(program.parameters, node=program.name)
+        check_boolean_parameters(program.parameters, node=program.name)
     model: type[BaseModel] = PosorParameters if name == POSOR_NODE else ChainParameters
     if name == DRIVER_NODE:
         with errors.collecting():
@@ -150,8 +150,8 @@ def _parameter_errors(program: ProgramCommand) -> list[PosorError]:
 
 
 def _file_errors(arm: ArmFile, joint: str, program: ProgramCommand) -> list[ParameterError]:
-    """Return an error for each parameter that replaces a file of the arm; drivers have none."""
-    return [] if program.executable == DRIVER_NODE else other_files(arm, joint, program.parameters)
+    """Return an error for each parameter that contradicts a key of the arm file; drivers have none."""
+    return [] if program.executable == DRIVER_NODE else conflicting_parameters(arm, joint, program.parameters)
 
 
 def _arm_node(

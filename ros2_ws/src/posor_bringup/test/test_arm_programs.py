@@ -195,15 +195,22 @@ def test_parameters_of_a_joint_go_to_its_posor_node(rig_copy: Path) -> None:
         ("", "urdf", "other.urdf"),
         ("", "beams", "other.yaml"),
         ("", "endpoint_frame", "tip"),
+        ("", "commissioning", "commissioning.yaml"),
     ],
 )
 def test_a_parameter_does_not_replace_a_file_of_the_arm(rig_copy: Path, below: str, name: str, value: str) -> None:
     path = rig_copy / "arm.yaml"
     node = f"/test_rig/{below}/posor_node" if below else "/test_rig/chain_node"
     own = {each.executable: each.parameters for each in arm_programs(load_arm_file(path))}[node.rpartition("/")[2]]
+    stated = own.get(name, "")
     file = rig_copy / "parameters.yaml"
-    file.write_text(f"{node}: {{ros__parameters: {{{name}: '{own[name]}'}}}}\n", encoding="utf-8")
+    file.write_text(f"{node}: {{ros__parameters: {{{name}: '{stated}'}}}}\n", encoding="utf-8")
     arm_programs(load_arm_file(path), parameter_files=[file])  # as 'ros2 param dump' writes it
+    if Path(str(stated)).is_file():
+        other = rig_copy / "other" / ".." / Path(str(stated)).relative_to(rig_copy.resolve())
+        (rig_copy / "other").mkdir()
+        file.write_text(f"{node}: {{ros__parameters: {{{name}: '{other}'}}}}\n", encoding="utf-8")
+        arm_programs(load_arm_file(path), parameter_files=[file])  # another spelling of the same file
     file.write_text(f"{node}: {{ros__parameters: {{{name}: {value}}}}}\n", encoding="utf-8")
     error = refusal(NodeError, arm_programs, load_arm_file(path), parameter_files=[file])
     assert (f"{file}, line 1" in error.where, f"{name}: '{value}'" in error.what) == (True, True)

@@ -36,7 +36,7 @@ from posor_calibration.procedure import (
     Table,
     TrustSigmasOption,
 )
-from posor_calibration.recorded_poses import count_from_first_mark, unlimited_posor
+from posor_calibration.recorded_poses import count_from_first_mark, counted_estimates, posor_without_rejection
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -189,29 +189,28 @@ class AttitudeFit:
 class _AngleModel:
     """The angles that a POSOR estimates, as a function of its parameters."""
 
-    def __init__(self, calibration: Calibration, scans: Scans) -> None:
-        self.posor = unlimited_posor(calibration)
+    def __init__(self, calibration: Calibration, scans: Scans, where: str) -> None:
+        self.posor = posor_without_rejection(calibration)
         self.start = self.posor.stack.parameter_values
-        self._scans = count_from_first_mark(scans)
-        self._has_marks = bool(scans.at_home.any())
+        self._scans = count_from_first_mark(self.posor, scans, where)
+        self._estimates = counted_estimates(self.posor, self._scans, where)  # with the former parameters
 
     def estimate(self, where: IntArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return alpha, beta, theta [rad] (n, 3) and their random covariances (n, 3, 3).
 
-        NaN: the scan gives no pose, or theta is not counted where the recording has a home mark.
+        NaN: the scan gives no pose, or theta is not counted.
         """
         estimates = self.posor.with_parameter_values(replace_values(self.start, where, values)).estimate_all(
             self._scans
         )
         angles = np.array([native_from_rotation(rotation) for rotation in estimates.rotations])
         angles[:, 2] = estimates.thetas
-        if self._has_marks:
-            angles[estimates.states == int(State.UNCOUNTED)] = np.nan
+        angles[estimates.states == int(State.UNCOUNTED)] = np.nan
         return angles, estimates.covariances_random[:, 3:, 3:]
 
     def derivatives(self, used: BoolArray) -> FloatArray:
         """Return d(alpha, beta, theta)/d(parameter) at the scans in use, zero elsewhere, (n, 3, p)."""
-        estimates = self.posor.estimate_all(self._scans)
+        estimates = self._estimates
         out = np.zeros((len(self._scans), 3, self.posor.stack.parameters))
         for n in np.flatnonzero(used).tolist():
             scan, T_R_T = self._scans[n], pin.SE3(estimates.rotations[n], estimates.translations[n])
@@ -257,7 +256,7 @@ def fit_attitude(
     """
     scans, valid = recording.scans, ~recording.has_status(PROBES_ESTIMATED | SATURATED)
     check_channels_vary(scans.select(valid), READING_KINDS, what)
-    model = _AngleModel(calibration.for_session(options.session), scans)
+    model = _AngleModel(calibration.for_session(options.session), scans, f"{what}, {recording.source}")
     where = np.array([parameter.index for parameter in parameters])
     columns = [ANGLES.index(angle) for angle in angles]
     start = model.start[where]
@@ -281,7 +280,7 @@ def fit_attitude(
         if lost.any():
             moved = zip(parameters, values, strict=True)
             raise FitError(
-                f"scan {scans.numbers[int(np.argmax(lost))]} gives no pose when the fit tries "
+                f"scan {scans.numbers[int(np.argmax(lost))]} gives no pose, or no counted theta, when the fit tries "
                 + ", ".join(f"{parameter.name} {value:.3g} {parameter.unit}" for parameter, value in moved),
                 where=what,
                 expected="readings and a reference that fit the calibration, or a loss that survives outliers",

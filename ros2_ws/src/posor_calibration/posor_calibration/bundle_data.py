@@ -21,7 +21,7 @@ from posor_calibration.bundle_problem import BundleData, PoseReference
 from posor_calibration.data_checks import check_axis, check_channels_vary, check_unit
 from posor_calibration.dwells import RestOptions, Settle, Still, average_dwells, scans_with_reference
 from posor_calibration.procedure import LongestGapOption
-from posor_calibration.recorded_poses import count_from_first_mark, unlimited_posor
+from posor_calibration.recorded_poses import count_from_first_mark, counted_estimates, posor_without_rejection
 
 if TYPE_CHECKING:
     from posor.bags.recording import Recording, Track
@@ -64,9 +64,10 @@ def make_bundle_data(recording: Recording, calibration: Calibration, options: Bu
     Raises FitError: no scan is left; TrackError: the reference is unusable, or does not move as this POSOR.
     """
     check_channels_vary(recording.scans, READING_KINDS, recording.source)
-    posor = unlimited_posor(calibration)
+    posor = posor_without_rejection(calibration)
     if not options.reference and all(track.values.shape[1] != POSE for track in recording.tracks.values()):
-        estimates = posor.estimate_all(count_from_first_mark(recording.scans))
+        scans = count_from_first_mark(posor, recording.scans, recording.source)
+        estimates = counted_estimates(posor, scans, recording.source)
         found = np.flatnonzero(np.isin(estimates.states, USABLE_STATES))
         poses = [pin.SE3(estimates.rotations[i], estimates.translations[i]) for i in found]
         left_out = len(recording.scans) - len(found)
@@ -95,7 +96,7 @@ def _thin_out(data: BundleData, at_most: int, source: str) -> BundleData:
     """Return at most ``at_most`` scans; raise FitError if there are none."""
     if not len(data):
         raise FitError(
-            "no scan is left to fit: all are out of the calibrated range or give no pose",
+            "no scan is left to fit: all are out of the calibrated range, give no pose, or have no counted theta",
             where=source,
             expected="scans of the POSOR that the calibration file describes",
         )

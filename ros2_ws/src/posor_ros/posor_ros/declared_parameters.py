@@ -9,8 +9,14 @@ from typing import TYPE_CHECKING, Generic
 
 from posor.errors import ParameterError, PosorError
 from posor.node_parameters import ParametersT
-from posor.parameter_model import ParameterSpec, check_switches, parameter_specs, parameter_value, validate_parameters
-from posor.ros_names import ROS_OWN_PARAMETERS, ROS_SWITCHES
+from posor.parameter_model import (
+    ParameterSpec,
+    check_boolean_parameters,
+    parameter_specs,
+    parameter_value,
+    validate_parameters,
+)
+from posor.ros_names import ROS_BOOLEAN_PARAMETERS, ROS_OWN_PARAMETERS
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
 from rclpy.parameter import Parameter
 
@@ -81,8 +87,8 @@ class DeclaredParameters(Generic[ParametersT]):
         self._node = node.get_fully_qualified_name()
         self._specs = {spec.name: spec for spec in parameter_specs(model)}
         self._is_configured = is_configured
-        switches = {name: node.get_parameter(name).value for name in ROS_SWITCHES if node.has_parameter(name)}
-        check_switches(switches, node=self._node)
+        switches = {name: node.get_parameter(name).value for name in ROS_BOOLEAN_PARAMETERS if node.has_parameter(name)}
+        check_boolean_parameters(switches, node=self._node)
         self.current = validate_parameters(model, overrides, node=self._node)
         for spec in self._specs.values():
             _declare(node, spec, parameter_value(self.current, spec.name))

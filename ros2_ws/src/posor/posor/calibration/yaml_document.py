@@ -349,7 +349,7 @@ def parse_document(
 def _refuse_other_format(
     content: dict[str, Any], locations: FileLocations, validate: Callable[[dict[str, Any]], object]
 ) -> None:
-    """Raise CalibrationError: the document is of another kind, whose versions are others."""
+    """Raise CalibrationError: the document has another format, so its version says nothing."""
     try:
         validate(content)
     except ValidationError as error:

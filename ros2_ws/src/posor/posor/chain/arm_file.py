@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, Self
 
 from pydantic import BeforeValidator, Field, model_validator
@@ -23,12 +24,11 @@ from posor.calibration.yaml_document import load_document
 from posor.chain.kinematic_chain import Chain, load_chain
 from posor.errors import ChainError, ErrorCollector, NodeError, ParameterError, PosorError, similar_name, sum_up
 from posor.node_parameters import ChainParameters, PosorParameters
-from posor.parameter_model import check_switches, validate_parameters
+from posor.parameter_model import check_boolean_parameters, validate_parameters
 from posor.ros_names import OUTER_NAMESPACE_RULE, ROS_OWN_PARAMETERS, is_outer_namespace
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
-    from pathlib import Path
 
     from posor.parameter_model import ParameterGroup
 
@@ -246,7 +246,8 @@ def chain_parameters(arm: ArmFile, *, checked: bool = True) -> dict[str, Paramet
     ``checked``: whether chain_node must accept them. Raises NodeError: the arm file gives chain_node an unknown
     parameter or an invalid value; names the line.
     """
-    parameters = {**_stated_files(arm, ""), **arm.chain_parameters}
+    stated = {name: value for name, value in _file_parameters(arm, "").items() if value}
+    parameters = {**stated, **arm.chain_parameters}
     return _checked(arm, "", ChainParameters, parameters) if checked else parameters
 
 
@@ -257,7 +258,7 @@ def posor_parameters(arm: ArmFile, joint: str, *, checked: bool = True) -> dict[
     parameter or an invalid value; ParameterError: a placeholder in it is unknown; both name the line.
     """
     filled = arm.fill_placeholders(arm.posor_parameters[joint], joint, arm.node_locations(joint))
-    parameters = {**_stated_files(arm, joint), **filled}
+    parameters = {**_file_parameters(arm, joint), **filled}
     return _checked(arm, joint, PosorParameters, parameters) if checked else parameters
 
 
@@ -271,9 +272,9 @@ def _checked(
     own = {name: value for name, value in parameters.items() if not name.startswith(ROS_OWN_PARAMETERS)}
     node = f"{joint}/{POSOR_NODE}" if joint else CHAIN_NODE
     errors = ErrorCollector()
-    errors.errors.extend(other_files(arm, joint, own))
+    errors.errors.extend(conflicting_parameters(arm, joint, own))
     with errors.collecting():
-        check_switches(parameters, node=node)
+        check_boolean_parameters(parameters, node=node)
     with errors.collecting():
         validate_parameters(model, own, node=node)
     if errors.errors:
@@ -281,32 +282,40 @@ def _checked(
     return own
 
 
-def _stated_files(arm: ArmFile, joint: str) -> dict[str, ParameterValue]:
-    """Return the parameters of a joint's posor_node ('': of chain_node) that keys of the arm file state."""
+def _file_parameters(arm: ArmFile, joint: str) -> dict[str, str]:
+    """Return the parameters of a joint's posor_node ('': of chain_node) that keys of the arm file state; '': none."""
     if joint:
         return {"calibration": str(arm.calibrations[joint]), "session": arm.sessions[joint]}
-    files = {"beams": arm.beams, "commissioning": arm.commissioning}
-    stated: dict[str, ParameterValue] = {"urdf": str(arm.urdf), "endpoint_frame": arm.endpoint_frame}
-    return stated | {name: str(path) for name, path in files.items() if path is not None}
+    return {
+        "urdf": str(arm.urdf),
+        "endpoint_frame": arm.endpoint_frame,
+        "beams": str(arm.beams or ""),
+        "commissioning": str(arm.commissioning or ""),
+    }
 
 
-def other_files(arm: ArmFile, joint: str, parameters: Mapping[str, ParameterValue]) -> list[ParameterError]:
-    """Return an error for each parameter of a node that differs from the key of the arm file for it.
+def conflicting_parameters(arm: ArmFile, joint: str, parameters: Mapping[str, ParameterValue]) -> list[ParameterError]:
+    """Return an error for each parameter of a node that contradicts the key of the arm file for it.
 
     ``joint``: of its posor_node; '': chain_node. The arm file alone states the files of the arm: checks and programs
     without nodes read those.
     """
-    stated = _stated_files(arm, joint)
-    names = ("calibration", "session") if joint else ("urdf", "endpoint_frame", "beams", "commissioning")
     return [
         ParameterError(
-            f"{name}: {format_value(parameters[name])}",
-            expected=f"{format_value(stated.get(name, ''))}, as in the arm file {arm.path}",
+            f"{name}: {format_value(given)}",
+            expected=f"{format_value(stated)}, as in the arm file {arm.path}",
             parameter=name,
         )
-        for name in names
-        if name in parameters and parameters[name] != stated.get(name, "")
+        for name, stated in _file_parameters(arm, joint).items()
+        if isinstance(given := parameters.get(name, stated), str) and not _is_same(name, given, stated)
     ]
+
+
+def _is_same(name: str, given: str, stated: str) -> bool:
+    """Return whether two values of a parameter are equal, or paths of one file."""
+    if name in ("session", "endpoint_frame") or not (given and stated):
+        return given == stated
+    return Path(given).resolve() == Path(stated).resolve()
 
 
 def node_errors(errors: Sequence[PosorError], node: str, places: Mapping[str, str], otherwise: str) -> NodeError:

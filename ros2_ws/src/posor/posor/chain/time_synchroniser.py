@@ -91,8 +91,8 @@ class TimeSynchroniser(Generic[Item]):
     def add(self, member: str, stamp: int, item: Item, arrived: float) -> dict[str, Item] | None:
         """Add one item; return the complete scan of its stamp, or None while members are missing.
 
-        Items of a scan that is complete or closed, or older, are dropped, and a second one of a member: a scan that was
-        sent twice is LOST, and its first transform holds. ``member``: name of the sender; ``stamp``: of
+        Items of a scan that is complete or closed, or older, are dropped. So is a second item of a member for the same
+        stamp: the second transform of a repeated scan is LOST. ``member``: name of the sender; ``stamp``: of
         the scan; ``item``: to be returned with the scan; ``arrived``: monotonic time of arrival, for ``max_wait`` and
         ``close_before``.
         """

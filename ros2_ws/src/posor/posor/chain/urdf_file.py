@@ -50,6 +50,7 @@ ATTRIBUTES = {  # of these elements
     "origin": ("xyz", "rpy", "quat_xyzw"),
     "axis": ("xyz",),
 }
+URDF_PARTS = ("mimic", "limit", "dynamics", "calibration", "safety_controller")  # others of a joint, without children
 PARTS = (*ATTRIBUTES, "mimic")  # elements of a joint that bear on geometry
 # Elements of a joint that do not bear on geometry, those of simulators included
 PLAIN_PARTS = frozenset(
@@ -181,18 +182,15 @@ class _Reader:
         for name in ("origin", "axis"):
             if len(found := element.called(name)) > 1:
                 self.refuse(f"{owner} has {len(found)} elements '{name}'", found[1].line, "at most one")
-            if not found:
+            if not found and (name == "origin" or element.attributes.get("type") == "floating"):
                 self.check_not_inside(element, name, owner)
 
     def check_not_inside(self, element: _Element, name: str, owner: str) -> None:
-        """Refuse an element of a joint that is inside another one, where nobody reads it."""
+        """Refuse an element of a joint inside another one of URDF, where nobody reads it."""
         for part in element.children:
-            if part.name in ATTRIBUTES:
-                continue  # is refused with any element inside
-            for misplaced in part.called(name):
+            for misplaced in part.called(name) if part.name in URDF_PARTS else ():
                 what = f"{name} inside the {part.name} of {owner}"
-                self.refuse(what, misplaced.line, f"it directly inside {owner}")
-            self.check_not_inside(part, name, owner)
+                self.refuse(what, misplaced.line, f"'{name}' as a direct child of {owner}")
 
     def read_geometry(self, joint: _Joint) -> UrdfJoint:
         """Return a joint with its geometry; what is wrong is the identity."""

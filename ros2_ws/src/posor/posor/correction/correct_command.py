@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import argparse
-import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -22,7 +21,7 @@ from posor.errors import BagError, ParameterError
 from posor.numerics.stamps import NS
 from posor.output_files import write_files
 from posor.parameter_model import parameter_specs
-from posor.reporting.command_line_parser import CommandLineParser
+from posor.reporting.command_line_parser import CommandLineParser, number_from
 from posor.reporting.program_errors import reports_errors
 
 if TYPE_CHECKING:
@@ -35,19 +34,6 @@ PROGRAM_LIMITS = CorrectionLimits(max_rate=0.1)
 """A program may cross the backlash of a gear faster than an outer loop, whose noise its limit of the rate bounds."""
 FROM_PARAMETERS = {"max_offset": "RAD", "max_rate": "RAD/S", "rotation_length": "M", "least_lever": "M"}
 """Options that are parameters of correction_node, and their units."""
-
-
-def _positive(unit: str, least: float = 0.0) -> Callable[[str], float]:
-    def parse(text: str) -> float:
-        try:
-            number = float(text)
-        except ValueError:
-            number = math.nan
-        if not least <= number < math.inf:
-            raise argparse.ArgumentTypeError(f"'{text}' is not a number of {least:g} {unit} or more")
-        return number
-
-    return parse
 
 
 def _setting(model: type[ParameterGroup], spec: ParameterSpec) -> Callable[[str], float]:
@@ -76,9 +62,9 @@ def parse_options(arguments: Sequence[str] | None) -> argparse.Namespace:
     text = "topic of the robot's joint angles in the bag (sensor_msgs/JointState); default: the program that ran"
     parser.add_argument("--encoders", metavar="TOPIC", help=text)
     text = "time between the rows of the result [s] (default: the rows of PROGRAM)"
-    parser.add_argument("--period", type=_positive("s", 1e-4), metavar="S", help=text)
+    parser.add_argument("--period", type=number_from(1e-4, unit="s"), metavar="S", help=text)
     text = "standard deviation of the smoothing [s]; 0: none (default: %(default)g)"
-    parser.add_argument("--smoothing", type=_positive("s"), default=0.01, metavar="S", help=text)
+    parser.add_argument("--smoothing", type=number_from(0.0, unit="s"), default=0.01, metavar="S", help=text)
     for model, settings in ((CorrectionLimits, PROGRAM_LIMITS), (LeastSquares, LeastSquares())):
         for spec in parameter_specs(model):
             if spec.name in FROM_PARAMETERS:

@@ -37,12 +37,12 @@ class CommandLineParser(argparse.ArgumentParser):
 
 def number_from(least: float, most: float = math.inf, unit: str = "") -> Callable[[str], float]:
     """Return the type of an option: a finite number from ``least`` to ``most``, both allowed, in a unit."""
-    return partial(_number, float, lambda value: least <= value <= most, f"at least {least:g}", most, unit)
+    return partial(_number, float, lambda value: least <= value <= most, f"at least {least:.10g}", most, unit)
 
 
 def number_above(bound: float, most: float = math.inf, unit: str = "") -> Callable[[str], float]:
     """Return the type of an option: a finite number above ``bound`` and not above ``most``, in a unit."""
-    return partial(_number, float, lambda value: bound < value <= most, f"more than {bound:g}", most, unit)
+    return partial(_number, float, lambda value: bound < value <= most, f"more than {bound:.10g}", most, unit)
 
 
 def whole_number_from(least: int, most: float = math.inf) -> Callable[[str], int]:
@@ -56,11 +56,11 @@ def _number(
     """Return the number that a text states. Raises ArgumentTypeError: it is none, not finite, or does not hold."""
     try:
         value = kind(text)
-        valid = math.isfinite(value) and holds(value)
+        valid = math.isfinite(value) and holds(value) and text.isascii() and "_" not in text
     except (ValueError, OverflowError):
         valid = False
     if not valid:
-        name = "a whole number" if kind is int else "a number"
-        limit = f" and at most {most:g}" if most < math.inf else ""
+        name = "a whole number in digits" if kind is int else "a number"
+        limit = f" and at most {most:.10g}" if most < math.inf else ""
         raise argparse.ArgumentTypeError(f"'{text}' is not {name} of {least}{limit} {unit}".rstrip())
     return value

@@ -24,7 +24,14 @@ from posor.tables.table_file import is_text, open_table, read_bytes
 from posor.tables.table_map import READINGS, FileLayout
 from posor.tables.table_time import parse_moment
 from posor.tables.table_units import UNITS
-from posor.tables.text_table import byte_order_mark, lines_of, names_fit, utf_16_without_mark, without_empty_end
+from posor.tables.text_table import (
+    are_names,
+    byte_order_mark,
+    lines_of,
+    names_fit,
+    strip_trailing_empty_cells,
+    utf_16_without_mark,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -144,7 +151,7 @@ def guess_layout(path: Path) -> tuple[FileLayout, dict[str, str]]:
         except UnicodeDecodeError:
             encoding, doubts["encoding"] = "cp1252", "the file is not UTF-8; other encodings look alike"
     text = data.decode(mark or encoding, "replace")
-    lines, with_comments = (list(islice(lines_of(text, each), _SAMPLE_LINES)) for each in (FileLayout().comment, ""))
+    lines = list(islice(lines_of(text, FileLayout().comment), _SAMPLE_LINES))
     separator, decimal = max(_layouts(), key=lambda each: _score(lines, *each))
     header_line, data_line = _header_of(lines, separator, decimal)
     options: dict[str, object] = {
@@ -152,9 +159,8 @@ def guess_layout(path: Path) -> tuple[FileLayout, dict[str, str]]:
         "decimal": decimal,
         "encoding": encoding,
     }
-    if header_line == 0 and _header_of(with_comments, separator, decimal)[0]:  # names behind a '#', as of numpy
-        options["comment"], lines = "", with_comments
-        header_line, data_line = _header_of(lines, separator, decimal)
+    if header_line == 0 and (named := _names_behind_comment(text, data_line, separator)):
+        header_line, doubts["header_line"] = named, "the names follow the sign of a comment"
     if header_line != (lines[0][0] if lines else 1):
         options["header_line"] = header_line
     if data_line != header_line + 1:
@@ -197,7 +203,7 @@ def _header_of(lines: Sequence[tuple[int, str]], separator: str, decimal: str) -
     if first is None:
         return 0, rows[-1][0] + 1 if rows else 1
     data = rows[first][1]
-    while first and 2 * count[rows[first - 1][0]] > len(without_empty_end(rows[first - 1][1])):
+    while first and 2 * count[rows[first - 1][0]] > len(strip_trailing_empty_cells(rows[first - 1][1])):
         first -= 1  # a row of data with more or fewer cells, such as a comment or a separator at its end
     above = [(n, row) for n, row in rows[:first] if len(row) == width or names_fit(row, data)]
     if not above:
@@ -206,6 +212,18 @@ def _header_of(lines: Sequence[tuple[int, str]], separator: str, decimal: str) -
     units = [n for n, row in above[1:] if sum(cell.strip("[]()") in UNITS or not cell for cell in row) * 2 > width]
     header = next((n for n, _ in reversed(above) if n not in units), above[0][0])
     return header, rows[first][0]
+
+
+def _names_behind_comment(text: str, data_line: int, separator: str) -> int:
+    """Return the number of the line right above the data if it is a comment that fits as names, as of numpy; else 0."""
+    comment = FileLayout().comment
+    rows = [(n, line) for n, line in islice(lines_of(text, ""), _SAMPLE_LINES) if n <= data_line]
+    above = [(n, line) for n, line in rows[:-1] if line.startswith(comment)]
+    if not above or rows[-1][0] != data_line:
+        return 0
+    number, line = above[-1]
+    names = strip_trailing_empty_cells(_cells(line.removeprefix(comment), separator))
+    return number if are_names(names) and names_fit(names, _cells(rows[-1][1], separator)) else 0
 
 
 def _propose_time(draft: _Draft, path: Path) -> None:

@@ -5,14 +5,14 @@
 from __future__ import annotations
 
 OVERLOAD = 9.9e37
-"""Least amount that SCPI instruments give in place of a reading that is too large or invalid (SCPI-99, 7.2.1)."""
+"""Smallest absolute value that stands for a reading that is too large or invalid (SCPI-99, 7.2.1)."""
 
 
 def parse_number(text: str) -> float:
     """Return the number of a text with a decimal point, ``nan`` and ``inf`` included; the exponent may begin with D.
 
     Raises:
-        ValueError: The text is no number. ``1_0``, which is a number for Python alone, is none.
+        ValueError: The text is no number. ``1_0`` is refused, although Python accepts it.
 
     """
     if "_" in text or not text.isascii():

@@ -142,12 +142,12 @@ class _Reader:
             raise DataFileError("has no rows", where=str(table.path), expected="one row for each scan after the header")
         stamps = self._stamps(cells, times)
         optional = {
-            entries[id(entry)]
+            id(entry)
             for reference in table_map.references.values()
             if reference.missing
             for _, _, entry in reference.entries()
         }
-        required = {*entries.values(), *number} - optional
+        required = {*number, *(column for id_, column in entries.items() if id_ not in optional)}
         selection = RowSelection(table, table_map, cells, stamps, times)
         keep = selection.select(required, {*entries.values(), *number})
         numbers = {id_: cells.numbers[column][keep] for id_, column in entries.items()}

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from posor.errors import DataFileError
-from posor.tables.raw_table import Cells, Column, RawTable, is_number, parse_numbers
+from posor.tables.raw_table import MISSING, Cells, Column, RawTable, is_number, parse_numbers
 from posor.tables.table_units import find_unit, unit_in_name
 
 if TYPE_CHECKING:
@@ -83,25 +83,36 @@ def decode(data: bytes, encoding: str, where: str, *, growing: bool = False) -> 
         raise DataFileError(f"is not {encoding}", where=where, expected="the encoding in the map") from None
 
 
-def lines_of(text: str, comment: str) -> Iterator[tuple[int, str]]:
-    """Yield number and text of each line that is neither empty nor a comment; line ends of any system."""
+def lines_of(text: str, comment: str, names_line: int | None = None) -> Iterator[tuple[int, str]]:
+    """Yield number and text of each line that is neither empty nor a comment; line ends of any system.
+
+    ``names_line``: number of the line of the names, which may follow the sign of a comment; None: unknown.
+    """
     for number, line in enumerate(io.StringIO(text, newline=None), 1):
         is_comment = bool(comment) and line.startswith(comment) and not _ERROR_CELL.match(line)
         is_comment |= number == 1 and line.startswith("sep=")  # of Excel
+        if is_comment and number == names_line:
+            line, is_comment = line.removeprefix(comment), False  # noqa: PLW2901
         if line.strip() and not is_comment:
             yield number, line
 
 
-def without_empty_end(cells: list[str]) -> list[str]:
-    """Return the cells of a line without the empty ones at its end, which separators at the end make."""
+def are_names(cells: list[str]) -> bool:
+    """Return whether cells may be the names of columns: different texts, none of them a number or a missing value."""
+    values = [cell for cell in cells if cell.lower() in MISSING or any(is_number(cell, sign) for sign in ".,")]
+    return not values and 1 < len(cells) == len(set(cells))
+
+
+def strip_trailing_empty_cells(cells: list[str]) -> list[str]:
+    """Return the cells of a line without the empty ones that trailing separators produce."""
     return cells[: max((n for n, cell in enumerate(cells, 1) if cell), default=0)]
 
 
 def names_fit(names: list[str], row: list[str]) -> bool:
     """Return whether a row of data has a cell for each name and no more; either may have separators at its end."""
-    names = without_empty_end(names)
+    names = strip_trailing_empty_cells(names)
     least = len(names) - (names[-1:] == [LEFT_OUT])
-    return 0 < len(without_empty_end(row)) <= len(names) and least <= len(row)
+    return 0 < len(strip_trailing_empty_cells(row)) <= len(names) and least <= len(row)
 
 
 class TextTable(RawTable):
@@ -129,7 +140,7 @@ class TextTable(RawTable):
         )
         if header_line is None and all(is_number(cell, layout.decimal) or not cell for cell in header):
             expected = "names, or file: {header_line: 0} in the map if there are no names, "
-            expected += f"{{header_line: {number}}} if these are the names, {{comment: ''}} if the names follow a '#'"
+            expected += f"{{header_line: {number}}} if these are the names, or the line where they follow a '#'"
             raise DataFileError("holds numbers in place of names", where=f"{path}, line {number}", expected=expected)
         others = [word for word, sign in _OTHER_SEPARATORS.items() if len(header) == 1 and sign in header[0]]
         if others:
@@ -137,16 +148,20 @@ class TextTable(RawTable):
         if header_line == 0:
             self._refuse_skipped_names()
             header = [str(n + 1) for n in range(len(header))]
-        header = without_empty_end(header) or header[:1]
+        header = strip_trailing_empty_cells(header) or header[:1]
         columns = [Column(name, unit_in_name(name) or _unit_below(units, n)) for n, name in enumerate(header)]
         super().__init__(path, columns)
 
     def _refuse_skipped_names(self) -> None:
-        """Refuse a map without header that skips a line of texts right above the data, as wide as they are."""
+        """Refuse a map without header that skips a line of names right above the data, as wide as they are.
+
+        Of words between blanks, only units tell names from a sentence.
+        """
         for (number, names), (line, row) in pairwise(self._rows(1)):
             if line >= self._data_line:
-                is_text = not any(is_number(cell, self._layout.decimal) for cell in names)
-                if number < self._data_line and is_text and names_fit(names, row):
+                names = strip_trailing_empty_cells(names)  # noqa: PLW2901
+                known = are_names(names) and (self._layout.separator != "space" or any(map(unit_in_name, names)))
+                if number < self._data_line and known and names_fit(names, row):
                     what, where = "holds names or units, which header_line: 0 skips", f"{self._where}, line {number}"
                     expected = f"the line of the names in the map, such as file: {{header_line: {number}}}"
                     raise DataFileError(what, where=where, expected=expected)
@@ -159,7 +174,7 @@ class TextTable(RawTable):
 
         def lines() -> Iterator[str]:
             nonlocal number
-            for number, line in lines_of(self._text, layout.comment):
+            for number, line in lines_of(self._text, layout.comment, layout.header_line):
                 if number >= first_line:
                     yield " ".join(line.split()) if layout.separator == "space" else line
 

@@ -40,10 +40,14 @@ def test_a_number_within_the_limits_is_read(kind: Callable[[str], float], text: 
         (number_from(0.0, unit="s"), "inf", "a number of at least 0 s"),
         (number_from(0.0, unit="s"), "soon", "a number of at least 0 s"),
         (number_from(1e-15, 0.1), "0.2", "a number of at least 1e-15 and at most 0.1"),
-        (number_above(0.0, 1e6, "m"), "0", "a number of more than 0 and at most 1e+06 m"),
-        (whole_number_from(1), "0", "a whole number of at least 1"),
-        (whole_number_from(1), "1.5", "a whole number of at least 1"),
-        (whole_number_from(0, 65535), "65536", "a whole number of at least 0 and at most 65535"),
+        (number_above(0.0, 1e6, "m"), "0", "a number of more than 0 and at most 1000000 m"),
+        (whole_number_from(1), "0", "a whole number in digits of at least 1"),
+        (whole_number_from(1), "1e3", "a whole number in digits of at least 1"),
+        (whole_number_from(1), "1_0", "a whole number in digits of at least 1"),
+        (number_from(0.0), "1_0.5", "a number of at least 0"),
+        (number_from(0.0), "\N{ARABIC-INDIC DIGIT ONE}", "a number of at least 0"),
+        (whole_number_from(1), "9" * 400, "a whole number in digits of at least 1"),
+        (whole_number_from(0, 65535), "65536", "a whole number in digits of at least 0 and at most 65535"),
     ],
 )
 def test_another_text_is_refused_with_the_limits(kind: Callable[[str], float], text: str, expected: str) -> None:

@@ -130,6 +130,11 @@ ENDS: dict[str, Callable[[str, list[str]], list[str]]] = {
     "a next line": lambda names, rows: ["# a\x85b", names, *rows],
     "names behind a comment sign": lambda names, rows: [f"# {names}", *rows],
     "names behind the last of two comment signs": lambda names, rows: ["# of the lab", f"#{names}", *rows],
+    "names behind a comment sign, and remarks": lambda names, rows: [f"# {names}", rows[0], "# pump on", *rows[1:]],
+    "names between blanks behind a comment sign": lambda _, rows: [
+        "# t u v w " + " ".join(f"i{n}" for n in range(8)),
+        *(row.replace(",", " ") for row in rows),
+    ],
     "a line separator of Unicode": lambda names, rows: ["# a\u2028b", names, *rows],
 }
 

@@ -514,11 +514,24 @@ def test_columns_that_a_map_may_use_several_times(tmp_path: Path) -> None:
     assert readings.references["r"].values[:, 2].tolist() == readings.references["s"].values[:, 0].tolist() == [9.0] * 3
 
 
-def test_rows_that_a_map_without_names_skips_are_no_names(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "skipped", ["", "nan,nan,nan,nan", "OVER,OVER,OVER,OVER", "stop,stop,go,go", "begin,nan,rest,go"]
+)
+def test_rows_that_a_map_without_names_skips_are_no_names(skipped: str, tmp_path: Path) -> None:
     changes = WAYS["no header"][1] | {"file": {"header_line": 0, "data_line": 3}}
     path = tmp_path / "daq.csv"
-    path.write_bytes(WAYS["no header"][0])
+    first, *rows = WAYS["no header"][0].decode().splitlines(keepends=True)
+    second = f"{skipped},\n" if skipped else rows[0]
+    path.write_text("".join([first, second, *rows[1:]]), encoding="utf-8")
     assert len(read_table(path, write_map(tmp_path, **changes))) == COUNT - 2
+
+
+def test_words_between_blanks_are_no_names(tmp_path: Path) -> None:
+    changes = WAYS["no header"][1] | {"file": {"header_line": 0, "data_line": 2, "separator": "space"}}
+    path = tmp_path / "daq.csv"
+    data = TEXT.partition("\n")[2].replace(",ok", "").replace(",", " ")
+    path.write_text(f"measured at the lab\n{data}", encoding="utf-8")
+    assert len(read_table(path, write_map(tmp_path, **changes))) == COUNT
 
 
 def test_flags_references_and_lit_sources(tmp_path: Path) -> None:
@@ -567,9 +580,11 @@ def test_flags_references_and_lit_sources(tmp_path: Path) -> None:
     np.testing.assert_allclose(readings.references["laser"].values[:, 0], [0.0, np.nan, 2e-6, 3e-6])
     np.testing.assert_allclose(readings.references["cmm"].values, [[1e-3, 2e-3, 3e-3, 0, 0, 0, 1]] * 4)
     assert readings.references["laser"].topic == "/reference/laser"
-    del references["laser"]["missing"]
-    with pytest.raises(DataFileError, match=r"line 3, column 'laser': the cell has no value"):
-        read_table(path, write_map(tmp_path, **changes))
+    own = {key: entry for key, entry in references["laser"].items() if key != "missing"}
+    for changed in ({"laser": own}, references | {"again": own}):  # who allows nothing misses nothing
+        changes["references"] = changed
+        with pytest.raises(DataFileError, match=r"line 3, column 'laser': the cell has no value"):
+            read_table(path, write_map(tmp_path, **changes))
 
 
 def test_the_maps_of_the_reference_page_are_valid(tmp_path: Path) -> None:

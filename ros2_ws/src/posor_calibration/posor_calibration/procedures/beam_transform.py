@@ -30,7 +30,7 @@ from posor_calibration.data_checks import POSE_AXES, check_axis, check_count, ch
 from posor_calibration.fit_report import check_spread, describe_fit, result_tables
 from posor_calibration.least_squares import fit_parameters
 from posor_calibration.procedure import LongestGapOption, LossOption, Options, Outcome, Procedure, SessionOption, Table
-from posor_calibration.recorded_poses import count_from_first_mark
+from posor_calibration.recorded_poses import count_from_first_mark, counted_estimates
 
 if TYPE_CHECKING:
     from posor.bags.recording import Recording
@@ -85,12 +85,13 @@ class _Chain:
         scans = recording.without_status(PROBES_ESTIMATED | SATURATED).scans
         gap_ns = round(options.longest_gap * 1e9)
         second, reference = (recording.find_track(topic, POSE) for topic in (options.second, options.reference))
-        estimates = Posor(calibration.for_session(options.session)).estimate_all(count_from_first_mark(scans))
+        posor, where = Posor(calibration.for_session(options.session)), f"{NAME}, {recording.source}"
+        estimates = counted_estimates(posor, count_from_first_mark(posor, scans, where), where)
         values = [track.interpolate(scans.stamps_ns, gap_ns) for track in (second, reference)]
         known: BoolArray = np.asarray(np.isfinite(np.column_stack(values)).all(axis=1))
         used: BoolArray = known & np.isin(estimates.states, USABLE_STATES)
         self.count = int(used.sum())
-        check_count(self.count, MIN_POSES, "poses that both POSORs and the reference know", NAME)
+        check_count(self.count, MIN_POSES, "poses with a counted theta that both POSORs and the reference know", NAME)
         self.names = [f"{axis} of scan {number}" for number in scans.numbers[used] for axis in POSE_AXES]
         self._first = _make_poses(estimates.rotations[used], estimates.translations[used])
         self._second, self._reference = (_make_poses(*unpack_poses(value[used])) for value in values)

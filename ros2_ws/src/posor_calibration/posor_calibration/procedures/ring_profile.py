@@ -26,7 +26,7 @@ from posor.calibration.calibration_file import find_sensor
 from posor.calibration.quantity import Quantity
 from posor.errors import FitError, TrackError
 from posor.estimation.sensor_stack import Stack
-from posor.model.fault import Fault, State
+from posor.model.fault import State
 from posor.model.scan import PROBES_ESTIMATED, SATURATED
 from posor.sensors.bumpy_ring import BumpyRingCalibration
 from pydantic import Field
@@ -47,7 +47,7 @@ from posor_calibration.procedure import (
     SessionOption,
     Table,
 )
-from posor_calibration.recorded_poses import count_from_first_mark, unlimited_posor
+from posor_calibration.recorded_poses import count_from_first_mark, counted_estimates, posor_without_rejection
 
 if TYPE_CHECKING:
     from posor.bags.recording import Recording
@@ -168,7 +168,7 @@ def _select_turns(
     if options.theta:
         track = recording.find_track(options.theta, SCALAR)
         reference = track.interpolate(scans.stamps_ns, round(options.longest_gap * 1e9))[:, 0]
-    estimates = _estimate_poses(scans, calibration, reference, part.bump_angle, where)
+    estimates = _estimate_poses(scans, calibration, reference, where)
     is_uncounted = reference is None and estimates.states == int(State.UNCOUNTED)
     thetas = np.where(is_uncounted, np.nan, estimates.thetas)
     counted = thetas if reference is None else reference  # with a reference the POSOR's own thetas wrap
@@ -196,26 +196,12 @@ def _check_coherence(lead: FloatArray, part: BumpyRingCalibration, source: str) 
         )
 
 
-def _estimate_poses(
-    scans: Scans, calibration: Calibration, reference: FloatArray | None, bump: float, where: str
-) -> Estimates:
+def _estimate_poses(scans: Scans, calibration: Calibration, reference: FloatArray | None, where: str) -> Estimates:
     """Return poses with theta from the first home mark or the reference on; FitError: neither, or count lost."""
-    posor = unlimited_posor(calibration)
+    posor = posor_without_rejection(calibration)
     if reference is not None:
         return posor.estimate_each(scans, reference)
-    homes = np.flatnonzero(scans.at_home)
-    if not homes.size:
-        raise FitError("no scan saw the home mark", where=where, expected="at least one, or a reference of theta")
-    estimates = posor.estimate_all(count_from_first_mark(scans))  # turns that do not close show a spurious mark
-    lost = np.flatnonzero((estimates.faults[homes[0] :] & int(Fault.COUNT)) != 0)
-    if lost.size:
-        number = int(scans.numbers[homes[0] + lost[0]])
-        raise FitError(
-            f"the count of bumps is in doubt at scan {number}, the turns do not close",
-            where=where,
-            expected=f"scans less than a quarter of a bump, {0.25 * bump:.3g} rad, from the predicted theta",
-        )
-    return estimates
+    return counted_estimates(posor, count_from_first_mark(posor, scans, where), where)
 
 
 def _make_pose_reference(turns: _Turns, recording: Recording, options: RingProfileOptions) -> PoseReference | None:

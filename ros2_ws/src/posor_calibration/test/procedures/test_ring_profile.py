@@ -125,8 +125,8 @@ def test_bad_data(rng: np.random.Generator) -> None:
     for changed, sentence in (
         (
             scans.with_fields({"at_home": np.zeros(320, dtype=np.int64)}),
-            "no scan saw the home mark; expected at least one, or a reference of theta",
+            "no scan with a pose saw the home mark; expected at least one",
         ),
-        (scans.select(np.r_[0:40, 45:320]), r"the count of bumps is in doubt at scan 4\d, the turns do not close"),
+        (scans.select(np.r_[0:40, 45:320]), r"the count of bumps is in doubt at scan 4\d; expected home marks at"),
     ):
         case.with_scans(changed).check_refusal(FitError, sentence, **OPTIONS)

@@ -90,6 +90,21 @@ def test_scans_before_the_home_mark_and_after_a_lost_count_are_left_out(rng: np.
         outcome = each.identify()
         assert np.abs(normalised_errors(each, outcome)).max() < 4.0
         assert sum(f"{left_out} of 300 scans are not used" in sentence for sentence in outcome.warnings) == 1
+    unsolved = case.with_readings("ring_voltages", np.nan, np.s_[[marked - 9], :])
+    marks = home.copy()
+    marks[marked - 9] = 1  # counts nothing: there is no pose
+    outcome = unsolved.with_scans(unsolved.recording.scans.with_fields({"at_home": marks})).identify()
+    assert np.abs(normalised_errors(case, outcome)).max() < 4.0
+
+
+def test_a_ring_without_home_mark_and_one_with_a_spurious_mark_are_refused(rng: np.random.Generator) -> None:
+    thetas = np.linspace(-1.0, 2.0 * np.pi - 1.0, 300)
+    home = (np.abs(thetas) < 0.5 * (thetas[1] - thetas[0])).astype(np.int64)
+    case = turned(rng, "triad_bumpy_ring", thetas)
+    case.check_refusal(FitError, "no scan with a pose saw the home mark")
+    home[20] = 1
+    spurious = case.with_scans(case.recording.scans.with_fields({"at_home": home}))
+    spurious.check_refusal(FitError, f"the count of bumps is in doubt at scan {np.flatnonzero(home)[1]}")
 
 
 def test_the_vertical_test_of_1985_separates_the_two_flatness_constants(rig_calibrations: dict[str, Path]) -> None:

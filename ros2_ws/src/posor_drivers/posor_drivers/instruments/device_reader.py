@@ -37,7 +37,7 @@ READ_TIMEOUT_S = 0.1
 PAUSE_S = 0.004
 """Between two reads of a device that sends by itself: each costs processor time, whatever number of frames has come."""
 STALL_S = 0.3
-"""Time without a frame or without a higher number, and at least STALL_FRAMES nominal periods, which is a fault."""
+"""Longest time without a new frame number, and at least STALL_FRAMES nominal periods."""
 STALL_FRAMES = 5
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.1, 1.0
 """Pause before a connection is tried again: doubled with each failure."""
@@ -324,8 +324,8 @@ class DeviceReader:
 
     def _read_frames(self) -> None:
         """Read until the device fails or the reader is stopped."""
-        device, arrived_s = self.device, time.monotonic()
-        risen_s = arrived_s
+        device, last_frame_s = self.device, time.monotonic()
+        last_new_number_s = last_frame_s
         stall_s = max(STALL_S, STALL_FRAMES / device.frame_rate)
         while not self._stopping.is_set():
             frames = device.read(READ_TIMEOUT_S)
@@ -335,15 +335,15 @@ class DeviceReader:
                 arrived_ns = read_ns if frames.arrived_ns is None else frames.arrived_ns
                 with self._lock:
                     self._store(frames, arrived_ns - self._delay_ns)
-                arrived_s = now_s
+                last_frame_s = now_s
                 if self._last != newest:
-                    risen_s = now_s
-                elif now_s - risen_s > stall_s:
-                    what = f"the frame counter has not risen above {newest} for {now_s - risen_s:.2f} s"
+                    last_new_number_s = now_s
+                elif now_s - last_new_number_s > stall_s:
+                    what = f"the frame counter has not risen above {newest} for {now_s - last_new_number_s:.2f} s"
                     raise device.error(what, "ascending numbers")
-            elif now_s - arrived_s > stall_s:
+            elif now_s - last_frame_s > stall_s:
                 incomplete = f", but {device.incomplete_frame}" if device.incomplete_frame else ""
-                what = f"no frame for {now_s - arrived_s:.2f} s{incomplete}"
+                what = f"no frame for {now_s - last_frame_s:.2f} s{incomplete}"
                 raise device.error(what, f"{device.frame_rate:g} frames per second")
             if frames is not None and frames.times_ns is None:
                 time.sleep(PAUSE_S)

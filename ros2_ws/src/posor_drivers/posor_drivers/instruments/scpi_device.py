@@ -364,10 +364,10 @@ class ScpiDevice(PolledDevice[ScpiSettings]):
         finally:
             instrument.timeout = answer_time_ms
 
-    def _refuse_late_answers(self) -> None:
-        """Raise DeviceError: a greeting or another line came before the answers, so each belongs to an earlier query.
+    def _refuse_shifted_answers(self) -> None:
+        """Raise DeviceError: an extra line, such as a greeting, has shifted the answers by one query.
 
-        Asked before an answer is refused: what such an answer seems to say is wrong.
+        To be called before an answer is refused, because a shifted one says nothing about its query.
         """
         if (answer := self._query(self._dialect.identify)) != self._identity:
             what = f"the answers to '{self._dialect.identify}' are '{self._identity}' and then '{answer}'"
@@ -382,7 +382,7 @@ class ScpiDevice(PolledDevice[ScpiSettings]):
         except ValueError:
             readings = []
         if len(readings) != len(self._numbers):
-            self._refuse_late_answers()
+            self._refuse_shifted_answers()
             self._check_errors()
             what = f"the answer to '{dialect.read}' is '{answer}'"
             raise self.error(what, f"{len(self._numbers)} numbers, separated by '{dialect.separator}'")
@@ -396,7 +396,7 @@ class ScpiDevice(PolledDevice[ScpiSettings]):
         for name in self._numbers_of if self._dialect.function else ():
             answer, expected = self._query(self._dialect.function), self._dialect.functions[name].answer
             if not re.search(expected, answer):
-                self._refuse_late_answers()
+                self._refuse_shifted_answers()
                 raise self.error(f"the instrument measures {answer}", f"{name}, '{expected}'")
 
     def _check_errors(self) -> None:
@@ -413,7 +413,7 @@ class ScpiDevice(PolledDevice[ScpiSettings]):
                 break
             errors.append(answer)
         if errors:
-            self._refuse_late_answers()
+            self._refuse_shifted_answers()
             raise self.error(f"the instrument reports {'; '.join(errors)}", "an empty error queue")
 
     def _query(self, command: str) -> str:

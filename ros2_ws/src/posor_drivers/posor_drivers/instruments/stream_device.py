@@ -172,6 +172,7 @@ class StreamDevice(Device[StreamSettings]):
         self._columns = [fields.index(channel) for channel in settings.channels]
         self._scales = np.array([channel.scale for channel in settings.channels.values()])
         self._constants = [(fields.index(each), each, value) for each, value in settings.constants.items()]
+        self._texts = {column for column, _, value in self._constants if isinstance(value, str)}
         self._counter = fields.index(COUNTER) if COUNTER in fields else None
         bits = settings.counter_bits or 64
         if self._counter is not None and not settings.is_text:
@@ -282,7 +283,7 @@ class StreamDevice(Device[StreamSettings]):
             if len(cells) != len(self.settings.fields):
                 expected = f"{len(self.settings.fields)}, separated by '{separator}'"
                 raise self.error(f"the line {line[:60].strip()!r} has {len(cells)} values", expected)
-            rows.append([self._cell(cell) for cell in cells])
+            rows.append([cell if n in self._texts else self._cell(cell) for n, cell in enumerate(cells)])
         return rows
 
     def _cell(self, cell: str) -> float | str:

@@ -108,7 +108,7 @@ class PacketDevice(Device[SettingsT]):
     @property
     def incomplete_frame(self) -> str:
         """Bytes after the last whole packet."""
-        return f"{len(self.received)} bytes of a packet that is not whole" if self.received else ""
+        return f"{len(self.received)} bytes of an incomplete packet" if self.received else ""
 
     @abstractmethod
     def take_packet(self) -> Frames | None:

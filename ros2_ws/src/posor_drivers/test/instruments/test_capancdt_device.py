@@ -315,7 +315,7 @@ def test_no_answer_within_the_time(server: CapaNcdtServer) -> None:
 def test_a_packet_that_is_never_whole_is_named(server: CapaNcdtServer) -> None:
     server.split_at = 9
     with running(CapaNcdtDevice("probes", settings(server))) as reader:
-        wait_for_fault(reader, ", but 9 bytes of a packet that is not whole; expected ")
+        wait_for_fault(reader, ", but 9 bytes of an incomplete packet; expected ")
         server.released.set()
 
 
