@@ -163,9 +163,7 @@ class ChainNode(PosorNode[ChainParameters]):
         self._pose = self._create_publisher(PoseStamped, ENDPOINT_TOPIC)
         self._pose_with_covariance = self._create_publisher(PoseWithCovarianceStamped, ENDPOINT_COVARIANCE_TOPIC)
         self._joint_states = self._create_publisher(JointState, JOINT_STATES_TOPIC)
-        qos = result_qos(self.parameters)
-        self._endpoint_state = IntraProcessPublisher(self, EndpointState, ENDPOINT_STATE_TOPIC, qos)
-        self._throttle = ThrottledPublisher(self, EndpointState, ENDPOINT_STATE_THROTTLE_TOPIC, qos)
+        self._create_state_publishers()
         self._prediction = None
         if self.parameters.encoders.topic:
             frames = self.parameters.frame_prefix + chain.base_frame, endpoint
@@ -184,6 +182,12 @@ class ChainNode(PosorNode[ChainParameters]):
 
     def _create_publisher(self, message_type: type[Any], topic: str) -> IntraProcessPublisher:
         return IntraProcessPublisher(self, message_type, topic, result_qos(self.parameters), count_listeners=True)
+
+    def _create_state_publishers(self) -> None:
+        qos = result_qos(self.parameters)
+        self._endpoint_state = IntraProcessPublisher(self, EndpointState, ENDPOINT_STATE_TOPIC, qos)
+        self._throttle = ThrottledPublisher(self, EndpointState, ENDPOINT_STATE_THROTTLE_TOPIC, qos)
+        self._inputs.add_output(self._endpoint_state.topic_name)
 
     def _subscribe(self, number: int, joint: FreeJoint) -> None:
         topic, qos = f"{joint.name}/{TRANSFORM_TOPIC}", input_qos(self.parameters)

@@ -62,6 +62,7 @@ if TYPE_CHECKING:
 LOST = int(State.LOST)
 LEVELS = {State.OK: Level.OK, State.DEGRADED: Level.WARN, State.LOST: Level.WARN}
 """Level of the diagnostics by state; other states, and what ``AlarmRate`` finds: ERROR, UNCOUNTED that waits: WARN."""
+STEPPED = "the stamps have stepped by {:.3g} s and count as wrong by as much; expected right stamps, then ~/acknowledge"
 
 
 class PosorEstimatorNode(PosorNode[PosorParameters]):
@@ -89,6 +90,7 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
         super().__init__(**options)
         self._lock = IntraProcessManager.of(self.context).delivery_lock(self.get_namespace().rpartition("/")[0])
         self._status = self.diagnostics.add_status("estimate", logged=True)
+        self._stamps = self.diagnostics.add_status("stamps")
         self._last_stream = None
         self._inputs = InputMonitor(self, self._on_inputs_checked)
         self.diagnostics.add_refresh(self._refresh_status)
@@ -432,6 +434,8 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
             counts, last = self._counts() | self._clock_values(), self._last_stream.last_scan()
             if self._reported is not None and self._reported[2]:
                 self._reported = None  # the rate of alarms may have become normal
+            step_s = float(self._posor.tracker["clocks"]["step"])
+        self._stamps.report(*((Level.WARN, STEPPED.format(step_s)) if step_s > 0.0 else (Level.OK, "without a step")))
         self._inputs.update(self._order.counts)
         self._status.update(_status_values(counts, last))
 

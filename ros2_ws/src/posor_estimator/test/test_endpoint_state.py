@@ -281,11 +281,14 @@ def test_a_singular_covariance_is_accepted_and_one_of_zeros_is_not(rig: Rig) -> 
     )
 
 
-def test_two_publishers_of_a_joint_give_no_pose(rig: Rig) -> None:
-    impostor = rig.graph.node.create_publisher(JointTransform, "joint1/transform", rig.publisher.qos_profile)
+@pytest.mark.parametrize(
+    ("message_type", "topic"), [(JointTransform, "joint1/transform"), (EndpointState, "endpoint/state")]
+)
+def test_two_publishers_of_a_joint_or_of_the_state_give_no_pose(rig: Rig, message_type: Any, topic: str) -> None:
+    impostor = rig.graph.node.create_publisher(message_type, topic, rig.publisher.qos_profile)
     try:
         rig.graph.wait_until(lambda: impostor.get_subscription_count() == 1, "the match")
-        wait_for_error = "2 publishers on /joint1/transform; expected one"
+        wait_for_error = f"2 publishers on /{topic}; expected one"
         assert rig.graph.wait_for_status("/chain_node: input", wait_for_error).level == b"\x02"
         state = rig.state_of(transform_of(1))
         assert (state.state, state.reason) == (EndpointState.STATE_LOST, wait_for_error)

@@ -91,6 +91,8 @@ def test_missing_repeated_and_backward_numbers_are_counted() -> None:
     ]
     assert order.count_missing(11, 2) == ("numbers_missing", "scans missing before scan 11: 2")
     assert order.counts == {"numbers_missing": 2, "scans_repeated": 1, "numbers_backward": 2}
+    last = 2**64 - 1  # after scan 11, as a kernel subtracts 64-bit numbers
+    assert order.count_missing(last, -13)[1] == f"scans missing before scan {last}: {last - 12}"
 
 
 class Rig:
@@ -252,6 +254,7 @@ def test_the_age_of_scans_shows_that_a_restarted_driver_has_another_clock() -> N
         transforms = send_regularly(begin_s, 10 * PERIOD_S)
         assert transforms[-1].state == JointTransform.STATE_OK
         assert min(transforms[-1].stamp_shift) > 0.0
+        assert graph.wait_for_status("/posor_node: stamps", "the stamps have stepped by 0.").level == WARN
 
 
 def test_no_deadline_and_no_liveliness_is_requested() -> None:

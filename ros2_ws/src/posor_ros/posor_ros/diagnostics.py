@@ -282,14 +282,16 @@ class LastingErrorLog:
         self._node = node
         self._name = name
         self._error_since_s: float | None = None
-        self._logged = False
+        self._logged = self._ended_by_warning = False
 
     def add(self, report: StatusReport) -> None:
-        """Process a published report."""
+        """Process a published report; an error that ends with a warning has ended, but the next OK is logged too."""
         now_s = monotonic()
         if report.level is not Level.ERROR:
-            if self._logged:
+            is_ok = report.level is Level.OK
+            if self._logged or (self._ended_by_warning and is_ok):
                 self._node.get_logger().info(f"{self._name}: {report.message}")
+            self._ended_by_warning = not is_ok and (self._logged or self._ended_by_warning)
             self._error_since_s, self._logged = None, False
         elif self._error_since_s is None:
             self._error_since_s = now_s

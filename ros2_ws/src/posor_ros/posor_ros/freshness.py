@@ -85,13 +85,17 @@ class ScanOrder:
         return "", ""
 
     def count_missing(self, number: int, missing: int) -> tuple[str, str]:
-        """Count the scans that are missing before the scan of a number; return the kind and the sentence."""
+        """Count the scans that are missing before the scan of a number; return the kind and the sentence.
+
+        ``missing``: difference of two numbers of 64 bits, less one; negative: beyond the half of their range.
+        """
+        missing %= 1 << 64
         self.counts[MISSING] += missing
         return MISSING, f"scans missing before scan {number}: {missing}"
 
 
 class InputMonitor:
-    """Watches all inputs of an active node and reports them in the status line ``input``.
+    """Watches all inputs of an active node, and the publishers of its result, and reports them in the status ``input``.
 
     Attributes:
         several: Error text while a topic has several publishers, updated with a delay; ``refusal`` is up to date.
@@ -112,6 +116,7 @@ class InputMonitor:
         self._status = node.diagnostics.add_status(INPUT_STATUS)
         self._watches: list[InputWatch] = []
         self._subscriptions: list[IntraProcessSubscription] = []
+        self._outputs: dict[str, int] = {}  # publishers by topic
         self._is_active = False
         self._notes: dict[str, str] = {}
         self._notes_of_this_second: dict[str, str] = {}
@@ -131,6 +136,10 @@ class InputMonitor:
         self._watches.append(subscription.watch)
         self._find_several()
 
+    def add_output(self, topic_name: str) -> None:
+        """Watch until ``clear`` that a topic, by its full name, has no publisher but this node."""
+        self._outputs[topic_name] = 1
+
     def add_source(self, name: str) -> InputWatch:
         """Watch an input without a subscription until ``clear``; the caller records the arrivals."""
         watch = InputWatch(name)
@@ -140,7 +149,7 @@ class InputMonitor:
     def clear(self) -> None:
         """Stop watching all inputs."""
         self.stop()
-        self._watches, self._subscriptions = [], []
+        self._watches, self._subscriptions, self._outputs = [], [], {}
         self.several = ""
 
     def start(self) -> None:
@@ -200,14 +209,16 @@ class InputMonitor:
         if self._is_active:
             for each in self._subscriptions:
                 each.find_publishers()
+            with (handle := self._node.handle):  # ``Node.count_publishers`` would parse the full name each time
+                counts = {topic: int(handle.get_count_publishers(topic)) for topic in self._outputs}
+            if counts != self._outputs:
+                self._outputs = counts
+                self._find_several()
 
     def _find_several(self) -> None:
         """Keep the sentence on several publishers of a topic until shortly after only one of them is left."""
-        sentences = [
-            f"{each.publishers} publishers on {each.topic_name}; expected one"
-            for each in self._subscriptions
-            if each.publishers > 1
-        ]
+        counts = {each.topic_name: each.publishers for each in self._subscriptions} | self._outputs
+        sentences = [f"{count} publishers on {topic}; expected one" for topic, count in counts.items() if count > 1]
         if sentences:
             self.several, self._several_until_s = sentences[-1], math.inf
         elif self.several:

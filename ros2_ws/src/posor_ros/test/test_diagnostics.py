@@ -163,12 +163,13 @@ def test_a_lasting_error_and_its_end_are_logged_once(
         for _ in range(3):
             now_s += 0.2
             log.add(lost)
-        for _ in range(2):
-            log.add(ok)
-    error, end = capfd.readouterr().err.splitlines()
+        for report in (StatusReport(Level.WARN, "lost once", {}), ok, ok):
+            log.add(report)
+    error, warning, end = capfd.readouterr().err.splitlines()
     assert error.startswith("[ERROR]")
     assert error.endswith("[test_graph]: estimate: lost: RANGE; scan 7: too far.")
-    assert end.startswith("[INFO]")
+    assert (warning.startswith("[INFO]"), end.startswith("[INFO]")) == (True, True)
+    assert warning.endswith("[test_graph]: estimate: lost once")
     assert end.endswith("[test_graph]: estimate: ok")
 
 

@@ -265,7 +265,7 @@ class Posor:
             last: The scan of that pose. It is estimated once more, because the two calibrations may see one place
                 differently; None: the next scan skips the motion gate.
 
-        From a POSOR whose theta repeats otherwise nothing is taken.
+        From a POSOR whose theta repeats otherwise nothing is taken. A step of the stamps stays until ``acknowledge``.
 
         """
         periodic = ["bump_angle", "period", "home_theta"]
@@ -277,7 +277,9 @@ class Posor:
                 for name in ("last_raw", "repeats", "signatures", "signature_count", "loop_repeats"):
                     self.tracker[name] = 0
                 if last is not None:
+                    step = float(self.tracker["clocks"]["step"])
                     self.tracker["clocks"] = 0  # the scan is seen once more
+                    self.tracker["clocks"]["step"] = step
                     self.estimate(last)
 
     def estimate(self, scan: Scan) -> Estimate:

@@ -219,6 +219,9 @@ def test_stamps_that_were_set_may_be_wrong_by_the_step_until_it_is_acknowledged(
     found = posor.estimate_all(scans.part(0, COUNT - 1))
     assert not found.stamp_shifts[AT - 1].any()
     assert found.stamp_shifts[-1, 5] >= RATE * step
+    reloaded = Posor(calibration_of("light ring"), false_alarm=1e-9)
+    reloaded.continue_from(posor, scans[COUNT - 2])  # a new calibration knows no more of the clock
+    assert reloaded.estimate_all(scans.part(COUNT - 1, COUNT)).stamp_shifts[0, 5] >= RATE * step
     assert posor.acknowledge()
     assert not posor.acknowledge()
     assert not posor.estimate_all(scans.part(COUNT - 1, COUNT)).stamp_shifts.any()
