@@ -188,6 +188,15 @@ def test_the_end_of_one_node_leaves_the_others_running(tmp_path: Path) -> None:
         assert program.end() == 0
 
 
+def test_a_node_that_is_shut_down_ends_the_process_with_its_name(tmp_path: Path) -> None:
+    with Program([*COMPOSE, str(write_composition(tmp_path, RIG))]) as program, Graph() as graph:
+        graph.wait_until(lambda: set(NODES) <= node_names(graph), "the nodes")
+        graph.wait_until(lambda: graph.state(NODES[0]) == "active", "the start")
+        assert graph.change_state(NODES[0], Transition.TRANSITION_ACTIVE_SHUTDOWN)
+        assert program.wait() == 1
+        assert program.errors[-1].startswith(f"node {NODES[0]}: was shut down by its lifecycle")
+
+
 @pytest.mark.long
 def test_the_diagnostics_have_statistics_and_sigterm_ends_all_nodes(tmp_path: Path) -> None:
     text = RIG.replace("session: ymo}", "session: ymo, limits: {latency: 1.0e-9, jitter: 1.0e-9}}")

@@ -66,6 +66,7 @@ class PosorNode(LifecycleNode, Generic[ParametersT]):
         diagnostics: Diagnostics of the node.
         timing: Records the stamps of published scans, for the status line ``timing``.
         exit_requested: Whether the node wants its program to end.
+        was_shut_down: Whether a client of its lifecycle has shut the node down.
         qos_overrides: The user's changes of the quality of service of single topics.
         may_publish: Whether the node is active or being activated; publishers are silent otherwise.
         check_timer: Calls ``run_checks`` every ``INPUT_CHECK_S``; see there.
@@ -88,7 +89,7 @@ class PosorNode(LifecycleNode, Generic[ParametersT]):
         except (RuntimeError, NameValidationException) as error:
             reason = " ".join(str(error).split(", at ")[0].split())
             raise ParameterError(reason, where=f"node {self.NAME}") from None
-        self.exit_requested = self.may_publish = self._is_configured = False
+        self.exit_requested = self.was_shut_down = self.may_publish = self._is_configured = False
         self.stop_requested: Callable[[], bool] = lambda: False
         self._failure: Exception | None = None
         self._refusal: Exception | None = None
@@ -376,6 +377,7 @@ class PosorNode(LifecycleNode, Generic[ParametersT]):
             "finalized", *steps.get(state.label, []), lambda: super(PosorNode, self).on_shutdown(state)
         )
         self._finalized = result == TransitionCallbackReturn.SUCCESS
+        self.was_shut_down = not (self.exit_requested or self.is_stopping())
         self.exit_requested = True
         return result
 

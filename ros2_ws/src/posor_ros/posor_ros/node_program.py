@@ -201,6 +201,8 @@ class NodeGroup:
                     with _name_node_in_errors(node, lambda _: "", several=several):
                         node.stop()
                         node.raise_failure()
+                        if several and node.was_shut_down:
+                            raise PosorError("was shut down by its lifecycle", expected="'deactivate' or 'cleanup'")
 
     def _report_process_health(self) -> None:
         """Apply the real-time settings; the first node reports the refusals."""
