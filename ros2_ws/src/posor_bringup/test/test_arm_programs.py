@@ -10,7 +10,7 @@ import pytest
 from posor.arm_names import find_arm, installed_arms
 from posor.bags.reprocess_command import parser, tasks_of
 from posor.bags.reprocess_task import Settings
-from posor.chain.arm_file import load_arm_file
+from posor.chain.arm_file import conflicting_parameters, load_arm_file
 from posor.errors import CalibrationError, ChainError, NodeError, ParameterError, PosorError, SeveralErrors
 from posor.node_parameters import RECORDING
 from posor_bringup.arm_programs import arm_programs, endpoint_frame_of
@@ -223,6 +223,12 @@ def test_a_parameter_does_not_replace_a_file_of_the_arm(rig_copy: Path, below: s
     assert str(path) in error.where
     with pytest.raises(NodeError, match=re.escape(error.where)):
         tasks_of(parser().parse_args(["bag", "--arm", str(path)]))
+
+
+def test_a_text_that_is_no_path_is_not_the_file_of_the_arm(rig_copy: Path) -> None:
+    arm = load_arm_file(rig_copy / "arm.yaml")
+    (error,) = conflicting_parameters(arm, "joint1", {"calibration": "no\0path", "session": ""})
+    assert error.parameter == "calibration"
 
 
 @pytest.mark.parametrize("name", ["use_sim_time", "start_type_description_service"])

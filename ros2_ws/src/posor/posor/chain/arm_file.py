@@ -313,7 +313,7 @@ def conflicting_parameters(arm: ArmFile, joint: str, parameters: Mapping[str, Pa
 
 def _is_same(name: str, given: str, stated: str) -> bool:
     """Return whether two values of a parameter are equal, or paths of one file."""
-    if name in ("session", "endpoint_frame") or not (given and stated):
+    if name in ("session", "endpoint_frame") or not (given and stated) or "\0" in given:
         return given == stated
     return Path(given).resolve() == Path(stated).resolve()
 
