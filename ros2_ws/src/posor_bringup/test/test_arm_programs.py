@@ -238,6 +238,9 @@ def test_a_switch_of_rclpy_is_true_or_false(rig_copy: Path, name: str) -> None:
     with pytest.raises(SeveralErrors) as refused:
         arm_programs(load_arm_file(rig_copy / "arm.yaml"), parameter_files=[file])
     assert [name in part.what or name in part.where for part in refused.value.parts] == [True] * 3  # of each node
+    change(rig_copy, "^joints:", f"chain:\n  parameters: {{{name}: 'true'}}\njoints:")
+    with pytest.raises(NodeError, match=f"parameter '{name}'"):
+        tasks_of(parser().parse_args(["bag", "--arm", str(rig_copy)]))
 
 
 def test_arm_is_found_by_name_file_or_folder(rig_copy: Path) -> None:

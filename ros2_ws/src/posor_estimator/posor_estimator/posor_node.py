@@ -435,7 +435,10 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
             if self._reported is not None and self._reported[2]:
                 self._reported = None  # the rate of alarms may have become normal
             step_s = float(self._posor.tracker["clocks"]["step"])
-        self._stamps.report(*((Level.WARN, STEPPED.format(step_s)) if step_s > 0.0 else (Level.OK, "without a step")))
+        if step_s > 0.0:
+            self._stamps.report(Level.WARN, STEPPED.format(step_s))
+        else:
+            self._stamps.report(Level.OK, "without a step")
         self._inputs.update(self._order.counts)
         self._status.update(_status_values(counts, last))
 

@@ -87,8 +87,8 @@ class DeclaredParameters(Generic[ParametersT]):
         self._node = node.get_fully_qualified_name()
         self._specs = {spec.name: spec for spec in parameter_specs(model)}
         self._is_configured = is_configured
-        switches = {name: node.get_parameter(name).value for name in ROS_BOOLEAN_PARAMETERS if node.has_parameter(name)}
-        check_boolean_parameters(switches, node=self._node)
+        of_rclpy = {name: node.get_parameter(name).value for name in ROS_BOOLEAN_PARAMETERS if node.has_parameter(name)}
+        check_boolean_parameters(of_rclpy, node=self._node)
         self.current = validate_parameters(model, overrides, node=self._node)
         for spec in self._specs.values():
             _declare(node, spec, parameter_value(self.current, spec.name))

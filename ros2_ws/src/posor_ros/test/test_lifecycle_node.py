@@ -91,6 +91,12 @@ def test_a_wrong_argument_or_a_refusing_hook_ends_the_program_with_one_sentence(
     assert error in errors[0]
 
 
+def test_a_boolean_of_rclpy_that_is_text_ends_the_program() -> None:
+    code, errors, lines = run_to_end("--ros-args", "-p", "use_sim_time:='true'")
+    assert (code, lines) == (2, [])
+    assert "parameter 'use_sim_time': 'true'; expected true or false" in errors[-1]
+
+
 def test_an_exception_in_a_hook_shows_its_traceback() -> None:
     code, stderr, _ = run_to_end("--ros-args", "-p", "fail:=bug")
     assert code == 1

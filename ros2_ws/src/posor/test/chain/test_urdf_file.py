@@ -175,7 +175,10 @@ def test_all_mistakes_are_found() -> None:
 def test_what_bears_on_no_geometry_is_accepted() -> None:
     text = edited(ONE_JOINT, "</robot>", WITHOUT_GEOMETRY)
     text = edited(text, "<robot", '<robot xmlns="urdf" xmlns:joint="slider" xmlns:xacro="http://ros.org/wiki/xacro"')
-    text = edited(text, '<child link="tip"/>', '<child link="tip"/><limit/><dynamics damping="1"/><drake:damping/>')
+    unread = '<limit/><dynamics damping="1"><axis xyz="0 1 0"/></dynamics><drake:damping/>'  # the joint is fixed
+    text = edited(text, '<child link="tip"/>', f'<child link="tip"/>{unread}')
+    simulated = '<gazebo><sensor><origin xyz="0 0 1"/></sensor></gazebo>'
+    text = edited(text, '<child link="plate_t"/>', f'<child link="plate_t"/>{simulated}')
     text = edited(text, '<link name="tip"/>', '<link name="tip"><origin xyz="0 0 0" rpy="0 -0 0.0"/></link>')
     text = edited(text, '"fixed"', '"fixed" dont_collapse="true"')
     assert read_urdf(text, "tip", "")[1] == []
