@@ -178,7 +178,6 @@ def node_names(graph: Graph) -> set[str]:
     return {f"{space}/{name}" for name, space in graph.node.get_node_names_and_namespaces()}
 
 
-@pytest.mark.long
 def test_the_end_of_one_node_leaves_the_others_running(tmp_path: Path) -> None:
     text = RIG.replace("loop: true", "rate: 50.0")
     with Program([*COMPOSE, str(write_composition(tmp_path, text))]) as program, Graph() as graph:

@@ -31,8 +31,8 @@ COUNT = 40
 LIGHT_RING: DesignName = "triad_light_ring"
 
 
-def drawn(random: np.random.Generator, leans: float) -> list[pin.SE3]:
-    thetas = random.uniform(-np.pi, np.pi, COUNT)
+def drawn(random: np.random.Generator, leans: float, turn: float = np.pi) -> list[pin.SE3]:
+    thetas = random.uniform(-turn, turn, COUNT)
     tilts = random.uniform(-leans, leans, (COUNT, 2))
     places = np.column_stack([random.uniform(-2e-4, 2e-4, (COUNT, 2)), np.full(COUNT, 0.7e-3)])
     turns = [rotation_from_native(a, b, t) for (a, b), t in zip(tilts, thetas, strict=True)]
@@ -47,7 +47,11 @@ def track(name: str, stamps: IntArray, poses: list[pin.SE3], random: np.random.G
 
 
 def campaign(
-    random: np.random.Generator, beam: Transform = ACROSS, mounting: float = 1.0, name: DesignName = LIGHT_RING
+    random: np.random.Generator,
+    beam: Transform = ACROSS,
+    mounting: float = 1.0,
+    name: DesignName = LIGHT_RING,
+    turn: float = np.pi,
 ) -> tuple[Recording, FloatArray]:
     """Return a recording and the true corrections of base, beam and end, (18,)."""
     corrections = np.tile([BEFORE_M] * 3 + [BEFORE_RAD] * 3, 3) * random.normal(size=18)
@@ -55,7 +59,7 @@ def campaign(
     corrections[12:] *= mounting
     drawings = zip((BASE, beam, END), corrections.reshape(3, 6), strict=True)
     true = [make_transform(six) * pin.exp6(off) for six, off in drawings]
-    first, second = drawn(random, 5e-3), drawn(random, 5e-3)
+    first, second = drawn(random, 5e-3, turn), drawn(random, 5e-3)
     seen = [true[0] * a * true[1] * c * true[2] for a, c in zip(first, second, strict=True)]
     stamps = (1 + np.arange(COUNT, dtype=np.int64)) * 100_000_000
     posor = Posor(design(name))
@@ -110,6 +114,11 @@ def test_bad_data(rng: np.random.Generator) -> None:
     uncounted, _ = campaign(rng, name="triad_bumpy_ring")
     with pytest.raises(FitError, match="no scan with a pose saw the home mark"):
         identify(uncounted, name="triad_bumpy_ring")
+    slow, _ = campaign(rng, name="triad_bumpy_ring", turn=0.01)
+    home = (np.arange(COUNT) == COUNT - 4).astype(np.int64)
+    slow = replace(slow, scans=slow.scans.with_fields({"at_home": home}))  # the last four have a counted theta
+    with pytest.raises(FitError, match="4 poses with a counted theta that both POSORs and the"):
+        identify(slow, name="triad_bumpy_ring")
     few = replace(recording, scans=recording.scans.part(0, 4))
     with pytest.raises(FitError, match="4 poses with a counted theta that both POSORs and the"):
         identify(few)

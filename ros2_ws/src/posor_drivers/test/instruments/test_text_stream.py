@@ -83,8 +83,8 @@ WAYS: dict[str, tuple[Callable[[int], bytes], dict[str, Any]]] = {
     "a first line that is cut, and a banner": (lambda n: b"0.5,-1.25\r\n" if n else b"5,-1.25\r\n", {}),
     "blanks and exponents": (lambda _: b"  5e-1   -1.25  \r\n", {"separator": " "}),
     "counter, name and unused fields": (
-        lambda n: f"$GAP;{n};0.5;-1.25;ok\n".encode(),
-        {"separator": ";", "constants": {"name": "$GAP"}, "fields": ["name", "counter", "gap1", "gap2", "remark"]},
+        lambda n: f"12D4;{n};0.5;-1.25;ok\n".encode(),
+        {"separator": ";", "constants": {"name": "12D4"}, "fields": ["name", "counter", "gap1", "gap2", "remark"]},
     ),
     "a counter of 8 bits": (
         lambda n: f"{n % 256},0.5,-1.25\n".encode(),
