@@ -93,10 +93,16 @@ def test_chain_node_bounds_the_endpoint_by_the_faults_of_the_same_scan() -> None
         def with_stamp_shift(message: Any) -> None:
             with_effects(message, effects * ([3.0] * 6 + [1.0])).stamp_shift = shift
 
-        moved = np.array(answer(with_stamp_shift).protection_level)
-        first_order = expected + np.abs(matrix) @ shift
+        state = answer(with_stamp_shift)
+        moved, by_stamp = np.array(state.protection_level), np.abs(matrix) @ shift
+        first_order = expected + by_stamp
         np.testing.assert_allclose(moved, first_order, rtol=1e-5)  # the level contains the second order too
         assert (moved >= first_order * (1.0 - 1e-6)).all()  # effects have 4 bytes
+        does_more = (by_stamp > np.maximum(single, pair)).tolist()
+        assert set(does_more) == {True, False}
+        assert state.protection_causes == [
+            "joint1: stamps" if more else cause for more, cause in zip(does_more, causes, strict=True)
+        ]
         open_effects = effects.copy()
         open_effects[0] = [0.0, 0.0, 1.0, 0.0, 0.0, 0.0, math.inf]
         state = answer(lambda message: with_effects(message, open_effects))

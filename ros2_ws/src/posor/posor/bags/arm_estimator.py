@@ -292,8 +292,10 @@ class EndpointPipeline:
             if self._home is None:
                 self._home = endpoints.poses[int(np.argmax(sound))].copy()
             endpoints = endpoints.relative_to(self._home)
-        poses, effects = (np.stack([each[name] for each in complete], axis=1) for name in ("pose", "fault_effects"))
-        bounds = self._estimator.bound_all(endpoints, poses, effects, self._home)
+        poses, effects, shifts = (
+            np.stack([each[name] for each in complete], axis=1) for name in ("pose", "fault_effects", "stamp_shift")
+        )
+        bounds = self._estimator.bound_all(endpoints, poses, effects, shifts, self._home)
         self.bounds = EndpointBounds(bounds.levels[sound], bounds.joints[sound], bounds.causes[sound])
         log_times_ns = np.max([each["log_time_ns"] for each in complete], axis=0)
         found = EndpointEstimates(

@@ -201,7 +201,7 @@ class EndpointEstimator:
         return effects
 
     def bound_error(self, *, relative: bool = False) -> tuple[tuple[str, str], ...]:
-        """Write the protection level of the endpoint; return joint and cause that set it, for each axis.
+        """Write the protection level of the endpoint; return joint and cause of its largest part, for each axis.
 
         ``relative``: in the axes at home, of the last ``estimate_relative_to``. Both names are empty where nothing sets
         the level.
@@ -214,12 +214,14 @@ class EndpointEstimator:
         endpoints: Endpoints,
         poses: FloatArray,
         fault_effects: NDArray[np.float32],
+        stamp_shifts: FloatArray | None = None,
         home: FloatArray | None = None,
     ) -> EndpointBounds:
         """Return the protection levels of n endpoints of ``estimate_all`` or of ``relative_to``.
 
-        ``poses``: of the joints, (n, j, 7); ``fault_effects``: (n, j, C, EFFECT), as the attribute; ``home``: pose in
-        whose axes the endpoints are, (7,); None: in those of the base. Joints and causes of the result index ``joints``
+        ``poses``: of the joints, (n, j, 7); ``fault_effects``: (n, j, C, EFFECT), as the attribute;
+        ``stamp_shifts``: (n, j, 6), likewise; None: zero; ``home``: pose in whose axes the endpoints are, (7,); None:
+        in those of the base. Joints and causes of the result index ``joints``
         and ``causes``.
         """
         count, bounds = len(poses), EndpointBounds.allocate(len(poses))
@@ -227,13 +229,18 @@ class EndpointEstimator:
             poses=np.require(poses, np.float64, ["C", "A", "W"]),
             fault_effects=np.require(fault_effects, np.float32, ["C", "A", "W"]),
         )
+        if stamp_shifts is not None:
+            measurements = measurements._replace(stamp_shifts=np.require(stamp_shifts, np.float64, ["C", "A", "W"]))
         axes = self._axes if home is None else np.array(rotation_of_pose(home))
         own = Endpoints._make(np.require(array, requirements=["C", "A", "W"]) for array in endpoints)
         bound_endpoints(self._arm, self._arm_causes, measurements, own, axes, bounds)
         return bounds
 
     def set_by(self, bounds: EndpointBounds, n: int) -> tuple[tuple[str, str], ...]:
-        """Return joint and cause that set the level of endpoint n along and about each axis, as ``bound_error``."""
+        """Return joint and cause that set the level of endpoint n along and about each axis, as ``bound_error``.
+
+        The cause is the name of a fault, or STAMPS.
+        """
         found = zip(bounds.joints[n].tolist(), bounds.causes[n].tolist(), strict=True)
         return tuple(("", "") if c == UNKNOWN else (self.joints[j], self.causes[c]) for j, c in found)
 

@@ -62,6 +62,7 @@ INTEGRITY_RISK = 1e-5
 COVERAGE_FACTOR = float(-ndtri(0.5 * INTEGRITY_RISK))
 """K, 4.42: the standard uncertainties of the endpoint in a protection level."""
 UNKNOWN = -1  # in place of the joint and the cause that set a level
+STAMPS = "stamps"  # in place of the cause, where no fault does as much as the errors of the stamps
 Shift: TypeAlias = tuple[float, float, float, float, float, float]  # ROS order
 NOT_MOVED: Shift = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 SMALLEST = 1e-6  # share of the largest component below which a component of an unbounded effect is rounding
@@ -82,7 +83,7 @@ class ArmCauses(NamedTuple):
 
     @staticmethod
     def of(joints: Sequence[JointCauses]) -> tuple[tuple[str, ...], ArmCauses]:
-        """Return the names of all causes, and the causes of the joints of an arm."""
+        """Return the names of all causes, STAMPS behind them, and the causes of the joints of an arm."""
         names = tuple(dict.fromkeys(chain(*(each.names for each in joints))))
         most, count = max((len(each.kinds) for each in joints), default=0), len(names)
         causes, kinds = np.full((len(joints), most), UNKNOWN), np.zeros((len(joints), most), dtype=np.int64)
@@ -94,15 +95,15 @@ class ArmCauses(NamedTuple):
         totals, largest, own = np.zeros((3, count, 6))
         set_by = np.zeros((count, 6), dtype=np.int64)
         places = np.zeros((len(joints), 3, 3)), np.zeros((len(joints), 3))
-        return names, ArmCauses(causes, kinds, shared, totals, largest, set_by, own, *places)
+        return (*names, STAMPS), ArmCauses(causes, kinds, shared, totals, largest, set_by, own, *places)
 
 
 class EndpointBounds(NamedTuple):
     """Protection levels of n endpoints."""
 
     levels: FloatArray  # along and about X, Y, Z, (n, 6) [m], [rad]; infinite: not bounded; NaN: not known, or no pose
-    joints: IntArray  # joint whose fault sets each level, (n, 6), or UNKNOWN
-    causes: IntArray  # cause that sets each level, among those of the arm, (n, 6), or UNKNOWN
+    joints: IntArray  # joint whose fault or stamp sets each level, (n, 6), or UNKNOWN
+    causes: IntArray  # cause that sets each level, among those of the arm and behind them STAMPS, (n, 6), or UNKNOWN
 
     @staticmethod
     def allocate(scans: int) -> EndpointBounds:
@@ -121,8 +122,8 @@ def bound_endpoints(
 ) -> None:
     """Write the protection levels of endpoints.
 
-    ``measurements``: of the joints, with the fault effects; ``endpoints``: covariances and stamp shifts, in the axes of
-    the levels; ``axes``: rotation of these axes in the base, (3, 3).
+    ``measurements``: of the joints, with fault effects and stamp shifts; ``endpoints``: covariances and stamp shifts,
+    in the axes of the levels; ``axes``: rotation of these axes in the base, (3, 3).
     """
     for n in range(bounds.levels.shape[0]):
         level, known = bounds.levels[n], not math.isnan(endpoints.poses[n, 0]) and causes.kinds.shape[1] > 0
@@ -141,12 +142,11 @@ def bound_endpoints(
         end = _place_joints(arm, causes, measurements, n, transposed(matrix(axes, 0)), level)
         _add_faults(causes, measurements, n, end, level)
         for k in range(6):
-            worst = 0.0
-            for c in range(causes.totals.shape[0]):
-                if causes.totals[c, k] > worst:
-                    worst = causes.totals[c, k]
-                    bounds.joints[n, k], bounds.causes[n, k] = causes.joints[c, k], c
+            worst = _name_fault(causes, bounds, n, k)
             level[k] += worst
+            if endpoints.stamp_shifts[n, k] > worst:
+                bounds.joints[n, k] = _joint_of_stamps(causes, measurements.stamp_shifts[n], end, k)
+                bounds.causes[n, k] = causes.totals.shape[0]
 
 
 @inlined
@@ -241,6 +241,37 @@ def _add_totals(causes: ArmCauses, j: int) -> None:
                 causes.totals[c, k] += own[c, k]
             elif own[c, k] > causes.totals[c, k]:
                 causes.totals[c, k] = own[c, k]
+
+
+@inlined
+def _name_fault(causes: ArmCauses, bounds: EndpointBounds, n: int, k: int) -> float:
+    """Write joint and cause of the largest effect on endpoint n along or about axis k; return the effect."""
+    worst = 0.0
+    for c in range(causes.totals.shape[0]):
+        if causes.totals[c, k] > worst:
+            worst = causes.totals[c, k]
+            bounds.joints[n, k], bounds.causes[n, k] = causes.joints[c, k], c
+    return worst
+
+
+@inlined
+def _joint_of_stamps(causes: ArmCauses, shifts: FloatArray, end: Vector, k: int) -> int:
+    """Return the joint whose error by its stamp moves the endpoint most along or about axis k, to first order.
+
+    ``shifts``: of the joints, (j, 6); an infinite one without effect adds nothing.
+    """
+    found, most = 0, 0.0
+    for j in range(shifts.shape[0]):
+        axes, lever, size = transposed(matrix(causes.rotations[j], 0)), minus(end, within(causes.positions, j)), 0.0
+        for i in range(3):
+            by_shift, by_turn = (axes[i][k], cross(axes[i], lever)[k]) if k < 3 else (0.0, axes[i][k - 3])  # noqa: PLR2004
+            if by_shift != 0.0:
+                size += abs(by_shift) * shifts[j, i]
+            if by_turn != 0.0:
+                size += abs(by_turn) * shifts[j, 3 + i]
+        if size > most:
+            found, most = j, size
+    return found
 
 
 @inlined

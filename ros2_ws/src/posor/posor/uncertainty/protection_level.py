@@ -44,7 +44,7 @@ def joint_protection_levels(posor: Posor, estimates: Estimates) -> EndpointBound
         estimates: Its estimates with ``fault_effects``.
 
     Returns:
-        The levels; ``causes`` index ``posor.hypotheses.causes``.
+        The levels; ``causes`` index ``posor.hypotheses.causes``; behind their last: errors of the stamps.
 
     Raises:
         ParameterError: The estimates have no fault effects.
@@ -66,7 +66,8 @@ def joint_protection_levels(posor: Posor, estimates: Estimates) -> EndpointBound
         covariances_systematic=estimates.covariances_systematic,
         stamp_shifts=estimates.stamp_shifts,
     )
-    return estimator.bound_all(endpoints, estimates.poses[:, None], estimates.fault_effects[:, None])
+    poses, effects, shifts = estimates.poses, estimates.fault_effects, estimates.stamp_shifts
+    return estimator.bound_all(endpoints, poses[:, None], effects[:, None], shifts[:, None])
 
 
 @dataclass(frozen=True)
@@ -80,7 +81,7 @@ class ArmReliability:
     effects: Mapping[str, Mapping[str, FloatArray]]
     expansions: FloatArray  # largest change by the temperature of the measuring beams, (6,), likewise
     protection_level: FloatArray  # of the endpoint, (6,)
-    set_by: tuple[tuple[str, str], ...]  # joint and cause that set the level along and about each axis
+    set_by: tuple[tuple[str, str], ...]  # joint and fault that set the level along and about each axis
 
 
 def arm_reliability(

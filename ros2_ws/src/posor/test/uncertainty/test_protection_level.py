@@ -16,7 +16,7 @@ from posor.calibration.calibration_file import Calibration
 from posor.calibration.causes import Cause
 from posor.calibration.designs import sized_design
 from posor.chain.beams_file import BeamsFile
-from posor.chain.fault_bounds import COVERAGE_FACTOR, INTEGRITY_RISK
+from posor.chain.fault_bounds import COVERAGE_FACTOR, INTEGRITY_RISK, STAMPS
 from posor.chain.joint_measurements import MeasuredJoint
 from posor.chain.kinematic_chain import Chain
 from posor.errors import ParameterError
@@ -53,16 +53,25 @@ def poses_of(chain: Chain) -> dict[str, pin.SE3]:
 
 
 def level_of(
-    chain: Chain, effects: FloatArray, root: FloatArray, causes: JointCauses = CAUSES, home: FloatArray | None = None
+    chain: Chain,
+    effects: FloatArray,
+    root: FloatArray,
+    causes: JointCauses = CAUSES,
+    home: FloatArray | None = None,
+    shifts: FloatArray | None = None,
 ) -> tuple[FloatArray, tuple[tuple[str, str], ...], FloatArray]:
-    """Return level, what sets it, and covariance of an endpoint, given the effects (2, C, 7) of both joints."""
+    """Return level, what sets it, and covariance of an endpoint.
+
+    ``effects``, ``shifts``: of faults and stamps at both joints, (2, C, 7) and (2, 6).
+    """
     poses, estimator = poses_of(chain), chain.estimator()
     estimator.use_causes([causes] * 2)
     packed = np.array([[pin.SE3ToXYZQUAT(pose) for pose in poses.values()]])
     covariance = np.tile(root @ root.T, (1, 2, 1, 1))
-    endpoints = estimator.estimate_all(packed, 0.25 * covariance, 0.75 * covariance, np.zeros(1, dtype=np.int64))
+    parts, stamp_shifts = (0.25 * covariance, 0.75 * covariance), None if shifts is None else shifts[None]
+    endpoints = estimator.estimate_all(packed, *parts, np.zeros(1, dtype=np.int64), stamp_shifts=stamp_shifts)
     endpoints = endpoints if home is None else endpoints.relative_to(home)
-    bounds = estimator.bound_all(endpoints, packed, effects[None].astype(np.float32), home)
+    bounds = estimator.bound_all(endpoints, packed, effects[None].astype(np.float32), stamp_shifts, home)
     return bounds.levels[0], estimator.set_by(bounds, 0), endpoints.covariances()[0]
 
 
@@ -100,6 +109,23 @@ def test_the_worst_fault_counts_and_all_causes_that_are_always_there(
         number = int(faults[:, k].argmax())
         assert found == (names[number] if number < len(names) else (largest_shared[k], "shared"))
     assert 2.0 * (1.0 - ndtr(COVERAGE_FACTOR)) == pytest.approx(INTEGRITY_RISK, rel=1e-12)
+
+
+@pytest.mark.parametrize("turned", [False, True])
+@pytest.mark.parametrize("size", [1e-9, 1e-3])
+def test_the_cause_is_the_stamps_of_the_joint_that_moves_most_where_no_fault_does_more(
+    chain: Chain, *, size: float, turned: bool, rng: np.random.Generator
+) -> None:
+    effects = np.concatenate([1e-6 * rng.normal(size=(2, 6, 6)), np.ones((2, 6, 1))], axis=2)
+    home = pin.SE3ToXYZQUAT(pin.SE3(pin.exp3(rng.normal(size=3)), rng.normal(size=3))) if turned else None
+    turn = np.kron(np.eye(2), np.eye(3) if home is None else pin.XYZQUATToSE3(home).rotation.T)
+    shifts = size * rng.uniform(size=(2, 6)) * [[3.0, 3.0, 3.0, 0.3, 0.3, 0.3], [0.3, 0.3, 0.3, 1.0, 1.0, 1.0]]
+    moved = [np.abs(turn @ matrix) @ own for matrix, own in zip(_matrices(chain), shifts, strict=True)]
+    _, without, _ = level_of(chain, effects, np.zeros((6, 6)), home=home)
+    _, set_by, _ = level_of(chain, effects, np.zeros((6, 6)), home=home, shifts=shifts)
+    by_stamps = tuple((list(ANGLES)[joint], STAMPS) for joint in np.argmax(moved, axis=0))
+    assert len(set(by_stamps)) == len(ANGLES)
+    assert set_by == (by_stamps if size == 1e-3 else without)
 
 
 def _matrices(chain: Chain) -> list[FloatArray]:
