@@ -9,6 +9,7 @@ blind direction does the solution stay at the expansion that showed the blindnes
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
     import pinocchio as pin
     from numpy.typing import NDArray
 
+    from posor.calibration.parameter_covariance import CovarianceSquareRoot
     from posor.estimation.sensor_stack import Stack
     from posor.estimation.workspace import Model
     from posor.numerics.array_types import FloatArray
@@ -43,11 +45,15 @@ class PlainSensors:
 
     """
 
-    def __init__(self, stack: Stack, model: Model, square_root: FloatArray) -> None:
-        """Find the plain sensors of a stack whose parameters have a covariance with this square root (p, factors)."""
+    def __init__(self, stack: Stack, model: Model, square_root: CovarianceSquareRoot) -> None:
+        """Find the plain sensors of a stack whose parameters have a covariance with this square root."""
         self._stack, self._model, self._square_root = stack, model, square_root
         self._plain = stack.plain_sensors
         self.present = bool(self._plain)
+
+    @cached_property
+    def _dense_square_root(self) -> FloatArray:  # a megabyte that most stacks do not need
+        return self._square_root.dense()
 
     def linearise(self, scans: NDArray[np.void], estimates: NDArray[np.void], n: int) -> bool:
         """Linearise all readings of scan n into the workspace; return whether they are valid."""
@@ -120,7 +126,7 @@ class PlainSensors:
             self._stack.expand_plain_rows(rows, before.rotation, before.translation)
             if lagging:
                 turn_rows(record_view(rows), wrapped(former_theta - theta_in_kernel(before.rotation)))
-            effects = self._stack.residual_jacobian(scan, before.rotation, before.translation) @ self._square_root
+            effects = self._stack.residual_jacobian(scan, before.rotation, before.translation) @ self._dense_square_root
             systematic = effects @ effects.T
             shared = self._model.shared_readings
             shared[:] = effects[:, effects.shape[1] - shared.shape[1] :]  # the last factors, see CovarianceSquareRoot

@@ -100,7 +100,7 @@ class Posor:
     def _prepare(self) -> None:
         """Build the arrays that the kernels read; this resets the tracker."""
         self.model = self.stack.model(self._square_root, self.hypotheses.model.with_own_scratch())
-        self._plain = PlainSensors(self.stack, self.model, self.parameter_square_root)
+        self._plain = PlainSensors(self.stack, self.model, self._square_root)
         self._known_theta: float | None = None
         self._one = _OneScan(self)
         self._solve_start: Callable[[], int] | None = None

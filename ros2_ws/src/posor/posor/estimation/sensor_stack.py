@@ -75,17 +75,15 @@ class Stack:
             field = SOURCE_NAMES[next(source for source in sources if sources.count(source) > 1)]
             raise CalibrationError(f"two sensors read the {field}", where="sensors", expected="one sensor of each type")
         self.first_readings, self.first_parameters = _starts(counts), _starts(sizes)
-        rows = [
-            sensor.rows if isinstance(sensor, RowSensor) else _affine_rows(count)
+        tables = [
+            sensor.row_table() if isinstance(sensor, RowSensor) else _affine_rows(count)
             for sensor, count in zip(self.sensors, counts, strict=True)
         ]
-        self.reading_rows = _joined(rows, ROW)
-        self._first_reading_rows = _starts([len(own) for own in rows])
-        self.row_parameters: IntArray = np.full((len(self.reading_rows), PARAMETERS), -1, dtype=np.int64)
-        for sensor, row, parameter in zip(self.sensors, self._first_reading_rows, self.first_parameters, strict=True):
-            if isinstance(sensor, RowSensor):
-                own = sensor.row_parameters
-                self.row_parameters[row : row + len(own)] = np.where(own >= 0, own + parameter, -1)
+        self.reading_rows = _joined([rows for rows, _ in tables], ROW)
+        self._first_reading_rows = _starts([len(rows) for rows, _ in tables])
+        self.row_parameters: IntArray = np.concatenate(
+            [np.where(own >= 0, own + first, -1) for (_, own), first in zip(tables, self.first_parameters, strict=True)]
+        )
 
     @property
     def reading_names(self) -> tuple[str, ...]:
@@ -311,10 +309,10 @@ def _joined(records: Sequence[NDArray[np.void]], dtype: np.dtype[np.void]) -> ND
     return out
 
 
-def _affine_rows(count: int) -> NDArray[np.void]:
+def _affine_rows(count: int) -> tuple[NDArray[np.void], IntArray]:
     rows = np.zeros(count, dtype=ROW)
     rows["kind"] = AFFINE
-    return rows
+    return rows, np.full((count, PARAMETERS), -1)
 
 
 def _padded(rows: NDArray[Any], width: int, fill: int) -> NDArray[Any]:

@@ -13,6 +13,7 @@ from __future__ import annotations
 import copy
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import TYPE_CHECKING, Self
 
 import numpy as np
@@ -180,25 +181,37 @@ def no_parameters(count: int) -> NDArray[np.void]:
 class RowSensor(Sensor):
     """A sensor whose readings are rows of the compiled kernels."""
 
-    # every row that the sensor can have (a diode has one pair for each light source), shape (K,), dtype ROW
-    rows: NDArray[np.void]
-    # where each row parameter stands in the sensor's parameter vector, negative for constants, shape (K, PARAMETERS)
-    row_parameters: IntArray
-
     @property
     @abstractmethod
     def reading_source(self) -> ReadingSource:
         """Where the kernels find the raw readings and how they linearise them."""
 
     @abstractmethod
-    def _layout(self) -> NDArray[np.void]:
-        """Return all rows with their kinds and constants, shape (K,), dtype ROW, and set ``row_parameters``."""
+    def _layout(self) -> tuple[NDArray[np.void], IntArray]:
+        """Return ``rows`` with their kinds and constants only, and ``row_parameters``."""
+
+    def row_table(self) -> tuple[NDArray[np.void], IntArray]:
+        """Return ``rows`` and ``row_parameters``, which are not kept: half a megabyte with 44 light sources."""
+        rows, numbers = self._layout()
+        rows["parameters"] = np.where(numbers >= 0, self._values[numbers], rows["parameters"])
+        return rows, numbers
+
+    @cached_property
+    def _row_table(self) -> tuple[NDArray[np.void], IntArray]:
+        return self.row_table()
+
+    @property
+    def rows(self) -> NDArray[np.void]:
+        """Every row that the sensor can have (a diode has one pair for each light source), shape (K,), dtype ROW."""
+        return self._row_table[0]
+
+    @property
+    def row_parameters(self) -> IntArray:
+        """Where each row parameter stands in the parameter vector, negative for constants, shape (K, PARAMETERS)."""
+        return self._row_table[1]
 
     def _prepare(self) -> None:
-        rows = self._layout()
-        known = self.row_parameters >= 0
-        rows["parameters"] = np.where(known, self._values[self.row_parameters], rows["parameters"])
-        self.rows = rows
+        vars(self).pop("_row_table", None)  # of other parameter values
 
     @abstractmethod
     def selected_rows(self, scan: Scan) -> IntArray:

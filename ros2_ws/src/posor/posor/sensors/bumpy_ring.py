@@ -29,7 +29,7 @@ from posor.sensors.probe import ProbeCalibration, ProbeSensor
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from posor.numerics.array_types import FloatArray
+    from posor.numerics.array_types import FloatArray, IntArray
 
 
 IN_PHASE = 0.95  # least resultant of the probes' phases, doubled, at which they are in phase
@@ -118,7 +118,7 @@ class BumpyRing(ProbeSensor):
             {"mean_radius": ring.mean_radius.sigmas, "cos": ring.cos.sigmas, "sin": ring.sin.sigmas},
         )
 
-    def _layout(self) -> NDArray[np.void]:
+    def _layout(self) -> tuple[NDArray[np.void], IntArray]:
         harmonics = len(self._orders)
         rows = np.zeros(len(self._probes), dtype=ROW)
         rows["kind"], rows["harmonics"] = RING, harmonics
@@ -128,8 +128,7 @@ class BumpyRing(ProbeSensor):
         of_row["mean_radius"] = self.parameter_ids("mean_radius")
         of_row["cosines"][:, :harmonics] = self.parameter_ids("cos")
         of_row["sines"][:, :harmonics] = self.parameter_ids("sin")
-        self.row_parameters = of_row["parameters"]
-        return rows
+        return rows, of_row["parameters"]
 
     def observability(self, phases: FloatArray) -> FloatArray:
         """Return how well the ring's readings tell (x, y, theta) apart at each bump phase.

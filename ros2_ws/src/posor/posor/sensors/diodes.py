@@ -242,7 +242,7 @@ class Diodes(RowSensor):
         super()._prepare()
         self._first_pairs = np.arange(len(self._names)) * self._sources
 
-    def _layout(self) -> NDArray[np.void]:
+    def _layout(self) -> tuple[NDArray[np.void], IntArray]:
         # Row 2 (diode * sources + source) + axis.
         count = 2 * len(self._names) * self._sources
         pair, axis = np.divmod(np.arange(count), 2)
@@ -257,8 +257,7 @@ class Diodes(RowSensor):
             ("ray_direction", "source_directions", source),
         ):
             of_row[name] = self.parameter_ids(parameter)[which]
-        self.row_parameters = of_row["parameters"]
-        return rows
+        return rows, of_row["parameters"]
 
     @property
     def reading_names(self) -> tuple[str, ...]:

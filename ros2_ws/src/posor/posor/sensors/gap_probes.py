@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     from posor.calibration.session import Session
     from posor.model.scan import Scans
-    from posor.numerics.array_types import FloatArray
+    from posor.numerics.array_types import FloatArray, IntArray
 
 
 class TargetPlaneCalibration(FrozenModel):
@@ -114,14 +114,13 @@ class GapProbes(ProbeSensor):
             {"plane_point": plane.point.sigmas, "plane_tilt": plane.tilt.sigmas},
         )
 
-    def _layout(self) -> NDArray[np.void]:
+    def _layout(self) -> tuple[NDArray[np.void], IntArray]:
         rows = np.zeros(len(self._probes), dtype=ROW)
         rows["kind"] = GAP
         of_row = no_parameters(len(rows))
         of_row["tip"], of_row["axis"] = self.parameter_ids("tips"), self.parameter_ids("axes")
         of_row["plane_point"], of_row["tilt"] = self.parameter_ids("plane_point"), self.parameter_ids("plane_tilt")
-        self.row_parameters = of_row["parameters"]
-        return rows
+        return rows, of_row["parameters"]
 
     def encode(self, readings: FloatArray, scans: Scans) -> dict[str, FloatArray]:
         """Return the voltages of gaps and the known voltage; see ``RowSensor.encode``."""
