@@ -14,9 +14,10 @@ from geometry_msgs.msg import PointStamped
 from posor.messages.message_definitions import MessageTypes
 from posor_drivers.recorder import DEPTH, RecordedTopic, strictest_request
 from posor_lab.harness.graph import Graph, values_of
-from posor_lab.harness.program import Program, installed, script
+from posor_lab.harness.program import TIMEOUT_S, Program, installed, script
 from posor_lab.harness.recorded_messages import read_bag
 from posor_msgs.msg import RawScan
+from posor_ros.qos import KEEP_ALL_QOS
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
@@ -219,13 +220,14 @@ def test_topic_with_two_types_is_refused(tmp_path: Path) -> None:
 def test_lost_messages_are_counted() -> None:
     with Graph() as graph:
         tap = Node("_tap", context=graph.node.context, enable_rosout=False)
-        publisher = graph.node.create_publisher(String, "/words", BEST_EFFORT)
-        topic = RecordedTopic(tap, "/words", "std_msgs/msg/String", [BEST_EFFORT])
+        publisher = graph.node.create_publisher(String, "/words", KEEP_ALL_QOS)
+        topic = RecordedTopic(tap, "/words", "std_msgs/msg/String", [KEEP_ALL_QOS])
         graph.wait_until(lambda: publisher.get_subscription_count() == 1 and topic.matched, "the subscription")
         publisher.publish(String(data="first"))
         graph.wait_until(lambda: topic.received == 1, "the first message", lambda: list(topic.take_messages()))
         for index in range(DEPTH + 300):  # more than the subscription holds, and nothing is taken meanwhile
             publisher.publish(String(data=str(index)))
+        assert publisher.wait_for_all_acked(Duration(seconds=TIMEOUT_S))
         taken = [deserialize_message(data, String).data for _, data in topic.take_messages()]
         assert taken == [str(index) for index in range(300, DEPTH + 300)]
         assert (topic.received, topic.lost) == (1 + DEPTH, 300)
