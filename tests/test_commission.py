@@ -12,11 +12,12 @@ import numpy as np
 import pytest
 from posor.messages.message_definitions import MessageTypes
 from posor.numerics.array_types import IntArray
+from posor.numerics.stamps import NS
 from posor.ros_names import JOINT_STATE, RAW_SCAN
 from posor_calibration.commissioning.plan import CommissioningSettings, Step
 from posor_drivers.message_builder import header, raw_scan, scan_fields
 from posor_lab.commissioning.simulated_commissioning import SimulatedCommissioning
-from posor_lab.harness.graph import Graph
+from posor_lab.harness.graph import LOSSLESS, Graph
 from posor_lab.harness.program import Program, installed
 from posor_msgs.msg import CommissioningStep, RawScan
 from sensor_msgs.msg import JointState
@@ -33,10 +34,12 @@ class RobotProgram:
 
     def __init__(self, sound: SimulatedCommissioning, graph: Graph) -> None:
         self._types, self._tick, self._recording = MessageTypes(), 0, sound.recording
-        self._rows, self._begin_s, self._duration_s = self._rows_of(Step("rest", JOINT)), 0.0, 1.0
+        self._rows, self._begin_ns, self._duration_s = self._rows_of(Step("rest", JOINT)), 0, 1.0
         self._at = 0
-        self._raw = {j: graph.node.create_publisher(RawScan, f"/five_axis/{j}/raw", 10) for j in sound.calibrations}
-        self._encoders = graph.node.create_publisher(JointState, "/five_axis/encoders", 10)
+        self._raw = {
+            j: graph.node.create_publisher(RawScan, f"/five_axis/{j}/raw", LOSSLESS) for j in sound.calibrations
+        }
+        self._encoders = graph.node.create_publisher(JointState, "/five_axis/encoders", LOSSLESS)
         graph.node.create_subscription(CommissioningStep, "/five_axis/commissioning/step", self._on_step, 10)
         self.steps: list[CommissioningStep] = []
 
@@ -50,16 +53,20 @@ class RobotProgram:
         sweeps = message.action == "sweep"
         if message.phase == (CommissioningStep.PHASE_BEGIN if sweeps else CommissioningStep.PHASE_ANNOUNCED):
             self._rows = self._rows_of(Step(message.action, message.joint, message.channel))
-            self._begin_s, self._duration_s, self._at = time.monotonic(), SWEEP_S if sweeps else 1.0, 0
+            self._begin_ns, self._duration_s, self._at = time.time_ns(), SWEEP_S if sweeps else 1.0, 0
         elif message.phase == CommissioningStep.PHASE_ANNOUNCED:
             self._rows, self._at = self._rows_of(Step("rest", JOINT)), 0
 
     def publish(self) -> None:
-        """Publish a scan of every joint with the present tick; stamps and numbers agree on a busy host as well."""
-        tick, share = time.time_ns() // PERIOD_NS, (time.monotonic() - self._begin_s) / self._duration_s
-        if tick == self._tick:
-            return
-        self._tick, stamp_ns = tick, tick * PERIOD_NS
+        """Publish a scan of every joint at each tick since the last call: on a busy host late, but without a gap."""
+        latest = time.time_ns() // PERIOD_NS
+        for tick in range(self._tick + 1 if self._tick else latest, latest + 1):
+            self._publish_at(tick)
+        self._tick = latest
+
+    def _publish_at(self, tick: int) -> None:
+        stamp_ns = tick * PERIOD_NS
+        share = max(0, stamp_ns - self._begin_ns) / (NS * self._duration_s)
         self._at = min(int(share * len(self._rows)), self._at + MOST_ROWS, len(self._rows) - 1)
         row = int(self._rows[self._at])
         for joint, publisher in self._raw.items():

@@ -13,6 +13,7 @@ The tracker has a time of its own that only moves forward, so a step of the cloc
 
 * in general it advances by the difference of the stamps;
 * where the stamps scatter and the source does not state their uncertainty, by the numbers times the period;
+* where scans in a row repeat the last numbers, because both clocks were set back, by an interval for each of them more;
 * where the two clocks contradict each other, by the smaller of both, which accepts the least motion, but at least by an
   interval for each refused scan; after a change of the rate, by the stamps. A count of theta is given up.
 
@@ -220,9 +221,7 @@ def follow_clocks(model: Model, scan: Any) -> int:
         tracker.time += elapsed
         _begin_again(model, scan, stamp, abs(deviation))
         return IN_ORDER
-    missing = 0.0
-    if clocks.fitted == 1 and clocks.refused > 0:  # the stamps stood
-        missing = max(0.0, _least_elapsed(clocks) + clocks.period - elapsed)
+    missing = _missing_time(model, elapsed)
     clocks.step += missing
     if clocks.fitted > 1 and abs(deviation) > _tolerance(clocks, 1.0):
         clocks.line = stamp  # the clocks drifted while no scan came
@@ -233,6 +232,18 @@ def follow_clocks(model: Model, scan: Any) -> int:
     tracker.time += (steps * clocks.period if by_numbers else elapsed) + missing
     _accept(clocks, scan, stamp)
     return IN_ORDER
+
+
+@inlined
+def _missing_time(model: Model, elapsed: float) -> float:
+    """Return the time before a scan in order [s] that neither its number nor its stamp shows."""
+    clocks, missing = model.workspace[0].tracker.clocks, 0.0
+    if clocks.fitted == 1 and clocks.refused > 0:  # the stamps stood
+        missing = max(0.0, _least_elapsed(clocks) + clocks.period - elapsed)
+    if clocks.late > 1 and clocks.refused_number == clocks.number:  # both clocks were set back, and came here again
+        missing = max(missing, clocks.late * clocks.period)
+        _doubt_count(model)
+    return missing
 
 
 @inlined

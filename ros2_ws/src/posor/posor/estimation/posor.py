@@ -175,8 +175,9 @@ class Posor:
     def acknowledge(self) -> bool:
         """Release the latch after a fault: the next scan starts anew, and a counted theta must be counted again.
 
-        Poses are DEGRADED (``Fault.ACKNOWLEDGED``) until a reference or home marks confirm theta. Without a latch, a
-        step of the stamps is accepted: it no longer enlarges their largest error.
+        Poses are DEGRADED (``Fault.ACKNOWLEDGED``) until a reference or home marks confirm theta. Without a latch, so
+        that after a latch it takes a second call, a step of the stamps is accepted: it no longer enlarges their largest
+        error.
 
         Returns:
             Whether there was a latch or a step; without one nothing changes.
@@ -189,10 +190,11 @@ class Posor:
             clocks["step"], clocks["age_step"], clocks["former_age"] = 0.0, 0.0, math.nan
             return True
         kept = {name: self.tracker[name].copy() for name in ("theta", "last_raw", "repeats", "measured")}
+        step = float(self.tracker["clocks"]["step"])
         self.reset()
         for name, value in kept.items():
             self.tracker[name] = value
-        self.tracker["acknowledged"] = 1
+        self.tracker["acknowledged"], self.tracker["clocks"]["step"] = 1, step
         return True
 
     def confirm_theta(self, theta: float, sigma: float, stamp_ns: int | None = None) -> None:
@@ -265,7 +267,8 @@ class Posor:
             last: The scan of that pose. It is estimated once more, because the two calibrations may see one place
                 differently; None: the next scan skips the motion gate.
 
-        From a POSOR whose theta repeats otherwise nothing is taken. A step of the stamps stays until ``acknowledge``.
+        From a POSOR whose theta repeats otherwise pose and count are not taken. A latch and a step of the stamps stay
+        until ``acknowledge``.
 
         """
         periodic = ["bump_angle", "period", "home_theta"]
@@ -281,6 +284,10 @@ class Posor:
                     self.tracker["clocks"] = 0  # the scan is seen once more
                     self.tracker["clocks"]["step"] = step
                     self.estimate(last)
+        else:
+            for name in ("latch", "latch_about_theta", "latch_interval", "acknowledged"):
+                self.tracker[name] = other.tracker[name]
+            self.tracker["clocks"]["step"] = other.tracker["clocks"]["step"]
 
     def estimate(self, scan: Scan) -> Estimate:
         """Return the pose of one scan, starting from the pose of the previous scan.

@@ -36,6 +36,7 @@ MEMORY_ANGLE = 2.0  # angle after which a difference has lost 63 % of its weight
 PRIOR_S = 1.0  # standard uncertainty of the offset before any motion [s]
 STILL_SIGMAS = 5.0  # standard uncertainties of the rate up to which the joint counts as standing
 DEVIATION_SIGMAS = 5.0
+LARGEST_MOTION = 0.1  # turn since a reference was read [rad] from which on it neither confirms nor contradicts
 OFFSET_SIGMAS = 5.0  # standard uncertainties that an offset may exceed the largest error of the stamps
 
 
@@ -43,7 +44,8 @@ OFFSET_SIGMAS = 5.0  # standard uncertainties that an offset may exceed the larg
 def move_reference(workspace: Any, scan: Any, widest: float) -> None:
     """Move a reference of theta from its own stamp to that of a scan, into ``checks``.
 
-    A reference that may be off by half a period of theta is left out; ``widest``: standard deviations of that error.
+    A reference that may be off by half a period of theta, or by LARGEST_MOTION because the joint may have turned since,
+    is left out; ``widest``: standard deviations of these errors.
     """
     settings, tracker, checks = workspace.settings, workspace.tracker, workspace.checks
     apart = (scan.stamp_ns - tracker.reference_stamp_ns) * 1e-9 if tracker.reference_stamp_ns != 0 else 0.0
@@ -55,7 +57,8 @@ def move_reference(workspace: Any, scan: Any, widest: float) -> None:
     checks.reference_tolerance = fastest * scan.stamp_limit if scan.stamp_limit > 0.0 else 0.0
     variance = square(tracker.reference_sigma) + square(spread * apart)
     away = widest * math.sqrt(variance) + checks.reference_tolerance
-    if away < math.inf and not away > 0.5 * settings.period > 0.0:
+    is_old = widest * abs(spread * apart) > LARGEST_MOTION
+    if away < math.inf and not is_old and not away > 0.5 * settings.period > 0.0:
         checks.reference_variance = variance
 
 

@@ -227,6 +227,53 @@ def test_stamps_that_were_set_may_be_wrong_by_the_step_until_it_is_acknowledged(
     assert not posor.estimate_all(scans.part(COUNT - 1, COUNT)).stamp_shifts.any()
 
 
+def test_a_step_of_the_stamps_stays_when_a_latch_is_acknowledged() -> None:
+    _, shift, numbers, _ = CASES["clock steps by -0.05 s"]
+    jumped = poses(INDEX * PERIOD_S)
+    jumped[COUNT - 50 :, 2] += JUMP
+    fields = {"stamps_ns": FIRST_NS + np.round((INDEX * PERIOD_S + shift) * 1e9).astype(np.int64)}
+    scans = simulate(calibration_of("light ring"), jumped, seed=1)
+    scans = scans.with_fields({**fields, "numbers": numbers.astype(np.uint64)})
+    posor = Posor(calibration_of("light ring"), false_alarm=1e-9)
+    posor.estimate_all(scans.part(0, COUNT - 20))
+    assert posor.latched & Fault.INNOVATION
+    assert posor.acknowledge()
+    assert posor.estimate_all(scans.part(COUNT - 20, COUNT - 10)).stamp_shifts[-1, 5] >= RATE * 0.05
+    assert posor.acknowledge()
+    assert not posor.has_latch
+
+
+@pytest.mark.parametrize("kind", JOINTS)
+@pytest.mark.parametrize("back", range(5, LATE_RUN))
+def test_numbers_and_stamps_that_go_back_together_give_no_wrong_count(kind: str, back: int) -> None:
+    """A driver that numbers scans by the clock of its host, which is set back: the ring turns by a bump meanwhile."""
+    rate = float(Posor(calibration_of("bumpy ring")).settings["bump_angle"]) / (back * PERIOD_S)
+    numbers = np.where(INDEX >= AT, INDEX - back, INDEX)
+    estimates = estimate(kind, numbers * PERIOD_S, numbers + 1000, simulated(kind, rate))
+    assert (usable(estimates) & (INDEX < AT)).sum() == AT
+    assert count_wrong(estimates, poses(INDEX * PERIOD_S, rate)) == 0
+    after = usable(estimates) & (INDEX >= AT + LATE_RUN)
+    assert after.any() == (kind == "light ring")
+    assert (estimates.stamp_shifts[after, 5] >= rate * back * PERIOD_S).all()
+
+
+@pytest.mark.parametrize("late_s", [0.2, 0.95])
+def test_a_reference_from_before_a_slip_does_not_confirm_it(late_s: float) -> None:
+    scans = simulate(calibration_of("light ring"), poses(np.where(INDEX >= AT, 0.2, 0.0), 1.0), seed=1)
+    stamps_ns = FIRST_NS + np.round(INDEX * PERIOD_S * 1e9).astype(np.int64)
+    scans = scans.with_fields({"stamps_ns": stamps_ns, "numbers": INDEX.astype(np.uint64)})
+    posor = Posor(calibration_of("light ring"), false_alarm=1e-9)
+    posor.estimate_all(scans.part(0, AT + 10))
+    assert posor.latched & Fault.INNOVATION
+    for n in range(AT + 10, COUNT):
+        posor.confirm_theta(START, 1e-3, int(stamps_ns[n]) - round(late_s * 1e9))
+        assert posor.estimate(scans[n]).state is State.LOST
+    posor.acknowledge()
+    posor.estimate(scans[COUNT - 2])
+    posor.confirm_theta(START, 1e-3, int(stamps_ns[COUNT - 1]) - round(late_s * 1e9))
+    assert posor.estimate(scans[COUNT - 1]).faults & Fault.ACKNOWLEDGED
+
+
 def test_a_clock_that_is_set_back_and_forth_is_no_scatter() -> None:
     """Else a later step within the scatter would pass."""
     is_back = INDEX // 25 % 4 == 3

@@ -378,6 +378,22 @@ def test_a_new_calibration_keeps_the_gate(biased: bool) -> None:  # noqa: FBT001
     assert bool(found.faults[0] & Fault.INNOVATION) is biased
 
 
+def test_a_calibration_with_another_home_mark_keeps_a_latch() -> None:
+    before = sized("quad_bumpy_ring")
+    scans, rotations, _ = oscillating(before, count=800)
+    scans.gap_voltages[500:] += 2.0
+    before.estimate_all(scans.part(0, 600))
+    assert before.latched & Fault.INNOVATION
+    after = Posor(before.calibration)
+    after.settings["home_theta"] += 1e-3
+    after.continue_from(before, scans[599])
+    assert after.latched == before.latched
+    after.confirm_theta(np.arctan2(-rotations[600, 0, 1], rotations[600, 1, 1]), 1e-3)
+    assert (after.estimate_all(scans.part(600, 800)).states == State.LOST).all()
+    assert after.acknowledge()
+    assert not after.latched
+
+
 def test_a_count_is_given_up_where_scans_are_missing_after_the_first() -> None:
     posor = sized("quad_bumpy_ring")
     scans, _, _ = oscillating(posor, count=1000)
