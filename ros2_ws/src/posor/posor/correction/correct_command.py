@@ -13,6 +13,7 @@ import numpy as np
 from posor.arm_names import describe_argument
 from posor.bags.offline_pipeline import load_arm
 from posor.bags.recorded_encoders import read_encoders
+from posor.bags.result_folder import check_outside_of_bags
 from posor.correction.joint_correction import CorrectionLimits
 from posor.correction.joint_path import YAML_SUFFIXES, read_path
 from posor.correction.nominal_robot import LeastSquares, NominalRobot
@@ -27,6 +28,7 @@ from posor.reporting.program_errors import reports_errors
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
+    from posor.bags.offline_pipeline import Arm
     from posor.correction.joint_path import JointPath
     from posor.parameter_model import ParameterGroup, ParameterSpec
 
@@ -77,10 +79,12 @@ def parse_options(arguments: Sequence[str] | None) -> argparse.Namespace:
     return parser.parse_args(arguments)
 
 
-def measured_run(options: argparse.Namespace, robot: NominalRobot, ran: JointPath) -> tuple[MeasuredRun, int, int]:
+def measured_run(
+    options: argparse.Namespace, arm: Arm, robot: NominalRobot, ran: JointPath
+) -> tuple[MeasuredRun, int, int]:
     """Return the usable endpoints of the bag on the clock of the program, and how many there are and are not used."""
     where = str(options.bag)
-    estimates = load_arm(options.arm).estimate(options.bag)
+    estimates = arm.estimate(options.bag)
     end = estimates.endpoint
     usable = np.isfinite(end.poses).all(axis=1) & ~end.degraded
     columns = [estimates.chain.index(name) for name in robot.joints]
@@ -107,17 +111,19 @@ def measured_run(options: argparse.Namespace, robot: NominalRobot, ran: JointPat
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the program."""
     options = parse_options(arguments)
-    for path in (options.program, options.ran):
+    arm = load_arm(options.arm)
+    for path in (options.program, options.ran, arm.path):
         if path is not None and path.resolve() == options.output.resolve():
-            raise ParameterError("is the program itself", where=f"--output {options.output}", expected="another file")
+            raise ParameterError("is read", where=f"--output {options.output}", expected="another file")
+    check_outside_of_bags(options.output, [options.bag])
     if options.output.exists() and not options.force:
         raise ParameterError("exists", where=f"--output {options.output}", expected="a new file, or --force")
     limits = PROGRAM_LIMITS.model_copy(update={name: getattr(options, name) for name in ("max_offset", "max_rate")})
     weights = LeastSquares(rotation_length=options.rotation_length, least_lever=options.least_lever)
-    robot = NominalRobot(load_arm(options.arm).chain(), weights)
+    robot = NominalRobot(arm.chain(), weights)
     planned = read_path(options.program).of_joints(robot.joints)
     ran = planned if options.ran is None else read_path(options.ran).of_joints(robot.joints)
-    run, scans, used = measured_run(options, robot, ran)
+    run, scans, used = measured_run(options, arm, robot, ran)
     path = planned if options.period is None else planned.at_period(options.period)
     corrected = correct_path(path, run, robot, limits, options.smoothing)
     write_files({options.output: corrected.text(as_yaml=options.output.suffix in YAML_SUFFIXES)})

@@ -79,6 +79,9 @@ def correct_path(
     backlash depend on the path itself. Raises DataFileError: a row has no endpoint within ``limits.max_age``, or an
     offset or its rate exceeds its limit.
     """
+    if len(run.times_s) < 2:  # noqa: PLR2004  offsets have rates
+        what = f"{len(run.times_s)} usable endpoints while the program ran"
+        raise DataFileError(what, where=run.source, expected="at least 2")
     after = np.clip(np.searchsorted(run.times_s, path.times_s), 1, len(run.times_s) - 1)
     near = np.maximum(np.abs(run.times_s[after] - path.times_s), np.abs(path.times_s - run.times_s[after - 1]))
     if (far := np.flatnonzero(near > limits.max_age)).size:

@@ -79,6 +79,12 @@ def count_theta(workspace: Any, theta: float, at_home: int) -> bool:
     return bool(checks.recounted and checks.marks_off != 0.0)
 
 
+@inlined
+def bump_is_unknown(workspace: Any) -> bool:
+    """Return whether the bump has never been counted: at the begin, and after an acknowledgement."""
+    return bool(workspace.settings.bump_angle > 0.0 and not workspace.tracker.was_counted)
+
+
 @in_place
 def check_residuals(workspace: Any) -> None:
     """Latch the joint after RESIDUAL_RUN failed residual tests in a row; release it after as many passed tests."""
@@ -89,7 +95,8 @@ def check_residuals(workspace: Any) -> None:
         if tracker.latch & RESIDUAL:
             tracker.contradictions = RESIDUAL_RUN
         else:
-            tracker.contradictions += 1
+            # The bumps are not alike, so sound readings contradict each other at the wrong one.
+            tracker.contradictions = 0 if bump_is_unknown(workspace) else tracker.contradictions + 1
             if workspace.settings.max_velocity < math.inf and tracker.contradictions >= RESIDUAL_RUN:
                 latch(tracker, RESIDUAL, 1, checks.elapsed)
     elif tracker.contradictions > 0:
@@ -111,7 +118,7 @@ def check_motion(workspace: Any, theta: float, estimate: Any) -> None:
             if _position_jumped(workspace, estimate):
                 tracker.latch_about_theta = 0
     elif tracker.initialised and settings.max_velocity < math.inf:
-        if checks.recounted:  # a period more or less changes theta, and X and Y a little
+        if checks.recounted or bump_is_unknown(workspace):  # another bump changes theta, and X and Y a little
             position, about_z = _plane_gate(workspace, tracker.pose, checks.elapsed, estimate.random), 0.0
         else:
             position, about_z = motion_gate(workspace, tracker.pose, checks.elapsed, estimate.random)
@@ -208,7 +215,7 @@ def use_confirmation(workspace: Any, at_home: int) -> None:
     tracker, checks = workspace.tracker, workspace.checks
     if not checks.confirmed or not (checks.accepted or tracker.latch_about_theta):
         return
-    tracker.counted = 1
+    tracker.counted = tracker.was_counted = 1
     if at_home != STATED_HOME:  # a statement is not independent of the operator
         tracker.acknowledged = 0
     if tracker.latch_about_theta:

@@ -4,18 +4,21 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
 import pytest
 from posor.chain.arm_file import load_arm_file
+from posor.correction.correct_command import main
 from posor.correction.joint_correction import CorrectionLimits
 from posor.correction.joint_path import JointPath, read_path
 from posor.correction.nominal_robot import NominalRobot
 from posor.correction.program_correction import MeasuredRun, begin_of_program, correct_path
 from posor.errors import DataFileError, PosorError
 
+ARM = Path(__file__).resolve().parents[3] / "posor_bringup" / "arms" / "five_axis"
 CSV = "time [s],b [deg],a [rad]\n0,10,0.5\n0.5,20,0.75\n"
 YAML = """joint_names: [b, a]
 points:
@@ -28,6 +31,18 @@ LIMITS = CorrectionLimits(max_rate=0.1)
 def written(folder: Path, text: str, name: str = "program.csv") -> Path:
     (folder / name).write_text(text, encoding="utf-8")
     return folder / name
+
+
+@pytest.mark.parametrize(("output", "code"), [("bag/corrected.csv", 1), ("arm.yaml", 2), ("program.csv", 2)])
+def test_an_output_that_would_replace_what_is_read_is_refused(
+    tmp_path: Path, output: str, code: int, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shutil.copytree(ARM, tmp_path, dirs_exist_ok=True)
+    (tmp_path / "bag").mkdir()
+    place = tmp_path / output
+    arguments = [str(tmp_path), str(written(tmp_path, CSV)), "--bag", str(tmp_path / "bag"), "--output", str(place)]
+    assert main([*arguments, "--force"]) == code
+    assert str(place) in capsys.readouterr().err
 
 
 def test_csv_in_any_unit_and_order_is_read_and_written(tmp_path: Path) -> None:
@@ -133,6 +148,7 @@ def test_a_corrected_program_brings_the_endpoint_onto_the_plan(robot: NominalRob
         (3e-4, slice(0, 100), LIMITS, "no usable endpoint within 0.1 s of 1.08 s"),
         (3e-4, [*range(40), *range(80, 201)], LIMITS, "no usable endpoint within 0.1 s of 0.4 s"),
         (3e-4, slice(None), CorrectionLimits(max_rate=1e-6), "rad/s at "),
+        (3e-4, slice(0, 1), LIMITS, "1 usable endpoints"),
     ],
 )
 def test_a_correction_beyond_its_limits_or_without_endpoints_is_refused(

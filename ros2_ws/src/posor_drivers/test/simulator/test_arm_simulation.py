@@ -13,9 +13,10 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+from posor.chain.arm_file import load_arm_file
 from posor.chain.joint_measurements import MeasuredJoint
 from posor.estimation.posor import Posor
-from posor.model.fault import State
+from posor.model.fault import Fault, State
 from posor.model.scan import SCAN_FIELDS
 from posor.numerics.stamps import NS
 from posor.numerics.vector import theta_of
@@ -174,6 +175,21 @@ def test_noise_differs_between_cycles_but_motion_does_not(everything: ArmSimulat
         everything.truth(TICKS).endpoint.translations, everything.truth(N + TICKS).endpoint.translations
     )
     assert np.mean(once.scans.ring_voltages == again.scans.ring_voltages) < 0.5  # some fall on the same step
+
+
+def test_rings_that_start_anywhere_are_counted_at_their_home_marks() -> None:
+    """Readings of a ring with five probes contradict each other until then, because its bumps are not alike."""
+    arms = Path(__file__).resolve().parents[3] / "posor_bringup" / "arms"
+    arm = ArmSimulation(load_arm_file(arms / "five_axis_checked" / "arm.yaml"), rate=50)
+    ticks = 150 + np.arange(400)
+    for joint in arm.joints:
+        posor = Posor(arm.calibrations[joint])
+        estimates = posor.estimate_all(arm.scans(joint, ticks).scans)
+        assert estimates.faults[0] & Fault.RESIDUAL
+        assert not (estimates.faults & Fault.LATCHED).any()
+        assert set(estimates.states[-40:]) == {State.OK}
+        thetas = [theta_of(pose) for pose in arm.truth(ticks[-40:]).T_parent_child[joint].rotations]
+        np.testing.assert_allclose(estimates.thetas[-40:], thetas, rtol=0.0, atol=1e-4)
 
 
 OTHER_PROCESS = """
