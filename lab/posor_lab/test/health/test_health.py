@@ -16,7 +16,7 @@ import pyarrow as pa
 import pyarrow.parquet
 import pytest
 from posor.chain.arm_file import load_arm_file
-from posor.errors import DataFileError, OutputError
+from posor.errors import DataFileError, FitError, OutputError
 from posor_bringup.health_command import NO_VERDICT, main
 from posor_calibration.health.health_chart import chart_tests
 from posor_calibration.health.health_history import HealthHistory, read_history, write_history
@@ -74,6 +74,15 @@ def test_an_arm_anywhere_within_its_stated_uncertainties_gives_no_more_alarms_th
         alarms[name] = len(chart_tests(model, tests, false_alarm=0.05).alarms)
     assert alarms["stated"] <= 0.05 * len(tests)
     assert alarms["noise alone"] > 0.5 * len(tests)
+
+
+def test_tests_that_observe_nothing_have_no_verdict(arm: AgeingArm, monkeypatch: pytest.MonkeyPatch) -> None:
+    tests = [next(arm.tests(1, 1))] * 4
+    model = arm.model(tests[0])
+    noise = model.noise(tests[0])
+    monkeypatch.setattr(model, "noise", lambda _: 1e12 * noise)  # as of uncertainties in um taken for m
+    with pytest.raises(FitError, match="the tests observe no change of"):
+        chart_tests(model, tests)
 
 
 def test_the_change_of_a_beam_is_that_of_the_truth(arm: AgeingArm) -> None:

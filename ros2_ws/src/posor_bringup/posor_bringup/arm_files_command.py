@@ -16,6 +16,7 @@ from posor.errors import ParameterError, PosorError
 from posor.reporting.command_line_parser import CommandLineParser, whole_number_from
 from posor.reporting.program_errors import reports_errors
 from posor.ros_names import ROS_NAME_RULE, is_ros_name
+from posor.tables.number_text import parse_number
 from posor.uncertainty.protection_level import arm_reliability
 from posor_calibration.commissioning.file_checks import arm_identity
 from posor_drivers.instruments.calibrated_readings import readings_of
@@ -104,7 +105,7 @@ def _make(options: Namespace) -> int:
 
 def _length(text: str) -> float | None:
     try:
-        length = float(text)
+        length = parse_number(text)
     except ValueError:
         return None
     return length if SHORTEST <= length <= LONGEST else None

@@ -8,6 +8,7 @@ import math
 from typing import TYPE_CHECKING
 
 from posor.errors import ParameterError
+from posor.tables.number_text import parse_number
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -19,7 +20,7 @@ def numbers_of(where: str, text: str, counts: Sequence[int], *, positive: bool) 
     ``where``: program and option; ``counts``: how many numbers there may be. Raises ParameterError: they are invalid.
     """
     try:
-        numbers = [float(part) for part in text.split(",")]
+        numbers = [parse_number(part) for part in text.split(",")]
     except ValueError:
         numbers = []
     bad = not all(math.isfinite(number) and (number >= 0.0 or not positive) for number in numbers)

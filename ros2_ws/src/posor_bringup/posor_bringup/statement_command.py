@@ -17,6 +17,7 @@ from posor.output_files import make_folder
 from posor.reporting.command_line_parser import CommandLineParser, number_from, whole_number_from
 from posor.reporting.program_errors import reports_errors
 from posor.reporting.report_console import report_console
+from posor.tables.number_text import parse_number
 from posor_design.arm_uncertainty import ArmUncertainty
 from posor_design.statement import make_statement
 from posor_design.statement_certificate import certificate_of
@@ -32,11 +33,12 @@ if TYPE_CHECKING:
     from posor_design.statement_poses import StatementPoses
 
 WIDTH = 160
+MOST_DEVIATION_K = 300.0  # of the beams from the temperature of the URDF
 
 
 def _angles(text: str) -> list[float]:
     try:
-        angles = [float(part) for part in text.split(",")]
+        angles = [parse_number(part) for part in text.split(",")]
     except ValueError:
         angles = [math.nan]
     if not all(map(math.isfinite, angles)):
@@ -64,7 +66,7 @@ def parse_options(arguments: Sequence[str] | None) -> argparse.Namespace:
     text = "the result is the mean of N scans (default: 1)"
     parser.add_argument("--average", type=whole_number_from(1), default=1, metavar="N", help=text)
     text = "the beams deviate by at most this from the temperature of the URDF (default: as the beams file states)"
-    parser.add_argument("--temperature-deviation", type=number_from(0.0, unit="K"), metavar="K", help=text)
+    parser.add_argument("--temperature-deviation", type=number_from(0.0, MOST_DEVIATION_K, "K"), metavar="K", help=text)
     parser.add_argument("--output", type=Path, metavar="FOLDER", help="default: build/statement/<name of the arm>")
     add_dcc_options(parser)
     options = parser.parse_args(arguments)

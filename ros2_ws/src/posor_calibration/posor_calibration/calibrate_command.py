@@ -20,6 +20,7 @@ from posor.output_files import prepared_files
 from posor.reporting.command_line_parser import CommandLineParser
 from posor.reporting.program_errors import reports_errors
 from posor.reporting.progress import progress_display
+from posor.tables.number_text import parse_number
 from rich.console import Console
 
 from posor_calibration.calibration_certificate import certificate_of_fit
@@ -248,14 +249,14 @@ def _split(option: str, given: Sequence[str]) -> list[tuple[str, str]]:
 
 def _parse_sigma(option: str, name: str, text: str) -> float:
     try:
-        return float(text)
+        return parse_number(text)
     except ValueError:
         raise ParameterError(f"'{text}'", where=f"option {option} {name}", expected="a standard uncertainty") from None
 
 
 def _parse_sigmas(topic: str, text: str) -> list[float]:
     try:
-        numbers = [float(part) for part in text.split(",")]
+        numbers = [parse_number(part) for part in text.split(",")]
     except ValueError:
         numbers = []
     if not numbers or not all(np.isfinite(numbers)) or min(numbers) < 0.0:

@@ -19,6 +19,7 @@ from posor.reporting.json_text import json_text
 from posor.reporting.program_errors import reports_errors
 from posor.reporting.progress import progress_display
 from posor.reporting.report_console import report_console
+from posor.tables.number_text import parse_number
 from posor.uncertainty.budget_poses import middle_pose, pose_from_native, scan_at
 from posor.uncertainty.budget_quantities import NATIVE, PlatePoint
 from posor.uncertainty.first_order import error_budget
@@ -47,7 +48,7 @@ def _numbers(names: Sequence[str]) -> Callable[[str], tuple[float, ...]]:
 
     def parse_numbers(text: str) -> tuple[float, ...]:
         try:
-            numbers = tuple(float(part) for part in text.split(","))
+            numbers = tuple(parse_number(part) for part in text.split(","))
         except ValueError:
             numbers = ()
         if len(numbers) != len(names) or not all(map(math.isfinite, numbers)):

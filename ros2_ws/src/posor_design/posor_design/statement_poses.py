@@ -15,6 +15,7 @@ from posor.bags.reprocess_task import Settings
 from posor.errors import BagError, ChainError, DataFileError, ParameterError
 from posor.model.fault import USABLE_STATES, Fault, State
 from posor.tables.named_rows import read_named_rows
+from posor.tables.number_text import parse_number
 from scipy.spatial.transform import Rotation
 
 if TYPE_CHECKING:
@@ -79,7 +80,7 @@ def path_poses(model: ArmUncertainty, path: Path) -> StatementPoses:
         where = f"{path}, line {line}"
         for j, joint in enumerate(model.joints):
             try:
-                angles[n, j] = float(cells[joint])
+                angles[n, j] = parse_number(cells[joint])
             except ValueError:
                 angles[n, j] = math.nan
             if not math.isfinite(angles[n, j]):

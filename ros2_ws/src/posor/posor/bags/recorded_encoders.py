@@ -39,9 +39,13 @@ class RecordedEncoders(NamedTuple):
     def at(self, joint: int, stamps_ns: IntArray) -> FloatArray:
         """Return position and effort of a joint at times, (m, 2), between readings linearly; NaN: too far from any.
 
+        Readings without an effort are left out where others have one; where none has one, it is zero.
+
         Raises TrackError: the stamps of its readings do not increase.
         """
-        known = np.isfinite(self.positions[:, joint])
+        known, has_effort = np.isfinite(self.positions[:, joint]), np.isfinite(self.efforts[:, joint])
+        if has_effort.any():
+            known &= has_effort
         values = np.column_stack([self.positions[:, joint], np.nan_to_num(self.efforts[:, joint])])[known]
         track = Track(self.stamps_ns[known], values, np.full(2, np.nan), self.source)
         return track.interpolate(stamps_ns, round(LONGEST_GAP_S * 1e9))

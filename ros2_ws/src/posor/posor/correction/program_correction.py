@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
 STEP_S = 0.01  # of the search for the time at which a program began
 SLACK_S = 0.1  # by which scans may be missing at either end
+LARGEST_DEVIATION = 0.1  # between the same, of one joint at one time, with the lag of its servo [rad]
 LARGEST_MISFIT = 0.02  # rms between measured angles and those of the program that ran [rad]
 
 
@@ -49,12 +50,14 @@ def begin_of_program(path: JointPath, times_s: FloatArray, angles: FloatArray) -
     if last_s < first_s:  # a program in milliseconds would need more memory than there is
         what = f"the measured angles last {np.ptp(times_s):g} s, the program {np.ptp(path.times_s):g} s"
         raise DataFileError(what, where=path.source, expected="the recording of a whole run, and times in seconds")
-    own_s = np.arange(path.times_s[0], path.times_s[-1] + STEP_S, STEP_S)
+    own_s = np.union1d(np.arange(path.times_s[0], path.times_s[-1] + STEP_S, STEP_S), path.times_s)
     wanted = path.sampler()(own_s)
 
+    def deviations(begin_s: float) -> FloatArray:
+        return np.column_stack([np.interp(begin_s + own_s, times_s, column) for column in angles.T]) - wanted
+
     def misfit(begin_s: float) -> float:
-        seen = np.column_stack([np.interp(begin_s + own_s, times_s, column) for column in angles.T])
-        return float(np.sqrt(np.mean(np.square(seen - wanted))))
+        return float(np.sqrt(np.mean(np.square(deviations(begin_s)))))
 
     begins_s = np.arange(first_s, last_s + STEP_S, STEP_S)
     misfits = [misfit(begin_s) for begin_s in begins_s]
@@ -66,7 +69,14 @@ def begin_of_program(path: JointPath, times_s: FloatArray, angles: FloatArray) -
         raise DataFileError(what, where="the measured angles", expected=expected)
     middle_s = begins_s[int(np.argmin(misfits))]
     bounds = middle_s - STEP_S, middle_s + STEP_S
-    return float(minimize_scalar(misfit, bounds=bounds, method="bounded", options={"xatol": 1e-6}).x)
+    begin_s = float(minimize_scalar(misfit, bounds=bounds, method="bounded", options={"xatol": 1e-6}).x)
+    largest = np.abs(deviations(begin_s))
+    n, joint = np.unravel_index(int(np.argmax(largest)), largest.shape)
+    if largest[n, joint] > LARGEST_DEVIATION:
+        what = f"{path.joints[joint]} is {largest[n, joint]:.3g} rad from the program {path.source} at {own_s[n]:.6g} s"
+        expected = f"at most {LARGEST_DEVIATION:g} rad, and the program that ran"
+        raise DataFileError(what, where="the measured angles", expected=expected)
+    return begin_s
 
 
 def correct_path(

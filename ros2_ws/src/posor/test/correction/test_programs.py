@@ -133,6 +133,16 @@ def test_the_begin_of_a_program_is_found_in_a_recording(robot: NominalRobot) -> 
         begin_of_program(path, times_s, angles[::-1])
 
 
+@pytest.mark.parametrize("change", ["in milliseconds", "a spike"])
+def test_a_program_that_another_motion_ran_is_refused(robot: NominalRobot, change: str) -> None:
+    path = motion(robot)
+    angles = path.angles + (0.3 * (np.abs(np.arange(201) - 100) < 3)[:, None] if change == "a spike" else 0.0)
+    times_s = path.times_s / (1000.0 if change == "in milliseconds" else 1.0)
+    run_s = np.arange(0.0, 5.0, 0.005)
+    with pytest.raises(DataFileError, match="the measured angles: "):
+        begin_of_program(JointPath(path.joints, times_s, angles), run_s, path.sampler()(run_s - 1.2345))
+
+
 def test_a_corrected_program_brings_the_endpoint_onto_the_plan(robot: NominalRobot) -> None:
     path = motion(robot)
     corrected = correct_path(path, wrong_run(robot, path, 3e-4), robot, LIMITS, 0.005)

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from posor.errors import FitError
 from scipy.special import chdtri
 
 if TYPE_CHECKING:
@@ -66,7 +67,10 @@ class HealthChart:
 def chart_tests(
     model: HealthModel, tests: Sequence[HealthTest], reference: int = REFERENCE_TESTS, false_alarm: float = FALSE_ALARM
 ) -> HealthChart:
-    """Return the charts of all tests, in their order; the first ones are the reference."""
+    """Return the charts of all tests, in their order; the first ones are the reference.
+
+    Raises FitError: the tests observe no axis of a part.
+    """
     values = np.array([model.observe(test) for test in tests])
     mean = values[:reference].mean(axis=0)
     of_mean = np.sum([model.noise(test) for test in tests[:reference]], axis=0) / reference**2
@@ -91,11 +95,19 @@ def chart_tests(
             for p, own in enumerate(spans):
                 known, root = observed_axes(information[own, own])
                 found = root.T @ projected[own]
-                statistics[w, t, p], limits[w, t, p] = found @ found, chdtri(root.shape[1], tail)
+                statistics[w, t, p] = found @ found
+                limits[w, t, p] = chdtri(root.shape[1], tail) if root.size else 0.0
                 if weight == 1.0:
                     drifts[p][t] = root @ found
                     sigmas[p][t] = np.where(known, np.linalg.norm(root, axis=1), np.inf)
     stamps_ns = np.array([test.stamp_ns for test in tests])
+    if not limits.all():
+        part = model.parts[int(np.argmin(limits.min(axis=(0, 1))))].name
+        raise FitError(
+            f"the tests observe no change of {part} below {LARGEST:g} m or rad",
+            where="the uncertainties and dwells of the tests",
+            expected="uncertainties in metres, and dwells in which each part moves",
+        )
     ratios, excess = (statistics / limits).max(axis=0), (statistics - limits).max(axis=0)
     return HealthChart(model.parts, stamps_ns, reference, ratios, excess, drifts, sigmas)
 
