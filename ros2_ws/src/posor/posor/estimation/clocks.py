@@ -357,7 +357,8 @@ def _refuse(model: Model, scan: Any, stamp: float, elapsed: float) -> int:
 def _follow_back(model: Model, scan: Any, stamp: float, elapsed: float) -> int:
     """Refuse a late scan, unless it ends a run of scans with earlier numbers: the driver or a recording restarted.
 
-    Only a recording that starts over, by number and by CLOCK_STEP_S, or earlier on the line, forgets the previous pose.
+    Only a recording that starts over, by number and by CLOCK_STEP_S, or earlier on the line, forgets the previous pose;
+    where the scans are older on arrival by as much as they went back, the clock that numbers and stamps them was set.
     """
     tracker = model.workspace[0].tracker
     clocks = tracker.clocks
@@ -372,7 +373,8 @@ def _follow_back(model: Model, scan: Any, stamp: float, elapsed: float) -> int:
     is_earlier = elapsed < 0.0 and clocks.fitted > 1 and abs(deviation) <= _tolerance(clocks, 1.0)
     tracker.time += max(elapsed, least)
     step = 0.0
-    if elapsed < -CLOCK_STEP_S or is_earlier:
+    was_set = clocks.run_age - clocks.least_age > -0.5 * elapsed > 0.0
+    if (elapsed < -CLOCK_STEP_S or is_earlier) and not was_set:
         tracker.initialised, tracker.counted, tracker.theta = 0, 0, 0.0
         clocks.former_age, clocks.age_step = math.nan, 0.0
     else:

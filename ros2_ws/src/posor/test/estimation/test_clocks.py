@@ -257,6 +257,20 @@ def test_numbers_and_stamps_that_go_back_together_give_no_wrong_count(kind: str,
     assert (estimates.stamp_shifts[after, 5] >= rate * back * PERIOD_S).all()
 
 
+@pytest.mark.parametrize("back", [12, 60, 180])
+def test_numbers_and_stamps_that_go_back_far_are_a_step_where_the_scans_are_older_on_arrival(back: int) -> None:
+    numbers, step = np.where(INDEX >= AT, INDEX - back, INDEX), back * PERIOD_S
+    fields = {"stamps_ns": FIRST_NS + np.round(numbers * PERIOD_S * 1e9).astype(np.int64)}
+    scans = simulated("light ring").with_fields({**fields, "numbers": (numbers + 1000).astype(np.uint64)})
+    for is_live in (True, False):
+        posor = Posor(calibration_of("light ring"), false_alarm=1e-9)
+        for n in range(COUNT - back):
+            posor.tracker["clocks"]["age"] = 1e-3 + step * (n >= AT) if is_live else np.nan
+            estimate = posor.estimate(scans[n])
+        assert estimate.state is State.OK
+        assert (estimate.stamp_shift[5] >= RATE * step) == is_live
+
+
 @pytest.mark.parametrize("late_s", [0.2, 0.95])
 def test_a_reference_from_before_a_slip_does_not_confirm_it(late_s: float) -> None:
     scans = simulate(calibration_of("light ring"), poses(np.where(INDEX >= AT, 0.2, 0.0), 1.0), seed=1)
