@@ -223,13 +223,19 @@ def bound_stamp_shift(
 
 
 @inlined
-def _add_joint_shift(parent: Matrix, lever: Vector, shifts: FloatArray, turned: float, bound: FloatArray) -> float:
-    """Add what a joint may add; return the turn ``turned`` [rad] of the joints before, with that of this joint."""
+def add_first_order(parent: Matrix, lever: Vector, shifts: FloatArray, bound: FloatArray) -> None:
+    """Add the largest shifts and turns of an endpoint, a lever away, by those of a joint, (6,), axes of ``parent``."""
     axes = transposed(parent)
     for k in range(3):
         add_amounts(bound, 0, axes[k], shifts[k])
         add_amounts(bound, 0, cross(axes[k], lever), shifts[3 + k])
         add_amounts(bound, 3, axes[k], shifts[3 + k])
+
+
+@inlined
+def _add_joint_shift(parent: Matrix, lever: Vector, shifts: FloatArray, turned: float, bound: FloatArray) -> float:
+    """Add what a joint may add; return the turn ``turned`` [rad] of the joints before, with that of this joint."""
+    add_first_order(parent, lever, shifts, bound)
     shift, turn = at(shifts, 0), at(shifts, 3)
     angle = math.sqrt(dot(turn, turn))
     arc = math.sqrt(dot(shift, shift))

@@ -29,6 +29,7 @@ from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 import numpy as np
 from scipy.special import ndtri
 
+from posor.chain.error_propagation import add_first_order
 from posor.estimation.fault_model import ALWAYS, SECOND, SHARED
 from posor.numerics.compiled import in_place, inlined
 from posor.numerics.vector import (
@@ -256,21 +257,14 @@ def _name_fault(causes: ArmCauses, bounds: EndpointBounds, n: int, k: int) -> fl
 
 @inlined
 def _joint_of_stamps(causes: ArmCauses, shifts: FloatArray, end: Vector, k: int) -> int:
-    """Return the joint whose error by its stamp moves the endpoint most along or about axis k, to first order.
-
-    ``shifts``: of the joints, (j, 6); an infinite one without effect adds nothing.
-    """
-    found, most = 0, 0.0
+    """Return the joint whose shift by its stamp, (j, 6), moves the endpoint most along or about axis k, first order."""
+    found, most, moved = 0, 0.0, causes.own[0]
     for j in range(shifts.shape[0]):
-        axes, lever, size = transposed(matrix(causes.rotations[j], 0)), minus(end, within(causes.positions, j)), 0.0
-        for i in range(3):
-            by_shift, by_turn = (axes[i][k], cross(axes[i], lever)[k]) if k < 3 else (0.0, axes[i][k - 3])  # noqa: PLR2004
-            if by_shift != 0.0:
-                size += abs(by_shift) * shifts[j, i]
-            if by_turn != 0.0:
-                size += abs(by_turn) * shifts[j, 3 + i]
-        if size > most:
-            found, most = j, size
+        for i in range(6):
+            moved[i] = 0.0
+        add_first_order(matrix(causes.rotations[j], 0), minus(end, within(causes.positions, j)), shifts[j], moved)
+        if moved[k] > most:
+            found, most = j, moved[k]
     return found
 
 

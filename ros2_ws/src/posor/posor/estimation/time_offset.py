@@ -36,7 +36,7 @@ MEMORY_ANGLE = 2.0  # angle after which a difference has lost 63 % of its weight
 PRIOR_S = 1.0  # standard uncertainty of the offset before any motion [s]
 STILL_SIGMAS = 5.0  # standard uncertainties of the rate up to which the joint counts as standing
 DEVIATION_SIGMAS = 5.0
-LARGEST_MOTION = 0.1  # turn since a reference was read [rad] from which on it neither confirms nor contradicts
+LARGEST_MOTION = 0.1  # possible turn since a reference was read [rad]; beyond, it neither confirms nor contradicts
 OFFSET_SIGMAS = 5.0  # standard uncertainties that an offset may exceed the largest error of the stamps
 
 
