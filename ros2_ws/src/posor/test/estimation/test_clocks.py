@@ -244,10 +244,11 @@ def test_a_step_of_the_stamps_stays_when_a_latch_is_acknowledged() -> None:
 
 
 @pytest.mark.parametrize("kind", JOINTS)
+@pytest.mark.parametrize("bumps", [0.1, 1.0])
 @pytest.mark.parametrize("back", range(5, LATE_RUN))
-def test_numbers_and_stamps_that_go_back_together_give_no_wrong_count(kind: str, back: int) -> None:
-    """A driver that numbers scans by the clock of its host, which is set back: the ring turns by a bump meanwhile."""
-    rate = float(Posor(calibration_of("bumpy ring")).settings["bump_angle"]) / (back * PERIOD_S)
+def test_numbers_and_stamps_that_go_back_together_give_no_wrong_count(kind: str, back: int, bumps: float) -> None:
+    """A driver that numbers scans by the clock of its host, which is set back while the ring turns by some bumps."""
+    rate = bumps * float(Posor(calibration_of("bumpy ring")).settings["bump_angle"]) / (back * PERIOD_S)
     numbers = np.where(INDEX >= AT, INDEX - back, INDEX)
     estimates = estimate(kind, numbers * PERIOD_S, numbers + 1000, simulated(kind, rate))
     assert (usable(estimates) & (INDEX < AT)).sum() == AT
