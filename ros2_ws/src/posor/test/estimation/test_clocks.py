@@ -222,6 +222,10 @@ def test_stamps_that_were_set_may_be_wrong_by_the_step_until_it_is_acknowledged(
     reloaded = Posor(calibration_of("light ring"), false_alarm=1e-9)
     reloaded.continue_from(posor, scans[COUNT - 2])  # a new calibration knows no more of the clock
     assert reloaded.estimate_all(scans.part(COUNT - 1, COUNT)).stamp_shifts[0, 5] >= RATE * step
+    elsewhere = Posor(calibration_of("light ring"), false_alarm=1e-9)
+    elsewhere.settings["home_theta"] += 1e-3  # another home mark: the pose is not taken
+    elsewhere.continue_from(posor, scans[COUNT - 2])
+    assert elsewhere.tracker["clocks"]["step"] == posor.tracker["clocks"]["step"]
     assert posor.acknowledge()
     assert not posor.acknowledge()
     assert not posor.estimate_all(scans.part(COUNT - 1, COUNT)).stamp_shifts.any()
