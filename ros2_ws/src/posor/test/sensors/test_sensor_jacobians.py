@@ -15,6 +15,7 @@ from posor.estimation.posor import Posor
 from posor.estimation.sensor_stack import Stack
 from posor.model.scan import Scan, Scans
 from posor.numerics.array_types import FloatArray
+from posor.sensors.base import RowSensor
 from posor_lab.harness.random_poses import STACKS, readable_poses
 
 RELATIVE = 1e-6
@@ -48,7 +49,10 @@ def check(stack: Stack, scan: Scan, rotation: FloatArray, translation: FloatArra
         )
     changed = values + 1e-5 * np.abs(values)
     moving.load_parameter_values(changed)
-    of_new_stack = residuals(stack.with_parameter_values(changed), scan, rotation, translation)
+    new_stack = stack.with_parameter_values(changed)
+    kept = [sensor.rows["parameters"] for sensor in new_stack.sensors if isinstance(sensor, RowSensor)]
+    np.testing.assert_array_equal(np.concatenate(kept), new_stack.reading_rows["parameters"])  # none of the old stack
+    of_new_stack = residuals(new_stack, scan, rotation, translation)
     np.testing.assert_array_equal(residuals(moving, scan, rotation, translation), of_new_stack)
     assert not np.array_equal(residuals(stack, scan, rotation, translation), of_new_stack)
 
