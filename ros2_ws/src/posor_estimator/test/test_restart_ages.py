@@ -1,6 +1,6 @@
 # Copyright 2026 POSOR maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""A driver that restarts with another clock: the ages of its scans show a step that its stamps and numbers hide."""
+"""The ages of scans show a step of the driver's clock that its stamps and numbers hide: in a restart, or in a gap."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ class RestartedDriver:
 
     PERIOD_S, AGE_S, AWAY = 0.02, 0.003, 3
 
-    def __init__(self, stack: DesignName = "triad_diodes") -> None:
+    def __init__(self, stack: DesignName = "triad_diodes", late_s: float = 0.0) -> None:
         self.posor = Posor(design(stack, motion=True))
         self._scans = iter(self._at_rest())
         self._stream = RawScanStream(self.posor, next(self._scans).at(NS, 1))
         self._stream.accept_ages(-0.5 * NS, 1.0 * NS)
         self._now_ns, self._number, self.step_s = 10**18, 0, 0.0
         for _ in range(100):
-            self.receive()
+            self.receive(late_s)
         self._now_ns += round(self.AWAY * self.PERIOD_S * NS)
 
     def _at_rest(self) -> list[ScanTemplate]:
@@ -62,6 +62,11 @@ class RestartedDriver:
         """Return the transform of a scan of the old clock, after those that were missed."""
         self._number += self.AWAY
         return self.receive()
+
+    def set_forward(self) -> JointTransform:
+        """Return the transform of the next scan; the clock that numbers and stamps it was set forward by intervals."""
+        self.step_s += self.AWAY * self.PERIOD_S
+        return self.receive_missed()
 
     def begin_numbers(self) -> None:
         """Number the scans from 0."""
@@ -109,3 +114,19 @@ def test_a_step_that_only_the_ages_show_gives_up_a_count() -> None:
         states = [driver.receive().state for _ in range(10)]
         assert states[:2] == [State.LOST] * 2
         assert (states[-1] in USABLE_STATES) == is_usable
+
+
+def test_a_clock_that_is_set_forward_shifts_the_poses_until_an_acknowledgement() -> None:
+    driver = RestartedDriver()
+    missed = [driver.receive_missed(), *(driver.receive() for _ in range(300))]
+    assert not any(np.any(each.stamp_shift) for each in missed)
+    found = [driver.set_forward(), *(driver.receive() for _ in range(20))]
+    assert all(each.state in USABLE_STATES for each in found)
+    assert all(np.all(each.stamp_shift) for each in found)
+    assert driver.posor.tracker["clocks"]["step"] == pytest.approx(driver.step_s, rel=1e-3)
+    assert driver.posor.acknowledge()
+    assert not np.any(driver.receive().stamp_shift)
+
+
+def test_scans_of_a_full_queue_after_the_start_are_no_step() -> None:
+    assert not np.any(RestartedDriver(late_s=0.1).receive_missed().stamp_shift)

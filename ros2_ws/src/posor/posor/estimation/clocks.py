@@ -24,6 +24,8 @@ A step of the stamps shows that they were or are wrong by as much. Until an ackn
 stamps is taken as at least the sum of these steps. After a restart neither the numbers nor the stamps may show it: if
 the restart has lasted longer than the step, the stamps go on forward. The ages of live scans show it: their least,
 which depends little on the load of the host, is then another one. It is compared while the first MEMORY_SCANS come.
+Where the clock that numbers the scans as well is set forward, scans seem to be missing, and the next one is younger on
+arrival than any of the line before it, by the step.
 
 A stamp with the standard uncertainty s displaces the pose along its motion: the random covariance grows by
 ``s^2 (xi xi' + diag(sigma_xi^2))``.
@@ -71,7 +73,7 @@ SHARE_MEMORY = 64.0  # scans, of the share of scans off the line
 SCATTER_SHARE = 0.2  # above this share the stamps scatter; NEW_RATE_RUN scans in a row stay below it
 LEAST_DEVIATION, GREATEST_DEVIATION = 0.5, 8.0  # limits of the deviation that contradicts the line, in periods
 CLOCK_DRIFT = 1e-4  # largest change of the ratio of two clocks while no scan comes
-LEAST_AGE_STEP_S = 5e-3  # least change of the least age that shows a step of the stamps [s]
+LEAST_AGE_STEP_S = 5e-3  # least change of the least age, of half an interval or more, that shows a step [s]
 SCATTER_SIGMAS = 5.0  # standard deviations of the scatter that a stamp may deviate from the line
 DEVIATION_SIGMAS = 3.0  # the deviation of one stamp counts as at most as many standard deviations
 TIME_SHARE = 0.5  # TIME is set where the part from time exceeds this share of the rest of the standard uncertainty
@@ -152,10 +154,16 @@ def _accept(clocks: Any, scan: Any, stamp: float) -> None:
 
 
 @inlined
+def _least_age_step(clocks: Any) -> float:
+    """Return the least change of the least age that shows a step of the stamps [s]."""
+    return float(max(LEAST_AGE_STEP_S, LEAST_DEVIATION * clocks.period))
+
+
+@inlined
 def _compare_ages(clocks: Any) -> None:
     """Correct the step of the stamps in a restart by the ages of the scans since then."""
     change = abs(clocks.least_age - clocks.former_age)
-    shown = change if change > max(LEAST_AGE_STEP_S, LEAST_DEVIATION * clocks.period) else 0.0
+    shown = change if change > _least_age_step(clocks) else 0.0
     clocks.step += shown - clocks.age_step
     clocks.age_step = shown
     if clocks.fitted >= MEMORY_SCANS:
@@ -222,7 +230,7 @@ def follow_clocks(model: Model, scan: Any) -> int:
         _begin_again(model, scan, stamp, abs(deviation))
         return IN_ORDER
     missing = _missing_time(model, elapsed)
-    clocks.step += missing
+    clocks.step += missing + _step_in_gap(clocks, steps)
     if clocks.fitted > 1 and abs(deviation) > _tolerance(clocks, 1.0):
         clocks.line = stamp  # the clocks drifted while no scan came
     else:
@@ -244,6 +252,14 @@ def _missing_time(model: Model, elapsed: float) -> float:
         missing = max(missing, clocks.late * clocks.period)
         _doubt_count(model)
     return missing
+
+
+@inlined
+def _step_in_gap(clocks: Any, steps: float) -> float:
+    """Return how far the clock of numbers and stamps was set forward [s] since the last scan, ``steps`` numbers ago."""
+    younger = clocks.least_age - clocks.age
+    is_step = steps > 1.0 and clocks.fitted >= MEMORY_SCANS and younger > _least_age_step(clocks)
+    return float(younger) if is_step else 0.0
 
 
 @inlined

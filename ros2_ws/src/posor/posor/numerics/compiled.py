@@ -75,7 +75,8 @@ def _compile(kernel: Kernel, **options: bool | str) -> Kernel:
         return _LIBRARY.kernel(kernel)
     if _NJIT is None:
         return kernel
-    result: Kernel = _NJIT(fastmath=False, error_model="numpy", **options)(kernel)
+    # No kernel is an argument of another one: the wrappers for that take a sixth of the time of compilation.
+    result: Kernel = _NJIT(fastmath=False, error_model="numpy", no_cfunc_wrapper=True, **options)(kernel)
     return result
 
 
