@@ -218,6 +218,17 @@ def test_a_recording_that_starts_over_is_read_as_it_was_logged(
     assert read_bag_source(write(tmp_path / "bag", files)) == logged
 
 
+def test_scans_that_are_read_twice_are_noted(records: list[Record], tmp_path: Path) -> None:
+    arm = load_arm("five_axis")
+    twice = write(tmp_path / "bag", {"x": [*records[:900], *shifted(records[:900], logged_s=1.0)]})
+    (unusable,), found = arm.estimate(BAG).notes, arm.estimate(twice).notes
+    assert unusable.startswith("scans without a usable pose: 5 of 2,000 of base_swivel (the first UNCOUNTED), ")
+    assert found[0].startswith("scans without a usable pose: 12 of 302 of base_swivel (the first UNCOUNTED), ")
+    assert [note.partition(", as")[0] for note in found[1:]] == [
+        f"stamps of {joint} that are not after the one before: 1" for joint in arm.calibrations
+    ]
+
+
 @pytest.mark.parametrize("step_s", [0.02, 0.5, 3.0])
 def test_scans_of_a_clock_that_is_set_back_are_read_in_the_order_of_their_numbers(
     step_s: float, records: list[Record], tmp_path: Path

@@ -6,17 +6,19 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Callable
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
 import pytest
 from posor.bags.recorded_encoders import RecordedEncoders, read_encoders
 from posor.chain.arm_file import load_arm_file
-from posor.errors import ParameterError
+from posor.errors import BagError, ParameterError
 from posor.numerics.array_types import FloatArray, IntArray
 from posor_bringup.encoders_command import HEADER, find_errors, main, parse_options
 from posor_drivers.simulator.scenario import load_scenario
 from posor_lab.harness.full_disk import full_disk_changes_nothing
+from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 
 BAG = Path(__file__).resolve().parents[1] / "bags" / "five_axis"
 OPTIONS = ["five_axis", "--bag", str(BAG), "--topic", "/five_axis/encoders"]
@@ -97,6 +99,18 @@ def test_an_encoder_with_another_sign_scale_or_tooth_is_refused(
     with pytest.raises(ParameterError) as caught:
         find_errors(parse_options(OPTIONS))
     assert caught.value.what.startswith(f"the encoder of joint shoulder {clause}")
+
+
+def test_readings_that_are_too_far_apart_are_refused(tmp_path: Path) -> None:
+    """Without it no angle lies between two of them, and no joint seems to move."""
+    slow = tmp_path / "bag"
+    with Reader(BAG) as reader, Writer(slow, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        (topic,) = (each for each in reader.connections if each.topic == OPTIONS[-1])
+        to = writer.add_connection(topic.topic, topic.msgtype, msgdef=topic.msgdef.data, rihs01=topic.digest)
+        for _, time_ns, data in islice(reader.messages([topic]), 0, None, 20):
+            writer.write(to, time_ns, data)
+    with pytest.raises(BagError, match=r"readings of elbow are \S+ s apart; expected at most 0.05 s"):
+        read_encoders(slow, OPTIONS[-1], ("elbow",))
 
 
 def test_readings_are_found_by_name() -> None:

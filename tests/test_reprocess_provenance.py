@@ -85,6 +85,21 @@ def test_another_version_of_the_software_is_named_and_a_bag_without_hashes_is_no
     assert warnings(capsys, str(bag / "bag_0.mcap"), "--arm", arm) == []
 
 
+def test_a_joint_without_any_pose_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    arm = load_arm_file(find_arm("five_axis"))
+    bag = write_bag(tmp_path / "bag", {})
+    other = [str(bag), "--calibration", f"elbow={arm.calibrations['shoulder']}"]
+    assert warnings(capsys, *other) == ["no scan of elbow has a pose; the calibration may be that of another POSOR"]
+
+
+def test_results_name_files_that_differ(tmp_path: Path) -> None:
+    arm = load_arm("five_axis")
+    used = provenance_of(Settings.of_arm(arm))
+    bag = write_bag(tmp_path / "bag", used | {"posor.beams": "0" * 64})
+    *_, note = arm.estimate(bag).notes
+    assert note == f"{arm.beams}: hash {used['posor.beams']}; the bag was recorded with {'0' * 64}"
+
+
 @pytest.mark.long
 @pytest.mark.timeout(900)
 def test_no_flipped_bit_changes_results_without_an_error(tmp_path: Path) -> None:

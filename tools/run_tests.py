@@ -36,7 +36,7 @@ from setup_workspace import set_up
 PROCESSES = min(2, os.cpu_count() or 1)  # of each priority
 LOW_PRIORITY = 4  # nice value
 NO_TESTS = 5  # pytest's exit code
-PROCESS_TIMEOUT_S = 900.0  # in addition to pytest's own timeout for each test
+PROCESS_TIMEOUT_S, LONG_PROCESS_TIMEOUT_S = 900.0, 4 * 3600.0  # in addition to pytest's own timeout for each test
 INTERRUPT_TIMEOUT_S = 20.0  # for an interrupted pytest to stop the nodes of its tests
 DEFAULTS = {  # the caller's own settings have precedence
     "OPENBLAS_NUM_THREADS": "1",  # numpy and scipy
@@ -201,7 +201,9 @@ def make_test_jobs(files: list[Path], marked: str = "not long") -> list[Job]:
 class Runner:
     """Sets the workspace up, runs jobs and terminates all running processes after an interruption."""
 
-    def __init__(self) -> None:
+    def __init__(self, timeout_s: float) -> None:
+        """Prepare; ``timeout_s``: of each process [s]."""
+        self.timeout_s = timeout_s
         self.environ = DEFAULTS | os.environ
         self.running: set[subprocess.Popen[str]] = set()
         self.printing = threading.Lock()
@@ -264,12 +266,12 @@ class Runner:
         if job.low_priority:
             lower_priority(process)
         try:
-            job.output, _ = process.communicate(timeout=PROCESS_TIMEOUT_S)
+            job.output, _ = process.communicate(timeout=self.timeout_s)
             ending = f"{job.tool} ended with exit code {process.returncode}"
         except subprocess.TimeoutExpired:
             interrupt_process(process)
             job.output, _ = process.communicate()
-            ending = f"interrupted after {PROCESS_TIMEOUT_S:.0f} s"
+            ending = f"interrupted after {self.timeout_s:.0f} s"
         self.running.discard(process)
         job.seconds = time.monotonic() - start
         job.read_report()
@@ -330,7 +332,7 @@ def main() -> int:
     linters = [Job("make lint", ["make", "--no-print-directory", "lint"], low_priority=True)]
     linters = [] if options.paths or options.long else linters
     REPORTS.mkdir(parents=True, exist_ok=True)
-    Runner().run_all(linters, tests)
+    Runner(LONG_PROCESS_TIMEOUT_S if options.long else PROCESS_TIMEOUT_S).run_all(linters, tests)
     jobs = [*linters, *tests]
     print_summary(jobs)
     return 0 if jobs and not any(job.failed for job in jobs) else 1

@@ -241,6 +241,23 @@ def test_the_program_makes_a_history_from_a_bag_and_adds_no_test_twice(
         assert main([*options, *seen]) == 1
         assert "expected one before now" in capsys.readouterr().err
         (files / "former.parquet").rename(path)
+    path.unlink()
+    rows = [line.split(";") for line in lines]
+    mistakes = {
+        "m from its seat; expected at most 0.01 m: perhaps rows, seats": [
+            [time_s, *places]
+            for (time_s, *_), (_, *places) in zip(rows, [rows[0], rows[2], rows[1], *rows[3:]], strict=True)
+        ],
+        "0.001 times those of the arm": [
+            rows[0],
+            *([time_s, *(f"{1e-3 * float(x):.9f}" for x in places)] for time_s, *places in rows[1:]),
+        ],
+    }
+    for sentence, table in mistakes.items():
+        (files / "tracker.csv").write_text("\n".join(map(";".join, table)) + "\n", encoding="utf-8")
+        assert main([*options, *seen]) == 1
+        assert sentence in capsys.readouterr().err
+    assert not path.exists()
     (files / "tracker.csv").write_text("\n".join(lines[:4]) + "\n", encoding="utf-8")
     assert main([*options, *seen]) == 1
     assert "3 dwells; expected at least 4 in postures that differ" in capsys.readouterr().err

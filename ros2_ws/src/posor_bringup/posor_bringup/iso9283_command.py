@@ -126,7 +126,8 @@ def _read(options: Namespace) -> tuple[Motion, Track, list[str]]:
     if track.frame not in ("", base):
         what = f"topic {options.reference} is in the frame '{track.frame}'"
         raise BagError(what, where=str(options.bag), expected=f"'{base}', the base of {arm.path}")
-    end = arm.estimate(options.bag).endpoint
+    estimates = arm.estimate(options.bag)
+    end = estimates.endpoint
     motion = motion_of(end.stamps_ns, end.poses, track, int(LONGEST_GAP_S * NS))
     deviation = float(np.median(np.linalg.norm(motion.positions - motion.references, axis=1)))
     if deviation > MOST_DEVIATION:
@@ -139,7 +140,9 @@ def _read(options: Namespace) -> tuple[Motion, Track, list[str]]:
             what = f"topic {options.reference} is turned by {turn:.3g} rad from the endpoint"
             raise BagError(what, where=str(options.bag), expected=f"axes of '{base}' and of the endpoint, or points")
     missing = len(end) - len(motion.stamps_ns)
-    notes = [f"{missing} of {len(end)} endpoints have no reference and are left out."] if missing else []
+    notes = [f"{note}." for note in estimates.notes]
+    if missing:
+        notes.append(f"{missing} of {len(end)} endpoints have no reference and are left out.")
     if end.degraded.any():
         notes.append(f"DEGRADED endpoints: {np.count_nonzero(end.degraded)} of {len(end)}.")
     return motion, track, notes

@@ -14,24 +14,31 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
 
-def numbers_of(where: str, text: str, counts: Sequence[int], *, positive: bool) -> list[float]:
+MOST_UNCERTAINTY = (0.1, 0.1, 1.0)  # constant [m], per metre, of angles [rad]: larger ones are in another unit
+MOST_PLACE = (10.0,) * 3 + (2.0 * math.pi,) * 3  # of a tool [m], [rad]
+
+
+def numbers_of(where: str, text: str, counts: Sequence[int], most: Sequence[float], *, positive: bool) -> list[float]:
     """Return the numbers of a text ``a,b,...``; ``positive``: the first is above 0, the others 0 or more.
 
-    ``where``: program and option; ``counts``: how many numbers there may be. Raises ParameterError: they are invalid.
+    ``where``: program and option; ``counts``: how many numbers there may be; ``most``: largest absolute value of each.
+    Raises ParameterError: they are invalid.
     """
     try:
         numbers = [parse_number(part) for part in text.split(",")]
     except ValueError:
         numbers = []
-    bad = not all(math.isfinite(number) and (number >= 0.0 or not positive) for number in numbers)
-    if len(numbers) not in counts or bad or (positive and not numbers[0] > 0.0):
-        expected = f"{' or '.join(map(str, counts))} numbers{' of 0 or more, the first above 0' if positive else ''}"
+    valid = len(numbers) in counts and all(abs(n) <= limit for n, limit in zip(numbers, most, strict=False))
+    if not valid or (positive and (min(numbers) < 0.0 or numbers[0] == 0.0)):
+        limits = ", ".join(f"{limit:.4g}" for limit in most[: max(counts)])
+        signs = " of 0 or more, the first above 0" if positive else ""
+        expected = f"{' or '.join(map(str, counts))} numbers{signs}, at most {limits}"
         raise ParameterError(f"'{text}'", where=where, expected=expected)
     return numbers
 
 
 def named_numbers(
-    where: str, entries: Sequence[str], counts: Sequence[int], *, positive: bool
+    where: str, entries: Sequence[str], counts: Sequence[int], most: Sequence[float], *, positive: bool
 ) -> dict[str, list[float]]:
     """Return the numbers of entries ``NAME=a,b,...`` by name, see ``numbers_of``."""
     found: dict[str, list[float]] = {}
@@ -39,7 +46,7 @@ def named_numbers(
         name, equals, text = entry.partition("=")
         if not (name and equals) or name in found:
             raise ParameterError(f"'{entry}'", where=where, expected="NAME=..., each name once")
-        found[name] = numbers_of(where, text, counts, positive=positive)
+        found[name] = numbers_of(where, text, counts, most, positive=positive)
     return found
 
 

@@ -10,10 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from posor.bags.offline_pipeline import Arm
-from posor.bags.provenance import custom_data, differences
-from posor.bags.reprocess_task import Settings
 from posor.errors import BagError, ChainError, DataFileError, ParameterError
-from posor.model.fault import USABLE_STATES, Fault, State
 from posor.tables.named_rows import read_named_rows
 from posor.tables.number_text import parse_number
 from scipy.spatial.transform import Rotation
@@ -132,17 +129,8 @@ def bag_poses(model: ArmUncertainty, arm: ArmFile, bag: Path, angles: Sequence[f
     if angles is not None:
         check_angles(angles, model.joints, "statement, --angles")
     estimates = Arm(**vars(arm)).estimate(bag)
-    notes = [f"{each}." for each in differences(custom_data(bag), Settings.of_arm(arm))]
+    notes = [f"{each}." for each in estimates.notes]
     end, order = estimates.endpoint, [estimates.chain.index(joint) for joint in model.joints]
-    for joint, own in estimates.joints.items():
-        lost = ~np.isin(own.states, USABLE_STATES)
-        if lost.any():
-            first = int(np.argmax(lost))
-            why = Fault(int(own.faults[first])).name if own.faults[first] else State(int(own.states[first])).name
-            notes.append(
-                f"{np.count_nonzero(lost)} of {len(own)} scans of {joint} have no usable pose and are left out, the "
-                f"first at {own.stamps_ns[first]} ns: {why}."
-            )
     if not len(end):
         raise BagError(" ".join(["no scan has an endpoint;", *notes]).rstrip("."), where=str(bag))
     recorded = end.angles[:, order]

@@ -98,11 +98,23 @@ class ArmEstimator:
             self.endpoint.synchroniser.finish()
 
     def notes(self) -> list[str]:
-        """Return a sentence for each way in which thermometers could not be used, with the number of poses."""
-        if self.endpoint is None:
-            return []
-        total = self.endpoint.poses
-        return [f"{reason}: {count:,} of {total:,} poses" for reason, count in self.endpoint.affected_by_beams.items()]
+        """Return a sentence for each joint whose scans go back in time or have no pose at all.
+
+        And one for each way in which thermometers could not be used, with the number of poses.
+        """
+        notes = []
+        for name, joint in self._joints.items():
+            if joint.backward:
+                notes.append(
+                    f"stamps of {name} that are not after the one before: {joint.backward:,}, as where a recording "
+                    "starts over, scans are repeated or a clock was set"
+                )
+            if joint.scans and joint.lost == joint.scans:
+                notes.append(f"no scan of {name} has a pose; the calibration may be that of another POSOR")
+        if self.endpoint is not None:
+            total, affected = self.endpoint.poses, self.endpoint.affected_by_beams
+            notes += [f"{reason}: {count:,} of {total:,} poses" for reason, count in affected.items()]
+        return notes
 
     def summarise(self) -> tuple[dict[str, JointSummary], EndpointSummary | None]:
         """Return the counts of the joints' scans and of the endpoint's stamps."""
@@ -118,13 +130,22 @@ class ArmEstimator:
 
 
 class _JointEstimator:
-    """Estimates the transforms of one joint, each scan from the pose before; counts scans, lost ones also by fault."""
+    """Estimates the transforms of one joint, each scan from the pose before.
+
+    Attributes:
+        scans: Number of scans.
+        lost: Number of scans without a pose.
+        faults: The same by fault.
+        backward: Number of stamps that are not after the one before.
+
+    """
 
     def __init__(self, calibration: Calibration, false_alarm: float) -> None:
         self._posor = Posor(calibration, false_alarm=false_alarm)
         self.transforms = TransformConstants.of(self._posor)
-        self.scans = self.lost = 0
+        self.scans = self.lost = self.backward = 0
         self.faults: Counter[str] = Counter()
+        self._last_ns = np.empty(0, dtype=np.int64)  # the last stamp, if any
 
     def estimate(self, scans: Sequence[RecordedScans]) -> Estimates:
         parts = [estimate_joint(self._posor, each) for each in scans]
@@ -135,6 +156,9 @@ class _JointEstimator:
         faults = estimates.faults[lost]
         counts = {fault.name: int(np.count_nonzero(faults & fault.value)) for fault in Fault if fault.name}
         self.faults.update({name: count for name, count in counts.items() if count})
+        stamps_ns = np.concatenate([self._last_ns, estimates.stamps_ns[estimates.stamps_ns != 0]])
+        self.backward += int(np.count_nonzero(np.diff(stamps_ns) <= 0))
+        self._last_ns = stamps_ns[-1:]
         return estimates
 
 

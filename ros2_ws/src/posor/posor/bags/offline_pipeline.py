@@ -27,6 +27,7 @@ from posor.estimation.estimate import Estimates
 from posor.messages.estimate_arrays import ArmEstimates, EndpointEstimates
 from posor.messages.message_definitions import installed_schema
 from posor.messages.raw_scan import RecordedScans
+from posor.model.fault import USABLE_STATES, Fault, State
 from posor.numerics.stamps import times_ns
 from posor.output_files import writing
 from posor.ros_names import RAW_SCAN, RAW_TOPIC, TEMPERATURE
@@ -198,6 +199,19 @@ def _open_output(task: Task, folder: Path, topics: BagTopics, estimator: ArmEsti
     return TableOutput(folder, task.format, list(topics.raw), None if endpoint is None else endpoint.joints)
 
 
+def unusable_scans(joints: Mapping[str, Estimates]) -> Iterator[str]:
+    """Yield a sentence on scans without a usable pose, if any: how many of each joint, and why the first has none."""
+    counts = []
+    for name, estimates in joints.items():
+        unusable = np.flatnonzero(~np.isin(estimates.states, USABLE_STATES))
+        if unusable.size:
+            fault, state = (int(each[unusable[0]]) for each in (estimates.faults, estimates.states))
+            why = (Fault(fault) or State(state)).name
+            counts.append(f"{unusable.size:,} of {len(estimates):,} of {name} (the first {why})")
+    if counts:
+        yield f"scans without a usable pose: {', '.join(counts)}"
+
+
 class Arm(ArmFile):
     """An arm file with its paths resolved, which estimates recorded scans."""
 
@@ -213,18 +227,20 @@ class Arm(ArmFile):
             ParameterError: ``false_alarm`` is not a probability.
             PosorError: The bag, a calibration or the kinematic chain cannot be used.
 
+        What was left out of the bag or is not as recorded is logged, and in the ``notes`` of the result.
+
         """
         path = checked_path(bag, "Arm.estimate", "the path of a bag")
         settings = Settings.of_arm(self).with_false_alarm(false_alarm)
         estimator = ArmEstimator(settings)
         topics = topics_of(path, settings.joints, estimator.thermometers)
-        for note in topics.notes:
-            log_once(f"{path}: {note}")
         parts = list(estimate_bag(path, topics, estimator))
-        for note in estimator.notes():
-            log_once(f"{path}: {note}")
         joints = {name: Estimates.concatenate([part.joints[name] for part in parts]) for name in settings.joints}
-        return ArmEstimates(joints, EndpointEstimates.concatenate([part.endpoint for part in parts]), parts[0].chain)
+        notes = (*topics.notes, *unusable_scans(joints), *estimator.notes(), *differences(custom_data(path), settings))
+        for note in notes:
+            log_once(f"{path}: {note}")
+        endpoint = EndpointEstimates.concatenate([part.endpoint for part in parts])
+        return ArmEstimates(joints, endpoint, parts[0].chain, notes)
 
     def __repr__(self) -> str:
         return f"<Arm {self.name} of {self.path}: {', '.join(self.calibrations)}>"

@@ -15,7 +15,7 @@ from posor.bags.recording import Track
 from posor.errors import BagError
 from posor.messages.message_definitions import schema_of_topic
 from posor.messages.message_table import LEAD
-from posor.numerics.stamps import times_ns
+from posor.numerics.stamps import NS, times_ns
 from posor.ros_names import JOINT_STATE
 
 if TYPE_CHECKING:
@@ -48,14 +48,14 @@ class RecordedEncoders(NamedTuple):
             known &= has_effort
         values = np.column_stack([self.positions[:, joint], np.nan_to_num(self.efforts[:, joint])])[known]
         track = Track(self.stamps_ns[known], values, np.full(2, np.nan), self.source)
-        return track.interpolate(stamps_ns, round(LONGEST_GAP_S * 1e9))
+        return track.interpolate(stamps_ns, round(LONGEST_GAP_S * NS))
 
 
 def read_encoders(bag: Path, topic: str, names: Sequence[str]) -> RecordedEncoders:
     """Return the readings of a topic for joints of these names.
 
     Raises BagError: the bag cannot be read, the topic is missing or of another type, a stamp is invalid, or a joint has
-    no reading.
+    no reading, or its readings are mostly more than LONGEST_GAP_S apart.
     """
     where = f"{bag}, topic {topic}"
     parts = []
@@ -87,7 +87,13 @@ def read_encoders(bag: Path, topic: str, names: Sequence[str]) -> RecordedEncode
     missing = [name for name, column in zip(names, positions.T, strict=True) if not np.isfinite(column).any()]
     if missing:
         raise BagError(f"no reading of {', '.join(missing)}", where=where, expected="one of each joint")
-    return RecordedEncoders(stamps_ns[order], positions[order], efforts[order], where)
+    encoders = RecordedEncoders(stamps_ns[order], positions[order], efforts[order], where)
+    for name, column in zip(names, encoders.positions.T, strict=True):
+        gaps = np.diff(encoders.stamps_ns[np.isfinite(column)])
+        if gaps.size and (usual := float(np.median(gaps)) / NS) > LONGEST_GAP_S:
+            what, expected = f"readings of {name} are {usual:.3g} s apart", f"at most {LONGEST_GAP_S:g} s"
+            raise BagError(what, where=where, expected=expected)
+    return encoders
 
 
 def _stamps(table: MessageTable) -> IntArray:

@@ -123,8 +123,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     robot = NominalRobot(arm.chain(), weights)
     planned = read_path(options.program).of_joints(robot.joints)
     ran = planned if options.ran is None else read_path(options.ran).of_joints(robot.joints)
-    run, scans, used = measured_run(options, arm, robot, ran)
     path = planned if options.period is None else planned.at_period(options.period)
+    if path.velocities is not None and options.output.suffix not in YAML_SUFFIXES:
+        what, expected = f"has velocities, which {options.output} cannot hold", "an --output in YAML, or --period"
+        raise ParameterError(what, where=str(options.program), expected=expected)
+    run, scans, used = measured_run(options, arm, robot, ran)
     corrected = correct_path(path, run, robot, limits, options.smoothing)
     write_files({options.output: corrected.text(as_yaml=options.output.suffix in YAML_SUFFIXES)})
     offsets = np.abs(corrected.angles - path.angles).max(axis=0)

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
 
     from posor.numerics.array_types import FloatArray
 
+PERIOD_TOLERANCE = 1e-6  # by which a path may be longer than a whole number of periods, in periods
 TIME = "time"  # first word of the column of times
 YAML_SUFFIXES = (".yaml", ".yml")
 
@@ -86,9 +88,9 @@ class JointPath:
         return sample
 
     def at_period(self, period_s: float) -> JointPath:
-        """Return the path with rows at a period [s] from its first to its last row."""
-        count = max(1, round((self.times_s[-1] - self.times_s[0]) / period_s))
-        times_s = np.linspace(self.times_s[0], self.times_s[-1], count + 1)
+        """Return the path with rows at a period [s] from its first row on; the last one is not before its end."""
+        count = math.ceil((self.times_s[-1] - self.times_s[0]) / period_s - PERIOD_TOLERANCE)
+        times_s = self.times_s[0] + period_s * np.arange(max(1, count) + 1)
         return replace(self, times_s=times_s, angles=self.sampler()(times_s), velocities=None)
 
     def moved(self, offsets: FloatArray) -> JointPath:
@@ -120,9 +122,12 @@ class _Duration(FrozenModel):
     nanosec: Annotated[int, Field(strict=True, ge=0, lt=NS)] = 0
 
 
+_Number = Annotated[float, Field(strict=True)]  # neither true nor a text
+
+
 class _Point(FrozenModel):
-    positions: tuple[float, ...]
-    velocities: tuple[float, ...] = ()
+    positions: tuple[_Number, ...]
+    velocities: tuple[_Number, ...] = ()
     accelerations: Annotated[tuple[float, ...], Field(max_length=0)] = ()  # would contradict the corrected positions
     effort: Annotated[tuple[float, ...], Field(max_length=0)] = ()
     time_from_start: _Duration = _Duration()

@@ -229,7 +229,7 @@ def follow_clocks(model: Model, scan: Any) -> int:
         tracker.time += elapsed
         _begin_again(model, scan, stamp, abs(deviation))
         return IN_ORDER
-    missing = _missing_time(model, elapsed)
+    missing = _missing_time(clocks, elapsed)
     clocks.step += missing + _step_in_gap(clocks, steps)
     if clocks.fitted > 1 and abs(deviation) > _tolerance(clocks, 1.0):
         clocks.line = stamp  # the clocks drifted while no scan came
@@ -243,14 +243,13 @@ def follow_clocks(model: Model, scan: Any) -> int:
 
 
 @inlined
-def _missing_time(model: Model, elapsed: float) -> float:
+def _missing_time(clocks: Any, elapsed: float) -> float:
     """Return the time before a scan in order [s] that neither its number nor its stamp shows."""
-    clocks, missing = model.workspace[0].tracker.clocks, 0.0
+    missing = 0.0
     if clocks.fitted == 1 and clocks.refused > 0:  # the stamps stood
         missing = max(0.0, _least_elapsed(clocks) + clocks.period - elapsed)
     if clocks.late > 1 and clocks.refused_number == clocks.number:  # both clocks were set back, and came here again
         missing = max(missing, clocks.late * clocks.period)
-        _doubt_count(model)
     return missing
 
 

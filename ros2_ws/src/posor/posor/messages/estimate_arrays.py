@@ -98,12 +98,14 @@ class ArmEstimates:
         joints: By joint name.
         endpoint: Empty without a kinematic chain.
         chain: Names of the chain's joints, in the order of ``EndpointEstimates.angles``; empty without a chain.
+        notes: A sentence, without a full stop, for each thing of the bag that was left out or is not as recorded.
 
     """
 
     joints: Mapping[str, Estimates]
     endpoint: EndpointEstimates
     chain: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         lines = [f"  {name}: {part!r}" for name, part in {**self.joints, "endpoint": self.endpoint}.items()]

@@ -57,6 +57,24 @@ def test_csv_in_any_unit_and_order_is_read_and_written(tmp_path: Path) -> None:
     np.testing.assert_allclose(path.at_period(0.1).times_s, np.linspace(0.0, 0.5, 6))
 
 
+@pytest.mark.parametrize("period_s", [0.11, 0.3, 0.7])
+def test_rows_are_at_the_period_and_the_last_one_is_where_the_program_ends(tmp_path: Path, period_s: float) -> None:
+    path = read_path(written(tmp_path, CSV))
+    found = path.at_period(period_s)
+    np.testing.assert_allclose(np.diff(found.times_s), period_s)
+    assert 0.5 <= found.times_s[-1] < 0.5 + period_s
+    np.testing.assert_array_equal(found.angles[[0, -1]], path.angles)
+
+
+def test_velocities_that_a_csv_file_would_lose_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    joints = NominalRobot(load_arm_file("five_axis").chain()).joints
+    zeros = np.zeros((2, len(joints)))
+    program = written(tmp_path, JointPath(joints, np.arange(2.0), zeros, zeros).text(as_yaml=True), "program.yaml")
+    output = tmp_path / "corrected.csv"
+    assert main([str(ARM), str(program), "--bag", str(tmp_path / "bag"), "--output", str(output)]) == 2
+    assert f"has velocities, which {output} cannot hold; expected an --output in YAML" in capsys.readouterr().err
+
+
 def test_yaml_of_a_trajectory_keeps_its_velocities(tmp_path: Path) -> None:
     path = read_path(written(tmp_path, YAML, "program.yaml"))
     np.testing.assert_allclose(path.times_s, [0.0, 1.5])
@@ -86,6 +104,8 @@ def test_yaml_of_a_trajectory_keeps_its_velocities(tmp_path: Path) -> None:
         ("joint_names: [a]\npoints: []\n", "a.yaml", "points"),
         ("joint_names: [a]\npoints:\n- {positions: [1, 2]}\n", "a.yaml", "line 3, key points[0]"),
         ("joint_names: [a]\npoints:\n- {positions: [1], accelerations: [0]}\n", "a.yaml", "accelerations"),
+        ("joint_names: [a]\npoints:\n- {positions: [true]}\n", "a.yaml", "points[0].positions[0]"),
+        ("joint_names: [a]\npoints:\n- {positions: ['1']}\n", "a.yaml", "points[0].positions[0]"),
         ("joint_names: [a]\npoints:\n- {positions: [.nan]}\n", "a.yaml", "row 1: the angle of a is nan"),
         ("joint_names: [a]\npoints:\n- {positions: [1], velocities: [0]}\n- {positions: [1]}\n", "a.yaml", "points[1]"),
     ],

@@ -262,6 +262,24 @@ def test_numbers_and_stamps_that_go_back_together_give_no_wrong_count(kind: str,
     assert (estimates.stamp_shifts[after, 5] >= rate * back * PERIOD_S).all()
 
 
+def test_a_slow_ring_is_uncounted_where_numbers_go_back_and_most_repeated_scans_are_missing() -> None:
+    """It turns by a bump while the clock repeats nine numbers, but by less than half a bump in the time of two."""
+    calibration, back = calibration_of("bumpy ring"), 9
+    assert calibration.motion is not None
+    bump = float(Posor(calibration).settings["bump_angle"])
+    rate = bump / (back * PERIOD_S)
+    limit = calibration.motion.theta.model_copy(update={"value": 1.1 * rate})
+    motion = calibration.motion.model_copy(update={"theta": limit})
+    posor = Posor(calibration.model_copy(update={"motion": motion}), false_alarm=1e-9)
+    posor.confirm_theta(START, 1e-4)
+    numbers = np.where(INDEX >= AT, INDEX - back, INDEX)
+    arrived = np.delete(INDEX, np.arange(AT, AT + back - 2))
+    stamps_ns = FIRST_NS + np.round(numbers * PERIOD_S * 1e9).astype(np.int64)
+    scans = simulated("bumpy ring", rate).with_fields({"stamps_ns": stamps_ns, "numbers": numbers.astype(np.uint64)})
+    estimates = posor.estimate_all(scans.select(arrived))
+    assert (usable(estimates) == (arrived < AT)).all()
+
+
 @pytest.mark.parametrize("back", [12, 60, 180])
 def test_numbers_and_stamps_that_go_back_far_are_a_step_where_the_scans_are_older_on_arrival(back: int) -> None:
     numbers, step = np.where(INDEX >= AT, INDEX - back, INDEX), back * PERIOD_S

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import pinocchio as pin
+from posor.bags.recording import POINT
 from posor.errors import TrackError
 from posor.estimation.corrected_scans import corrected_scans
 from posor.estimation.posor import Posor
@@ -17,6 +18,7 @@ from posor.numerics.stamps import NS
 from scipy.spatial.transform import Rotation
 
 from posor_calibration.arm.arm_poses import recorded_poses
+from posor_calibration.arm.endpoint_references import check_references
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -31,6 +33,7 @@ if TYPE_CHECKING:
 
 LEAST_POSES = 4
 SPREAD = 0.02  # of the seats in two directions [m], from which they show how the artefact is turned
+LARGEST_MISFIT = 0.01  # of a ball in the first test from its seat, with the artefact as the test places it [m]
 ANGLE = "angle"
 
 
@@ -114,7 +117,8 @@ class HealthArm:
 
         ``references``: seats of the balls at the dwells; ``window_s``: scans this long about each are averaged [s];
         ``where``: the bag, in errors; ``T_artefact_base``: of the first test; None: this is the first one. Raises
-        TrackError: a reference is no point, or there are too few dwells; BagError: a joint moves or has no usable scan.
+        TrackError: a reference is no point, there are too few dwells, or the seats of the first test are not where the
+        arm finds the balls; BagError: a joint moves or has no usable scan.
         """
         other = [name for name, kind in references.reflectors.items() if kind != "point"]
         if other:
@@ -127,7 +131,11 @@ class HealthArm:
         found = self.chain.estimate_all(poses.transforms, poses.random, poses.systematic).poses
         endpoints = [pin.XYZQUATToSE3(pose) for pose in found]
         by_arm = np.array([endpoints[each.pose].act(self.balls[each.reflector]) for each in references.readings])
-        T = T_artefact_base or _placed(by_arm, np.array([each.values for each in references.readings]))
+        T = T_artefact_base
+        if T is None:
+            tools = {name: pin.SE3(np.eye(POINT), place) for name, place in self.balls.items()}
+            check_references(references, endpoints, tools, where)
+            T = _placed(by_arm, references, where)
         numbers: list[Number] = []
         for n, stamp_ns in enumerate(stamps_ns.tolist()):
             for name, angle in zip(self.posors, poses.angles[n].tolist(), strict=True):
@@ -142,12 +150,22 @@ class HealthArm:
         return HealthTest(int(stamps_ns.min()), tuple(numbers)), T
 
 
-def _placed(by_arm: FloatArray, seats: FloatArray) -> pin.SE3:
-    """Return the base in the frame of seats (n, 3) [m] that do not show it: it is turned only if they spread."""
+def _placed(by_arm: FloatArray, references: EndpointReferences, where: str) -> pin.SE3:
+    """Return the base in the frame of the seats of balls (n, 3) [m]: it is turned only if the seats spread.
+
+    Raises TrackError: a ball is then far from its seat.
+    """
+    seats = np.array([each.values for each in references.readings])
     a, b = by_arm.mean(axis=0), seats.mean(axis=0)
-    turn = np.eye(3)
-    if np.linalg.svd(seats - b, compute_uv=False)[1] > SPREAD * np.sqrt(len(seats)):
-        turn = Rotation.align_vectors(seats - b, by_arm - a)[0].as_matrix()
+    if np.linalg.svd(seats - b, compute_uv=False)[1] <= SPREAD * np.sqrt(len(seats)):
+        return pin.SE3(np.eye(POINT), b - a)
+    turn = Rotation.align_vectors(seats - b, by_arm - a)[0].as_matrix()
+    misfits = np.linalg.norm(seats - b - (by_arm - a) @ turn.T, axis=1)
+    worst = int(np.argmax(misfits))
+    if misfits[worst] > LARGEST_MISFIT:
+        what = f"the ball is {misfits[worst]:.3g} m from its seat"
+        expected = f"at most {LARGEST_MISFIT:g} m: perhaps rows, seats or --tool are exchanged"
+        raise TrackError(what, where=f"{where}, {references.readings[worst].name}", expected=expected)
     return pin.SE3(turn, b - turn @ a)
 
 
