@@ -136,13 +136,13 @@ def test_the_interpolation_error_goes_into_the_noise_of_the_calibrations(
     joint["diode_currents"][3]["acceleration"] = {"value": 1e-3, "unit": "A/s^2"}
     file = tmp_path / "rig.yaml"
     file.write_text(yaml.safe_dump(content), encoding="utf-8")
-    assert instruments(["noise", str(file), str(arm.path), "--output", str(tmp_path)]) == 0
+    assert instruments(["noise", str(file), str(arm.path), "--output", str(tmp_path / "new")]) == 0
     said = capsys.readouterr().out
     assert "joint1 gap_1: noise 0.001 V at rest, 0.001 V in motion; no acceleration is stated" in said
     assert (
         "joint1 gap_2: noise 0.001 V at rest, 0.00153 V in motion; the interpolation error is at most 0.002 V" in said
     )
-    paths = arm.calibrations["joint1"], tmp_path / "joint1.yaml"
+    paths = arm.calibrations["joint1"], tmp_path / "new" / "joint1.yaml"
     (_, old_diodes), (gaps, new_diodes) = (load_calibration(path).sensors for path in paths)
     assert isinstance(gaps, GapProbesCalibration)
     assert isinstance(old_diodes, DiodesCalibration)
@@ -152,7 +152,7 @@ def test_the_interpolation_error_goes_into_the_noise_of_the_calibrations(
     bound = 2.0 * 1e-3 * 0.01**2 / 8.0 / old[0].minimum_sum.number
     assert new[0].noise.array == pytest.approx(np.hypot(old[0].noise.array, bound / np.sqrt(3.0)))
     assert new[1].noise.value == old[1].noise.value
-    assert instruments(["noise", str(file), str(arm.path), "--output", str(tmp_path)]) != 0
+    assert instruments(["noise", str(file), str(arm.path), "--output", str(tmp_path / "new")]) != 0
     assert "joint1.yaml: exists already" in capsys.readouterr().err
     joint["gap_voltages"][1]["acceleration"]["unit"] = "m/s^2"
     file.write_text(yaml.safe_dump(content), encoding="utf-8")

@@ -36,8 +36,8 @@ class ScpiServer(DeviceServer):
         self.functions: dict[int, str] = {}  # what the channels have been set up for
         self.temperature_unit = ""  # as written
         self.function = '"VOLT"'  # answer to ``FUNC?``
-        # put into the error queue with the next scan: code and message; None: no error
-        self.error: tuple[int, str] | None = None
+        # put into the error queue with the next scan: code and message of each
+        self.errors: list[tuple[int, str]] = []
         self.answer: str | None = None  # instead of the readings of a scan; None: the readings
         self.outputs: list[tuple[int, int]] = []  # values and numbers of digital outputs, as written
         self.interval_s = 0.0  # time from channel to channel: the settings that a client has written
@@ -133,9 +133,8 @@ class ScpiServer(DeviceServer):
     async def _read(self, context: Any) -> str:
         while self.stalled.is_set():  # noqa: ASYNC110  set by another thread
             await asyncio.sleep(POLL_S)
-        if self.error is not None:
-            context.push_error(ScpiError(*self.error))
-            self.error = None
+        while self.errors:
+            context.push_error(ScpiError(*self.errors.pop(0)))
         if self.answer is not None:
             return self.answer
         channels = [number - FIRST_CHANNEL for number in self.scanned]

@@ -158,6 +158,11 @@ def test_a_new_certificate_file_names_all_blanks(tmp_path: Path, capsys: pytest.
     [
         ("2026-11-25", "2026-11-23", "line 4, key end: 2026-11-23 is before 2026-11-24; expected begin, end, issued"),
         ("end: 2026-11-25", "end: 2999-01-01", "is before 2999-01-01"),  # today is before it, or the clock is not set
+        (
+            "end: 2026-11-25",
+            "end: 2026-11-25\nissued: 2999-01-01",
+            "line 5, key issued: 2999-01-01 is to come; expected",
+        ),
         ("2026-11-25", "25.11.2026", "line 4, key end: '25.11.2026'; expected a date, such as 2026-11-26."),
         ("country: DE", "country: Germany", "'Germany'; expected two capital letters (ISO 3166-1), such as 'DE'."),
         ("place: laboratory", "place: shop", "line 5, key place: 'shop'; expected 'laboratory', 'customer',"),

@@ -16,6 +16,7 @@ from posor.calibration.calibration_file import load_calibration
 from posor.calibration.save import save_calibration
 from posor.chain.arm_file import ArmFile, load_arm_file
 from posor.errors import ParameterError
+from posor.output_files import writing
 from posor.reporting.command_line_parser import CommandLineParser
 from posor.reporting.program_errors import reports_errors
 from posor.tables.table_map import READINGS
@@ -112,9 +113,12 @@ def _state_noise(file: InstrumentsFile, arm: ArmFile, output: Path | None) -> No
     """Print the noise of the readings in motion, and write the calibrations that state it.
 
     Raises:
-        PosorError: A calibration is invalid, or the folder does not exist or has such a calibration.
+        PosorError: A calibration is invalid, or the folder cannot be made or has such a calibration.
 
     """
+    if output is not None:
+        with writing(output):
+            output.mkdir(parents=True, exist_ok=True)
     for joint in file.joints:
         if joint not in arm.calibrations:
             raise ParameterError(f"joint '{joint}'", where=str(arm.path), expected=", ".join(arm.calibrations))

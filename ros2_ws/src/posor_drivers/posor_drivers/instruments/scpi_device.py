@@ -41,6 +41,7 @@ from __future__ import annotations
 import math
 import re
 import time
+from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
@@ -406,15 +407,16 @@ class ScpiDevice(PolledDevice[ScpiSettings]):
             DeviceError: It was not empty.
 
         """
-        errors: list[str] = []
-        while len(errors) < MOST_ERRORS:
+        errors: Counter[str] = Counter()
+        while errors.total() < MOST_ERRORS:
             answer = self._query(self._dialect.error)
             if re.search(self._dialect.no_error, answer):
                 break
-            errors.append(answer)
+            errors[answer] += 1
         if errors:
             self._refuse_shifted_answers()
-            raise self.error(f"the instrument reports {'; '.join(errors)}", "an empty error queue")
+            texts = (text if count == 1 else f"{text} ({count} times)" for text, count in errors.items())
+            raise self.error(f"the instrument reports {'; '.join(texts)}", "an empty error queue")
 
     def _query(self, command: str) -> str:
         """Return the answer to a question. Raises DeviceError: there is none, or only the question again."""

@@ -241,8 +241,9 @@ def test_faults_of_a_scanner_are_named(scanner: ScpiServer) -> None:
         wait_for_frames(reader)
         assert scanner.scanned == [101, 103]
         assert reader.state.text == "Keysight Technologies,DAQ970A,MY12345678,A.02.04"
-        scanner.error = (-222, "Data out of range")
-        wait_for_fault(reader, 'meter: the instrument reports -222,"Data out of range"; expected an empty error queue.')
+        scanner.errors = [(-222, "Data out of range"), *[(-410, "Query INTERRUPTED")] * 3]
+        texts = '-222,"Data out of range"; -410,"Query INTERRUPTED" (3 times)'
+        wait_for_fault(reader, f"meter: the instrument reports {texts}; expected an empty error queue.")
         wait_for_frames(reader)
         scanner.answer = "1.0,2.0,3.0"
         wait_for_fault(reader, "meter: the answer to 'READ?' is '1.0,2.0,3.0'; expected 2 numbers, separated by ','.")
