@@ -36,7 +36,8 @@ from setup_workspace import set_up
 PROCESSES = min(2, os.cpu_count() or 1)  # of each priority
 LOW_PRIORITY = 4  # nice value
 NO_TESTS = 5  # pytest's exit code
-PROCESS_TIMEOUT_S, LONG_PROCESS_TIMEOUT_S = 900.0, 4 * 3600.0  # in addition to pytest's own timeout for each test
+PROCESS_TIMEOUT_S = 900.0  # in addition to pytest's own timeout for each test
+LONG_TIMEOUT_S, LONG_PROCESS_TIMEOUT_S = 3600, 4 * 3600.0  # of a test and of a process with --long
 INTERRUPT_TIMEOUT_S = 20.0  # for an interrupted pytest to stop the nodes of its tests
 DEFAULTS = {  # the caller's own settings have precedence
     "OPENBLAS_NUM_THREADS": "1",  # numpy and scipy
@@ -181,11 +182,12 @@ def shared_process(file: Path) -> Path | None:
     return next((each for each in entries if any(path.match(str(each)) for path in (file, *file.parents))), None)
 
 
-def make_test_jobs(files: list[Path], marked: str = "not long") -> list[Job]:
+def make_test_jobs(files: list[Path], *, long: bool = False) -> list[Job]:
     """Return one job for the files that share a process, and one for each other, those of SLOW first.
 
-    ``marked``: marker of the tests that run.
+    ``long``: the tests with this marker, in place of all others.
     """
+    selection = ["-m", "long", f"--timeout={LONG_TIMEOUT_S}"] if long else ["-m", "not long"]
     groups: dict[Path, list[str]] = {}
     for file in files:
         groups.setdefault(shared_process(file) or file, []).append(str(file))
@@ -193,7 +195,7 @@ def make_test_jobs(files: list[Path], marked: str = "not long") -> list[Job]:
     for key, names in groups.items():
         report = REPORTS / (display_name(key).strip("/").replace("/", ".") + ".xml")
         options = ["-c", str(THIS.root / "pyproject.toml"), "-p", "pytest_timeout", "-q", "--color=no"]
-        command = [str(THIS.python), "-m", "pytest", *options, f"--junitxml={report}", "-m", marked, *names]
+        command = [str(THIS.python), "-m", "pytest", *options, f"--junitxml={report}", *selection, *names]
         jobs.append(Job(display_name(key), command, report, low_priority=key in SHARED))
     return sorted(jobs, key=lambda job: SLOW.index(job.name) if job.name in SLOW else len(SLOW))
 
@@ -328,7 +330,7 @@ def main() -> int:
     parser.add_argument("--long", action="store_true", help="only the tests that are left out otherwise")
     parser.add_argument("paths", nargs="*", help="files or folders; default: all tests, and the linters")
     options = parser.parse_args()
-    tests = make_test_jobs(find_test_files(options.paths), "long" if options.long else "not long")
+    tests = make_test_jobs(find_test_files(options.paths), long=options.long)
     linters = [Job("make lint", ["make", "--no-print-directory", "lint"], low_priority=True)]
     linters = [] if options.paths or options.long else linters
     REPORTS.mkdir(parents=True, exist_ok=True)
