@@ -179,6 +179,7 @@ def test_refusals(options: str, code: int, message: str, tmp_path: Path, capsys:
     tables = {
         "COLUMN": "elbow\n0\n",
         "CELL": "joint1\n0\n\nx\n",
+        "UNDERSCORE": "joint1\n0_1\n",
         "WIDE": "joint1\n0,1\n",
         "DEGREES": "joint1\n30\n",
         "EMPTY": "joint1\n",
