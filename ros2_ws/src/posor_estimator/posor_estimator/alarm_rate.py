@@ -47,6 +47,10 @@ class AlarmRate:
         self._recent.append(scan)
         return bool(self.excess(scan))
 
+    def forget(self) -> None:
+        """Forget the scans without a pose, which something else explains: a joint that waits to be counted."""
+        self._recent.clear()
+
     def excess(self, scan: int) -> str:
         """Return the sentence on too many scans without a pose among the last ``WINDOW``; else empty."""
         count = len(self._recent)

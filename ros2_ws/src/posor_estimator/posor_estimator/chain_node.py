@@ -520,10 +520,12 @@ class ChainNode(PosorNode[ChainParameters]):
     def _report_refused_scan(self, verdict: EndpointVerdict) -> None:
         """Report a scan without a pose if the reason has changed: as an error if false alarms do not explain it."""
         number = self._scan_number()
+        if verdict.is_waiting:
+            self._alarms.forget()
         self._has_alarm = not verdict.is_waiting and self._alarms.add(number)
         if self._reported != (key := (verdict, self._has_alarm)):
             self._reported = key
-            excess = "" if verdict.is_waiting else self._alarms.excess(number)
+            excess = self._alarms.excess(number)
             text = f"no pose: {verdict.reason}" + (f"; {excess}" if excess else "")
             self._status.report(Level.ERROR if self._has_alarm else Level.WARN, text, self._counts())
 

@@ -408,7 +408,9 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
         self._scans_lost += self._is_lost
         is_alarm = self._is_lost and self._alarms.add(self._scans)
         is_waiting = waits_to_be_counted(state, faults)
-        excess = "" if is_waiting else self._alarms.excess(self._scans)
+        if is_waiting:
+            self._alarms.forget()  # at a wrong bump readings contradict each other
+        excess = self._alarms.excess(self._scans)
         if (key := (state, faults, is_alarm or bool(excess))) != self._reported:
             self._reported = key
             level = Level.ERROR if key[2] else Level.WARN if is_waiting else LEVELS.get(State(state), Level.ERROR)

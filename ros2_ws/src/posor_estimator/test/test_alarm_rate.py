@@ -36,6 +36,15 @@ def test_sound_scans_are_no_fault_and_a_higher_rate_is_one() -> None:
     assert not faulty.excess(int(seen[-1]) + WINDOW)
 
 
+def test_scans_that_something_else_explains_are_forgotten() -> None:
+    alarms = AlarmRate(1e-3, 5)
+    limit = alarm_limit(1e-3)
+    assert not any(alarms.add(scan) for scan in range(0, 2 * limit - 2, 2))
+    alarms.forget()
+    assert not alarms.add(2 * limit)
+    assert [alarms.add(scan) for scan in range(2 * limit + 2, 4 * limit, 2)][-1]
+
+
 def test_a_lasting_fault_does_not_count_for_the_rate_afterwards() -> None:
     alarms = AlarmRate(1e-3, 5)
     assert [alarms.add(scan) for scan in range(100)] == [False] * 4 + [True] * 96

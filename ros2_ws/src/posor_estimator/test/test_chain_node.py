@@ -164,6 +164,22 @@ def test_a_joint_that_waits_for_its_home_mark_is_a_warning_however_long(rig: Sin
     assert levels == {b"\x01"}
 
 
+def test_losses_before_a_joint_is_counted_are_no_fault_afterwards() -> None:
+    """At a wrong bump of a ring readings contradict each other now and then."""
+    waiting = transform_of(1)
+    waiting.state = JointTransform.STATE_UNCOUNTED
+    with chain_node(urdf=str(URDF), **{**LOSSLESS, "alarm_count": 3}), Graph() as graph:
+        rig = SingleJointRig(graph)
+        for second in range(1, 30, 2):
+            rig.send(lost_transform(second, JointTransform.FAULT_RESIDUAL), second)
+            rig.send(waiting, second + 1)
+        rig.send(lost_transform(40, JointTransform.FAULT_RESIDUAL), 40)  # a false alarm
+        assert rig.wait_for_message("no pose: joint1 is lost").level == b"\x01"
+        rig.send(transform_of(41), 41)
+        rig.wait_for_poses(1)
+        assert graph.wait_for_status("/chain_node: endpoint", "ok").level == b"\x00"
+
+
 def call_set_home(graph: Graph) -> tuple[bool, str]:
     answer = graph.call(Trigger, "/chain_node/set_home", Trigger.Request())
     return answer.success, answer.message

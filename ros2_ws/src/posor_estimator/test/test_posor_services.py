@@ -254,16 +254,19 @@ def service_names(rig: NodeRig) -> set[str]:
 
 
 def test_home_starts_the_count_of_bumps_and_zero_needs_a_home_pose(tmp_path: Path) -> None:
-    with NodeRig(tmp_path, "triad_bumpy_ring") as rig:
+    with NodeRig(tmp_path, "triad_bumpy_ring", alarm_count=3) as rig:
         rig.graph.wait_until(lambda: {"/posor_node/reload", "/posor_node/home"} <= service_names(rig), "the services")
         assert "/posor_node/zero" not in service_names(rig)
-        assert {transform.state for transform in rig.send(3)} == {JointTransform.STATE_UNCOUNTED}
+        for _ in range(30):  # losses before the count are no fault afterwards
+            assert [each.state for each in rig.send(1, gaps=math.nan)] == [JointTransform.STATE_LOST]
+            assert [each.state for each in rig.send(1)] == [JointTransform.STATE_UNCOUNTED]
         assert rig.graph.wait_for_status("/posor_node: estimate", "waiting for the home mark").level == b"\x01"
         success, message = rig.call("home")
         assert success
         assert message.startswith("theta is counted from the next scan")
         counted = rig.send(3)
         assert {transform.state for transform in counted} == {JointTransform.STATE_OK}
+        assert rig.graph.wait_for_status("/posor_node: estimate", "ok").level == b"\x00"
         np.testing.assert_allclose(natives(counted)[:, 5], 0.0, atol=1e-3)
         # The count outlives a reload.
         assert rig.call("reload")[0]
