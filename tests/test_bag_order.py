@@ -221,12 +221,18 @@ def test_a_recording_that_starts_over_is_read_as_it_was_logged(
 def test_scans_that_are_read_twice_are_noted(records: list[Record], tmp_path: Path) -> None:
     arm = load_arm("five_axis")
     twice = write(tmp_path / "bag", {"x": [*records[:900], *shifted(records[:900], logged_s=1.0)]})
-    (unusable,), found = arm.estimate(BAG).notes, arm.estimate(twice).notes
-    assert unusable.startswith("scans without a usable pose: 5 of 2,000 of base_swivel (the first UNCOUNTED), ")
-    assert found[0].startswith("scans without a usable pose: 12 of 302 of base_swivel (the first UNCOUNTED), ")
-    assert [note.partition(", as")[0] for note in found[1:]] == [
+    whole, found = arm.estimate(BAG), arm.estimate(twice)
+    assert [note.partition(" of base_swivel")[0] for note in whole.notes] == [
+        "scans without a usable pose: 5 of 2,000",
+        "stamps without a transform of each joint: 4; missing 1 of elbow, 1 of wrist_roll, 2 of wrist_yaw",
+    ]
+    assert found.notes[0].startswith("scans without a usable pose: 12 of 302 of base_swivel (the first UNCOUNTED), ")
+    assert [note.partition(", as")[0] for note in found.notes[1:]] == [
         f"stamps of {joint} that are not after the one before: 1" for joint in arm.calibrations
     ]
+    whole.endpoint_of_one_run("bag")
+    with pytest.raises(BagError, match=r"bag: poses of base_swivel at \d+ ns are followed by those at \d+ ns; expected one"):
+        found.endpoint_of_one_run("bag")
 
 
 @pytest.mark.parametrize("step_s", [0.02, 0.5, 3.0])

@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import datetime as dt
-import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -39,7 +38,14 @@ from posor_calibration.data_checks import POSE_AXES
 from posor_design.arm_uncertainty import ArmUncertainty
 from posor_design.statement_poses import path_poses
 
-from posor_bringup.reference_options import MOST_PLACE, MOST_UNCERTAINTY, check_names, named_numbers, numbers_of
+from posor_bringup.reference_options import (
+    PLACE_LIMITS,
+    TOOL_UNCERTAINTY_LIMITS,
+    UNCERTAINTY_LIMITS,
+    check_names,
+    named_numbers,
+    numbers_of,
+)
 
 if TYPE_CHECKING:
     import argparse
@@ -51,7 +57,6 @@ if TYPE_CHECKING:
     from posor_calibration.arm.arm_fit import ArmCalibration
     from rich.console import Console
 
-MOST_TOOL_UNCERTAINTY = (1.0, math.pi)  # [m], [rad]
 WIDTH = 160
 WHERE = "calibrate-arm"
 POINT, PLACE = 3, 6  # numbers of a reflector
@@ -94,14 +99,14 @@ def parse_options(arguments: Sequence[str] | None) -> argparse.Namespace:
         raise ParameterError("--candidates without --select", where=WHERE, expected="both")
     if options.hold_out == 1:
         raise ParameterError("no pose would be used", where=f"{WHERE}, --hold-out", expected="0, or 2 or more")
-    options.tool = named_numbers(f"{WHERE}, --tool", options.tool, (POINT, PLACE), MOST_PLACE, positive=False)
+    options.tool = named_numbers(f"{WHERE}, --tool", options.tool, (POINT, PLACE), PLACE_LIMITS)
     options.tool_uncertainty = numbers_of(
-        f"{WHERE}, --tool-uncertainty", options.tool_uncertainty, (2,), MOST_TOOL_UNCERTAINTY, positive=True
+        f"{WHERE}, --tool-uncertainty", options.tool_uncertainty, (2,), TOOL_UNCERTAINTY_LIMITS
     )
     options.uncertainty = {
         name: Uncertainty(*numbers)
         for name, numbers in named_numbers(
-            f"{WHERE}, --uncertainty", options.uncertainty, (1, 2, 3), MOST_UNCERTAINTY, positive=True
+            f"{WHERE}, --uncertainty", options.uncertainty, (1, 2, 3), UNCERTAINTY_LIMITS
         ).items()
     }
     return options

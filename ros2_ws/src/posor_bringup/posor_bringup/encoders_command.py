@@ -14,6 +14,7 @@ import numpy as np
 from posor.arm_names import describe_argument
 from posor.bags.offline_pipeline import load_arm
 from posor.bags.recorded_encoders import read_encoders
+from posor.bags.result_folder import name_of_bag
 from posor.chain.endpoint_predictor import describe_disagreement, describe_jump, is_same_motion
 from posor.errors import OutputError, ParameterError
 from posor.numerics.vector import wrapped_angles
@@ -34,6 +35,8 @@ if TYPE_CHECKING:
 
 PARTS = 64  # of a recording, between which the motions of encoder and POSOR are compared
 LEAST_ERROR = 1e-3  # largest error of an encoder's motion that is not taken for another encoder, sign or scale [rad]
+LEAST_BACKLASH = 1e-4  # largest amount of a negative backlash that is taken for noise [rad]
+LIVE_READINGS = "new readings in each message, with the stamps of the scans' clock"
 HEADER = ("joint", "direction", "angle_rad", "encoder_minus_posor_rad", "standard_deviation_rad", "readings")
 
 
@@ -53,7 +56,7 @@ def parse_options(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--bins", type=whole_number_from(1), default=36, metavar="N", help=text)
     parser.add_argument("--output", type=Path, metavar="FILE.csv", help="default: build/encoders/<name of the bag>.csv")
     options = parser.parse_args(arguments)
-    options.output = options.output or Path("build/encoders") / f"{options.bag.stem}.csv"
+    options.output = options.output or Path("build/encoders") / f"{name_of_bag(options.bag)}.csv"
     if options.output.is_file() and not _is_table(options.output):
         raise OutputError("is no table of this program", where=str(options.output), expected="another name")
     return options
@@ -78,7 +81,8 @@ def find_errors(options: argparse.Namespace) -> dict[str, EncoderErrors]:
     if len(names) != len(joints):
         what, expected = f"{len(names)} names", f"one for each of {', '.join(joints)}"
         raise ParameterError(what, where="posor encoders, --names", expected=expected)
-    encoders, end = read_encoders(options.bag, options.topic, names), arm.estimate(options.bag).endpoint
+    encoders = read_encoders(options.bag, options.topic, names)
+    end = arm.estimate(options.bag).endpoint_of_one_run(str(options.bag))
     gravity, found = _gravity_in_plates(chain, end.angles), {}
     for j, joint in enumerate(joints):
         readings, efforts = encoders.at(j, end.stamps_ns).T
@@ -87,6 +91,9 @@ def find_errors(options: argparse.Namespace) -> dict[str, EncoderErrors]:
             raise ParameterError(what, where=f"{options.bag}, topic {options.topic}", expected=expected)
         around = np.hstack(gravity[j : j + 3]) if gravity else None  # before and after the joint, after the next one
         found[joint] = encoder_errors(end.angles[:, j], readings, efforts, options.bins, around)
+        if (backlash := found[joint].backlash) < -LEAST_BACKLASH:
+            what = f"the backlash of {joint} would be {1e6 * backlash:.0f} µrad: its readings are late or held"
+            raise ParameterError(what, where=f"{options.bag}, topic {options.topic}", expected=LIVE_READINGS)
     if not any(each.readings for each in found.values()):
         what, expected = "no joint moves while its encoder is read", "scans and readings of one motion and one clock"
         raise ParameterError(what, where=f"{options.bag}, topic {options.topic}", expected=expected)

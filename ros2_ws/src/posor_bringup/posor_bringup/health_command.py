@@ -26,7 +26,7 @@ from posor_calibration.health.health_report import HealthReport
 from posor_calibration.health.health_test import HealthArm, date_text
 from posor_design.arm_uncertainty import chain_at
 
-from posor_bringup.reference_options import MOST_PLACE, MOST_UNCERTAINTY, check_names, named_numbers
+from posor_bringup.reference_options import PLACE_LIMITS, UNCERTAINTY_LIMITS, check_names, named_numbers
 
 if TYPE_CHECKING:
     import argparse
@@ -76,9 +76,9 @@ def parse_options(arguments: Sequence[str] | None) -> argparse.Namespace:
     if given and len(given) < POINT:
         what = " and ".join(f"--{name}" for name in given)
         raise ParameterError(f"{what} alone", where=WHERE, expected="--bag, --table and --map together")
-    named = named_numbers(f"{WHERE}, --uncertainty", options.uncertainty, (1, 2), MOST_UNCERTAINTY, positive=True)
+    named = named_numbers(f"{WHERE}, --uncertainty", options.uncertainty, (1, 2), UNCERTAINTY_LIMITS)
     options.uncertainty = {name: Uncertainty(*numbers) for name, numbers in named.items()}
-    options.tool = named_numbers(f"{WHERE}, --tool", options.tool, (POINT,), MOST_PLACE, positive=False)
+    options.tool = named_numbers(f"{WHERE}, --tool", options.tool, (POINT,), PLACE_LIMITS)
     return options
 
 

@@ -17,6 +17,7 @@ from posor.bags.calibration_recording import Reference, bag_sha256, load_recordi
 from posor.bags.offline_pipeline import load_arm, topics_of
 from posor.bags.recording import POINT, POSE
 from posor.bags.reprocess_task import Settings
+from posor.bags.result_folder import name_of_bag
 from posor.errors import BagError, DataFileError, ParameterError
 from posor.numerics.stamps import NS
 from posor.output_files import make_folder, write_files
@@ -83,7 +84,7 @@ def parse_options(arguments: Sequence[str] | None) -> Namespace:
             raise ParameterError("is for dwells that are found", where=f"iso9283, --{name}", expected="no --dwells")
     if options.settle >= options.least:
         raise ParameterError(f"{options.settle:g} s", where="iso9283, --settle", expected="less than --least")
-    options.output = options.output or Path("build/iso9283") / options.bag.stem
+    options.output = options.output or Path("build/iso9283") / name_of_bag(options.bag)
     outputs = [options.output.resolve() / name for name in OUTPUT_FILES]
     if options.dwells is not None and options.dwells.resolve() in outputs:
         where = f"iso9283, --output {options.output}"
@@ -127,7 +128,7 @@ def _read(options: Namespace) -> tuple[Motion, Track, list[str]]:
         what = f"topic {options.reference} is in the frame '{track.frame}'"
         raise BagError(what, where=str(options.bag), expected=f"'{base}', the base of {arm.path}")
     estimates = arm.estimate(options.bag)
-    end = estimates.endpoint
+    end = estimates.endpoint_of_one_run(str(options.bag))
     motion = motion_of(end.stamps_ns, end.poses, track, int(LONGEST_GAP_S * NS))
     deviation = float(np.median(np.linalg.norm(motion.positions - motion.references, axis=1)))
     if deviation > MOST_DEVIATION:

@@ -130,9 +130,7 @@ def bag_poses(model: ArmUncertainty, arm: ArmFile, bag: Path, angles: Sequence[f
         check_angles(angles, model.joints, "statement, --angles")
     estimates = Arm(**vars(arm)).estimate(bag)
     notes = [f"{each}." for each in estimates.notes]
-    end, order = estimates.endpoint, [estimates.chain.index(joint) for joint in model.joints]
-    if not len(end):
-        raise BagError(" ".join(["no scan has an endpoint;", *notes]).rstrip("."), where=str(bag))
+    end, order = estimates.endpoint_of_one_run(str(bag)), [estimates.chain.index(joint) for joint in model.joints]
     recorded = end.angles[:, order]
     if angles is None:
         selected = np.unique(np.linspace(0, len(end) - 1, BAG_POSES).round().astype(int))

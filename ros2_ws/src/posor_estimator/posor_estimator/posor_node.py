@@ -62,7 +62,10 @@ if TYPE_CHECKING:
 LOST = int(State.LOST)
 LEVELS = {State.OK: Level.OK, State.DEGRADED: Level.WARN, State.LOST: Level.WARN}
 """Level of the diagnostics by state; other states, and what ``AlarmRate`` finds: ERROR, UNCOUNTED that waits: WARN."""
-STEPPED = "the stamps have stepped by {:.3g} s and count as wrong by as much; expected right stamps, then ~/acknowledge"
+STEPPED = (
+    "the stamps, or the clock of this host, have stepped by {:.3g} s, and the stamps count as wrong by as much; "
+    "expected right stamps, then ~/acknowledge"
+)
 
 
 class PosorEstimatorNode(PosorNode[PosorParameters]):
@@ -343,7 +346,7 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
         if stream is None or (identity := stream.identity(data)) is None:
             return None
         if last := stream.last_stamp_and_number():
-            kind, text = self._order.describe(identity, last)
+            kind, text = self._order.describe(identity, last, is_same=stream.is_last(data))
             if kind:
                 self._inputs.note(kind, text)
             if kind == REPEATED:

@@ -70,13 +70,14 @@ class ScanOrder:
     def __init__(self) -> None:
         self.counts = {MISSING: 0, REPEATED: 0, BACKWARD: 0}
 
-    def describe(self, identity: tuple[int, int], last: tuple[int, int]) -> tuple[str, str]:
+    def describe(self, identity: tuple[int, int], last: tuple[int, int], *, is_same: bool) -> tuple[str, str]:
         """Count a scan that is not newer than the one before, by stamp [ns] and number of both.
 
-        Return the kind and the sentence, both empty for a newer scan. A repeated scan is to be dropped.
+        ``is_same``: whether both are the same message. Return the kind and the sentence, both empty for a newer scan. A
+        repeated scan is to be dropped.
         """
         number, last_number = identity[1], last[1]
-        if identity == last:
+        if is_same:
             self.counts[REPEATED] += 1
             return REPEATED, f"scan {number} was repeated"
         if number <= last_number:

@@ -98,10 +98,7 @@ class ArmEstimator:
             self.endpoint.synchroniser.finish()
 
     def notes(self) -> list[str]:
-        """Return a sentence for each joint whose scans go back in time or have no pose at all.
-
-        And one for each way in which thermometers could not be used, with the number of poses.
-        """
+        """Return sentences on stamps that go back, joints without a pose, incomplete stamps and thermometers."""
         notes = []
         for name, joint in self._joints.items():
             if joint.backward:
@@ -111,8 +108,15 @@ class ArmEstimator:
                 )
             if joint.scans and joint.lost == joint.scans:
                 notes.append(f"no scan of {name} has a pose; the calibration may be that of another POSOR")
-        if self.endpoint is not None:
-            total, affected = self.endpoint.poses, self.endpoint.affected_by_beams
+        if (end := self.endpoint) is not None:
+            if end.synchroniser.incomplete:
+                missing = ", ".join(f"{n:,} of {name}" for name, n in end.synchroniser.missing.items() if n)
+                notes.append(
+                    f"stamps without a transform of each joint: {end.synchroniser.incomplete:,}; missing {missing}"
+                )
+                if not end.poses + end.unusable:
+                    notes.append("the joints have no stamp in common, which an endpoint needs")
+            total, affected = end.poses, end.affected_by_beams
             notes += [f"{reason}: {count:,} of {total:,} poses" for reason, count in affected.items()]
         return notes
 

@@ -20,7 +20,7 @@ from posor.arm_names import describe_argument
 from posor.bags.executors import dask_cluster, local_processes, run_tasks
 from posor.bags.offline_pipeline import reprocess_bag, topics_of
 from posor.bags.reprocess_task import FORMATS, JointSettings, Settings, Summary, Task
-from posor.bags.result_folder import check_outside_of_bags, check_replaceable, clear_unfinished
+from posor.bags.result_folder import check_outside_of_bags, check_replaceable, clear_unfinished, name_of_bag
 from posor.chain.arm_file import load_arm_file
 from posor.errors import ParameterError
 from posor.lazy_program import EXIT_INTERRUPTED, handle_interrupts, interrupts_handled
@@ -106,7 +106,7 @@ def tasks_of(options: argparse.Namespace) -> list[Task]:
     file gives chain_node an invalid parameter.
     """
     settings = _settings(options)
-    names = [bag.resolve().stem if bag.is_file() else bag.resolve().name for bag in options.bags]
+    names = [name_of_bag(bag) for bag in options.bags]
     for name in names:
         if options.output is not None and names.count(name) > 1:
             raise ParameterError(
@@ -220,8 +220,6 @@ def print_summary(summary: Summary, console: Console) -> None:
             f"endpoint: {end.poses:,} poses, {end.degraded:,} of them degraded; no pose at {end.refused:,} complete "
             f"stamps, and {end.incomplete:,} incomplete ones"
         )
-        if end.incomplete and not end.poses + end.refused:
-            console.print("warning: the joints have no stamp in common, which an endpoint needs", soft_wrap=True)
     if summary.left_out:
         console.print(f"left out, of no joint named: {', '.join(summary.left_out)}", markup=False)
     for sentence in (*summary.notes, *summary.differences):

@@ -79,6 +79,12 @@ def check_replaceable(output: Path, *, force: bool) -> None:
         raise OutputError("exists already", where=str(output), expected="another name, or --force to replace it")
 
 
+def name_of_bag(bag: Path) -> str:
+    """Return the name of a bag for its results: of the folder, or of the file without its ending."""
+    path = bag.resolve()
+    return path.stem if path.is_file() else path.name
+
+
 def prepare_outputs(folder: Path, names: Sequence[str]) -> None:
     """Create a folder, and remove the outputs of an earlier run from it; everything else stays.
 

@@ -15,7 +15,7 @@ from posor.bags.offline_pipeline import load_arm
 from posor.bags.recorded_encoders import read_encoders
 from posor.bags.result_folder import check_outside_of_bags
 from posor.correction.joint_correction import CorrectionLimits
-from posor.correction.joint_path import YAML_SUFFIXES, read_path
+from posor.correction.joint_path import CSV_SUFFIX, YAML_SUFFIXES, read_path
 from posor.correction.nominal_robot import LeastSquares, NominalRobot
 from posor.correction.program_correction import MeasuredRun, begin_of_program, correct_path
 from posor.errors import BagError, ParameterError
@@ -85,7 +85,7 @@ def measured_run(
     """Return the usable endpoints of the bag on the clock of the program, and how many there are and are not used."""
     where = str(options.bag)
     estimates = arm.estimate(options.bag)
-    end = estimates.endpoint
+    end = estimates.endpoint_of_one_run(where)
     usable = np.isfinite(end.poses).all(axis=1) & ~end.degraded
     columns = [estimates.chain.index(name) for name in robot.joints]
     stamps_ns, poses, angles = end.stamps_ns[usable], end.poses[usable], end.angles[usable][:, columns]
@@ -111,6 +111,11 @@ def measured_run(
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the program."""
     options = parse_options(arguments)
+    suffix = options.output.suffix.lower()
+    if suffix not in (*YAML_SUFFIXES, CSV_SUFFIX):
+        what, expected = f"ends in '{options.output.suffix}'", " or ".join((CSV_SUFFIX, *YAML_SUFFIXES))
+        raise ParameterError(what, where=f"--output {options.output}", expected=expected)
+    as_yaml = suffix in YAML_SUFFIXES
     arm = load_arm(options.arm)
     for path in (options.program, options.ran, arm.path):
         if path is not None and path.resolve() == options.output.resolve():
@@ -124,12 +129,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     planned = read_path(options.program).of_joints(robot.joints)
     ran = planned if options.ran is None else read_path(options.ran).of_joints(robot.joints)
     path = planned if options.period is None else planned.at_period(options.period)
-    if path.velocities is not None and options.output.suffix not in YAML_SUFFIXES:
+    if path.velocities is not None and not as_yaml:
         what, expected = f"has velocities, which {options.output} cannot hold", "an --output in YAML, or --period"
         raise ParameterError(what, where=str(options.program), expected=expected)
     run, scans, used = measured_run(options, arm, robot, ran)
-    corrected = correct_path(path, run, robot, limits, options.smoothing)
-    write_files({options.output: corrected.text(as_yaml=options.output.suffix in YAML_SUFFIXES)})
+    corrected = correct_path(path, run, robot, limits, options.smoothing, planned.duration_s)
+    write_files({options.output: corrected.text(as_yaml=as_yaml)})
     offsets = np.abs(corrected.angles - path.angles).max(axis=0)
     print(f"{used} of {scans} endpoints used; the first one {run.times_s[0]:.4f} s after the program began")
     for name, largest in zip(robot.joints, offsets, strict=True):

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 PERIOD_TOLERANCE = 1e-6  # by which a path may be longer than a whole number of periods, in periods
 TIME = "time"  # first word of the column of times
-YAML_SUFFIXES = (".yaml", ".yml")
+YAML_SUFFIXES, CSV_SUFFIX = (".yaml", ".yml"), ".csv"
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ class JointPath:
         return sample
 
     def at_period(self, period_s: float) -> JointPath:
-        """Return the path with rows at a period [s] from its first row on; the last one is not before its end."""
+        """Return the path with rows at a period [s] from its first row on; those of its end are held up to the last."""
         count = math.ceil((self.times_s[-1] - self.times_s[0]) / period_s - PERIOD_TOLERANCE)
         times_s = self.times_s[0] + period_s * np.arange(max(1, count) + 1)
         return replace(self, times_s=times_s, angles=self.sampler()(times_s), velocities=None)
@@ -145,7 +145,7 @@ def read_path(path: Path) -> JointPath:
     CSV: the columns ``time [s]`` and ``<joint> [rad]``, in any unit of time and angle. YAML: a JointTrajectory with
     positions, and velocities or not. Raises PosorError: the file cannot be read, or is another one.
     """
-    return _read_yaml(path) if path.suffix in YAML_SUFFIXES else _read_csv(path)
+    return _read_yaml(path) if path.suffix.lower() in YAML_SUFFIXES else _read_csv(path)
 
 
 def _read_csv(path: Path) -> JointPath:

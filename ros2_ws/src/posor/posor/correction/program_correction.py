@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -80,29 +81,35 @@ def begin_of_program(path: JointPath, times_s: FloatArray, angles: FloatArray) -
 
 
 def correct_path(
-    path: JointPath, run: MeasuredRun, robot: NominalRobot, limits: CorrectionLimits, smoothing_s: float = 0.01
+    path: JointPath,
+    run: MeasuredRun,
+    robot: NominalRobot,
+    limits: CorrectionLimits,
+    smoothing_s: float = 0.01,
+    end_s: float = math.inf,
 ) -> JointPath:
     """Return a program whose endpoint is where the nominal robot has it, for a robot that repeats its errors.
 
     Offsets are minus the joint errors, smoothed by a Gaussian of ``smoothing_s`` [s] without delay. Times of the run
-    are those of the program. Correct the same program again with a run of the corrected one: the errors of gears with
-    backlash depend on the path itself. Raises DataFileError: a row has no endpoint within ``limits.max_age``, or an
-    offset or its rate exceeds its limit.
+    are those of the program, which ends at ``end_s`` [s]: rows after it have the offsets of the end. Correct the same
+    program again with a run of the corrected one: the errors of gears with backlash depend on the path itself. Raises
+    DataFileError: a row has no endpoint within ``limits.max_age``, or an offset or its rate exceeds its limit.
     """
     if len(run.times_s) < 2:  # noqa: PLR2004  offsets have rates
         what = f"{len(run.times_s)} usable endpoints while the program ran"
         raise DataFileError(what, where=run.source, expected="at least 2")
-    after = np.clip(np.searchsorted(run.times_s, path.times_s), 1, len(run.times_s) - 1)
-    near = np.maximum(np.abs(run.times_s[after] - path.times_s), np.abs(path.times_s - run.times_s[after - 1]))
+    times_s = np.minimum(path.times_s, end_s)
+    after = np.clip(np.searchsorted(run.times_s, times_s), 1, len(run.times_s) - 1)
+    near = np.maximum(np.abs(run.times_s[after] - times_s), np.abs(times_s - run.times_s[after - 1]))
     if (far := np.flatnonzero(near > limits.max_age)).size:
-        what = f"no usable endpoint within {limits.max_age:g} s of {path.times_s[far[0]]:.6g} s of the program"
+        what = f"no usable endpoint within {limits.max_age:g} s of {times_s[far[0]]:.6g} s of the program"
         raise DataFileError(what, where=run.source, expected="endpoints from its begin to its end")
     errors = run.joint_errors(robot)
     step_s = float(np.median(np.diff(run.times_s)))
     grid_s = np.arange(run.times_s[0], run.times_s[-1] + step_s, step_s)
     even = np.column_stack([np.interp(grid_s, run.times_s, column) for column in errors.T])
     smooth = gaussian_filter1d(even, smoothing_s / step_s, axis=0, mode="nearest") if smoothing_s else even
-    offsets = -np.column_stack([np.interp(path.times_s, grid_s, column) for column in smooth.T])
+    offsets = -np.column_stack([np.interp(times_s, grid_s, column) for column in smooth.T])
     rates = np.diff(offsets, axis=0) / np.diff(path.times_s)[:, None]
     for values, limit, unit in ((offsets, limits.max_offset, "rad"), (rates, limits.max_rate, "rad/s")):
         if values.size and np.abs(values).max() > limit:

@@ -23,9 +23,9 @@ other, their stamps scatter.
 A step of the stamps shows that they were or are wrong by as much. Until an acknowledgement, the largest error of the
 stamps is taken as at least the sum of these steps. After a restart neither the numbers nor the stamps may show it: if
 the restart has lasted longer than the step, the stamps go on forward. The ages of live scans show it: their least,
-which depends little on the load of the host, is then another one. It is compared while the first MEMORY_SCANS come.
-Where the clock that numbers the scans as well is set forward, scans seem to be missing, and the next one is younger on
-arrival than any of the line before it, by the step.
+which depends little on the load of the host, is then another one. It is compared while the next MEMORY_SCANS come, and
+for WATCH_S. So it is behind a gap in the scan numbers, because a clock that numbers the scans as well may have been
+set there. Behind a short gap only younger scans count, a step forward: a loaded host makes them older.
 
 A stamp with the standard uncertainty s displaces the pose along its motion: the random covariance grows by
 ``s^2 (xi xi' + diag(sigma_xi^2))``.
@@ -72,6 +72,8 @@ RESTART_NUMBERS = 64
 SHARE_MEMORY = 64.0  # scans, of the share of scans off the line
 SCATTER_SHARE = 0.2  # above this share the stamps scatter; NEW_RATE_RUN scans in a row stay below it
 LEAST_DEVIATION, GREATEST_DEVIATION = 0.5, 8.0  # limits of the deviation that contradicts the line, in periods
+AWAY_S = 0.25  # without a scan [s], after which older scans show a step as well
+WATCH_S = 1.0  # least time for which ages are compared [s]
 CLOCK_DRIFT = 1e-4  # largest change of the ratio of two clocks while no scan comes
 LEAST_AGE_STEP_S = 5e-3  # least change of the least age, of half an interval or more, that shows a step [s]
 SCATTER_SIGMAS = 5.0  # standard deviations of the scatter that a stamp may deviate from the line
@@ -91,10 +93,27 @@ def elapsed_at(tracker: Any, scan: Any) -> float:
 
 @inlined
 def is_repeated(tracker: Any, scan: Any) -> bool:
-    """Return whether a scan is the last one in order again, by number and stamp: it was delivered twice."""
+    """Return whether a scan is the last one in order again, by number, stamp and readings: it was delivered twice."""
     clocks = tracker.clocks
     stamp = (scan.stamp_ns - tracker.epoch_ns) * 1e-9
-    return bool(clocks.fitted > 0 and scan.number == clocks.number and stamp == clocks.stamp)
+    is_last = clocks.fitted > 0 and scan.number == clocks.number and stamp == clocks.stamp
+    return bool(is_last and _content_of(scan) == clocks.content)
+
+
+@inlined
+def _content_of(scan: Any) -> float:
+    """Return the sum of the raw readings of a scan, which differs from scan to scan by their noise."""
+    return float(_sum_of(scan.gap_voltages) + _sum_of(scan.ring_voltages) + _sum_of(scan.diode_currents))
+
+
+@inlined
+def _sum_of(readings: FloatArray) -> float:
+    """Return the sum of the readings that are numbers."""
+    total = 0.0
+    for i in range(readings.shape[0]):
+        if not math.isnan(readings[i]):
+            total += readings[i]
+    return total
 
 
 @inlined
@@ -144,7 +163,7 @@ def _begin_line(clocks: Any, scan: Any, stamp: float) -> None:
 
 @inlined
 def _accept(clocks: Any, scan: Any, stamp: float) -> None:
-    clocks.number, clocks.stamp = scan.number, stamp
+    clocks.number, clocks.stamp, clocks.content = scan.number, stamp, _content_of(scan)
     clocks.refused, clocks.late, clocks.agreeing = 0, 0, 0
     clocks.least_age += CLOCK_DRIFT * clocks.period
     if not clocks.age > clocks.least_age:
@@ -154,20 +173,33 @@ def _accept(clocks: Any, scan: Any, stamp: float) -> None:
 
 
 @inlined
+def _watch_ages(clocks: Any, elapsed: float) -> None:
+    """Compare the ages from here on with those before ``elapsed`` [s] without a scan, unless that has begun before."""
+    is_away = elapsed >= AWAY_S
+    if clocks.fitted < MEMORY_SCANS or not (is_away or math.isnan(clocks.former_age)):
+        return
+    clocks.former_age, clocks.age_step, clocks.compared = clocks.least_age, 0.0, 0
+    clocks.age_tolerance = CLOCK_DRIFT * elapsed
+    if is_away:
+        clocks.least_age = math.inf
+
+
+@inlined
 def _least_age_step(clocks: Any) -> float:
     """Return the least change of the least age that shows a step of the stamps [s]."""
-    return float(max(LEAST_AGE_STEP_S, LEAST_DEVIATION * clocks.period))
+    return float(max(LEAST_AGE_STEP_S, LEAST_DEVIATION * clocks.period) + clocks.age_tolerance)
 
 
 @inlined
 def _compare_ages(clocks: Any) -> None:
-    """Correct the step of the stamps in a restart by the ages of the scans since then."""
+    """Correct the step of the stamps in a restart or a gap by the ages of the scans since then."""
     change = abs(clocks.least_age - clocks.former_age)
     shown = change if change > _least_age_step(clocks) else 0.0
     clocks.step += shown - clocks.age_step
     clocks.age_step = shown
-    if clocks.fitted >= MEMORY_SCANS:
-        clocks.former_age, clocks.age_step = math.nan, 0.0
+    clocks.compared += 1
+    if clocks.compared >= max(MEMORY_SCANS, WATCH_S / clocks.period):
+        clocks.former_age, clocks.age_step, clocks.age_tolerance = math.nan, 0.0, 0.0
 
 
 @inlined
@@ -229,15 +261,19 @@ def follow_clocks(model: Model, scan: Any) -> int:
         tracker.time += elapsed
         _begin_again(model, scan, stamp, abs(deviation))
         return IN_ORDER
-    missing = _missing_time(clocks, elapsed)
-    clocks.step += missing + _step_in_gap(clocks, steps)
+    missing, ahead = _missing_time(clocks, elapsed), 0.0
+    clocks.step += missing
+    if steps > 1.0:
+        ahead = _step_in_gap(clocks, elapsed)
+        _watch_ages(clocks, elapsed)
     if clocks.fitted > 1 and abs(deviation) > _tolerance(clocks, 1.0):
         clocks.line = stamp  # the clocks drifted while no scan came
     else:
         _fit(clocks, steps, deviation)
         _hold(tracker)
     by_numbers = _uses_numbers(tracker, scan) or elapsed <= 0.0
-    tracker.time += (steps * clocks.period if by_numbers else elapsed) + missing
+    passed = steps * clocks.period if by_numbers else elapsed
+    tracker.time += max(passed - ahead, min(passed, clocks.period)) + missing
     _accept(clocks, scan, stamp)
     return IN_ORDER
 
@@ -254,11 +290,11 @@ def _missing_time(clocks: Any, elapsed: float) -> float:
 
 
 @inlined
-def _step_in_gap(clocks: Any, steps: float) -> float:
-    """Return how far the clock of numbers and stamps was set forward [s] since the last scan, ``steps`` numbers ago."""
-    younger = clocks.least_age - clocks.age
-    is_step = steps > 1.0 and clocks.fitted >= MEMORY_SCANS and younger > _least_age_step(clocks)
-    return float(younger) if is_step else 0.0
+def _step_in_gap(clocks: Any, elapsed: float) -> float:
+    """Return how far the clock of numbers and stamps was set forward [s] within ``elapsed`` [s], by the first scan."""
+    ahead = min(clocks.least_age - clocks.age, elapsed)
+    is_step = clocks.fitted >= MEMORY_SCANS and ahead > _least_age_step(clocks) + CLOCK_DRIFT * elapsed
+    return float(ahead) if is_step else 0.0
 
 
 @inlined
@@ -379,6 +415,9 @@ def _follow_back(model: Model, scan: Any, stamp: float, elapsed: float) -> int:
     clocks = tracker.clocks
     advances = scan.number >= clocks.refused_number and stamp > clocks.refused_stamp
     clocks.late = clocks.late + 1 if clocks.late > 0 and advances else 1
+    is_near = abs(elapsed) < LEAST_DEVIATION * clocks.period
+    if scan.number == clocks.number and is_near and _content_of(scan) != clocks.content:
+        clocks.late = max(clocks.late, 2)  # set back by up to two intervals: one scan alone repeats the last number
     _follow_run(clocks, scan, stamp)
     is_restart_step = clocks.number - scan.number >= RESTART_NUMBERS or elapsed < -CLOCK_STEP_S
     if clocks.late < (RESTART_RUN if is_restart_step else LATE_RUN):
@@ -396,6 +435,7 @@ def _follow_back(model: Model, scan: Any, stamp: float, elapsed: float) -> int:
         if least - elapsed > LEAST_DEVIATION * clocks.period:
             step = least - elapsed
         clocks.step += step
+        clocks.compared, clocks.age_tolerance = 0, CLOCK_DRIFT * max(elapsed, 0.0)
         clocks.former_age = step + (clocks.least_age if math.isnan(clocks.former_age) else clocks.former_age)
     clocks.least_age = clocks.run_age
     _begin_line(clocks, scan, stamp)

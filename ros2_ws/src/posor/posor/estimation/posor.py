@@ -282,7 +282,7 @@ class Posor:
                 if last is not None:
                     step = float(self.tracker["clocks"]["step"])
                     self.tracker["clocks"] = 0  # the scan is seen once more
-                    self.tracker["clocks"]["step"] = step
+                    self.tracker["clocks"]["step"], self.tracker["clocks"]["age"] = step, math.nan
                     self.estimate(last)
         else:
             for name in ("latch", "latch_about_theta", "latch_interval", "acknowledged"):

@@ -71,6 +71,9 @@ CLOCKS = np.dtype(  # the line between scan numbers and stamps (``estimation.clo
         ("least_age", "f8"),  # of the last scans in order [s]
         ("run_age", "f8"),  # of the scans in a row that are late or contradict the line and agree with one another [s]
         ("former_age", "f8"),  # ``least_age`` before a restart, to be compared with; NaN: there is nothing to compare
+        ("compared", "i8"),  # scans since the ages are compared with ``former_age``
+        ("age_tolerance", "f8"),  # change of the ages that the drift of the clocks explains since then [s]
+        ("content", "f8"),  # sum of the raw readings of the last scan in order
         ("age_step", "f8"),  # part of ``step`` that the ages show [s]; later ones may correct it
         ("off_line", "f8"),  # share of the last scans whose stamps contradict the line and each other
         ("held", "i8"),  # 1: a line has held for FITTED_SCANS

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from posor.errors import BagError
 from posor.estimation.estimate import ESTIMATE, NO_STAMP, OTHER_FRAME, Estimates
-from posor.model.fault import Fault, State
+from posor.model.fault import USABLE_STATES, Fault, State
 from posor.numerics.array_types import FloatArray, IntArray, freeze_arrays
 from posor.numerics.stamps import span_text
 
@@ -106,6 +107,26 @@ class ArmEstimates:
     endpoint: EndpointEstimates
     chain: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
+
+    def check_one_run(self, where: str) -> None:
+        """Raise BagError: usable poses of a joint repeat or go back in time, as where a recording is twice in a bag.
+
+        ``where``: the bag.
+        """
+        for name, estimates in self.joints.items():
+            stamps_ns = estimates.stamps_ns[np.isin(estimates.states, USABLE_STATES)]
+            if (back := np.flatnonzero(np.diff(stamps_ns) <= 0)).size:
+                first, second = stamps_ns[back[0] : back[0] + 2].tolist()
+                what = f"poses of {name} at {first} ns are followed by those at {second} ns"
+                raise BagError(what, where=where, expected="one recording, each scan once")
+
+    def endpoint_of_one_run(self, where: str) -> EndpointEstimates:
+        """Return the endpoint. Raises BagError: there is none, or see ``check_one_run``; ``where``: the bag."""
+        self.check_one_run(where)
+        if not len(self.endpoint):
+            what = "; ".join(["no scan has an endpoint", *self.notes])
+            raise BagError(what, where=where, expected="sound poses of all joints at equal stamps")
+        return self.endpoint
 
     def __repr__(self) -> str:
         lines = [f"  {name}: {part!r}" for name, part in {**self.joints, "endpoint": self.endpoint}.items()]

@@ -335,6 +335,10 @@ class RawScanStream:
         """Return stamp and number of the last scan, as ``identity``; None: there was none."""
         return None if self.status["state"] < 0 else self.identity(self._last)
 
+    def is_last(self, data: bytes) -> bool:
+        """Return whether a raw scan is the last one again, byte for byte."""
+        return data == self._last
+
     def number_of(self, data: bytes) -> int:
         """Return the number of a raw scan of this layout."""
         return int(self._unpack_identity(data, STAMP.start)[2])

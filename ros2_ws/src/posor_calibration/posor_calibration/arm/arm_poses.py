@@ -36,8 +36,9 @@ def recorded_poses(
     """Return the means of the transforms within ``window_s`` [s] about each of n stamps.
 
     ``rows``: number of the row of each stamp in its table; ``where``: the bag, in errors. Raises BagError: a joint has
-    no usable scan there, or moves.
+    no usable scan there, or moves, or the bag holds a recording twice.
     """
+    arm.check_one_run(where)
     names = [joint.name for joint in chain.path_joints]
     shape = len(stamps_ns), len(names)
     transforms, random, systematic = np.empty((*shape, 7)), np.empty((*shape, 6, 6)), np.empty((*shape, 6, 6))

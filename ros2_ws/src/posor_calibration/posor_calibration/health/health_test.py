@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -135,7 +136,7 @@ class HealthArm:
         if T is None:
             tools = {name: pin.SE3(np.eye(POINT), place) for name, place in self.balls.items()}
             check_references(references, endpoints, tools, where)
-            T = _placed(by_arm, references, where)
+            T = _place_base(by_arm, references, where)
         numbers: list[Number] = []
         for n, stamp_ns in enumerate(stamps_ns.tolist()):
             for name, angle in zip(self.posors, poses.angles[n].tolist(), strict=True):
@@ -150,23 +151,24 @@ class HealthArm:
         return HealthTest(int(stamps_ns.min()), tuple(numbers)), T
 
 
-def _placed(by_arm: FloatArray, references: EndpointReferences, where: str) -> pin.SE3:
-    """Return the base in the frame of the seats of balls (n, 3) [m]: it is turned only if the seats spread.
+def _place_base(by_arm: FloatArray, references: EndpointReferences, where: str) -> pin.SE3:
+    """Return the base in the frame of the seats, where the arm has the balls (n, 3) [m]: turned only if seats spread.
 
-    Raises TrackError: a ball is then far from its seat.
+    Raises TrackError: a ball is far from its seat, however the artefact is turned.
     """
     seats = np.array([each.values for each in references.readings])
-    a, b = by_arm.mean(axis=0), seats.mean(axis=0)
-    if np.linalg.svd(seats - b, compute_uv=False)[1] <= SPREAD * np.sqrt(len(seats)):
-        return pin.SE3(np.eye(POINT), b - a)
-    turn = Rotation.align_vectors(seats - b, by_arm - a)[0].as_matrix()
-    misfits = np.linalg.norm(seats - b - (by_arm - a) @ turn.T, axis=1)
+    arm_mean, seat_mean = by_arm.mean(axis=0), seats.mean(axis=0)
+    with warnings.catch_warnings(action="ignore"):  # seats on one line show no turn about it: any of them will do
+        turn = Rotation.align_vectors(seats - seat_mean, by_arm - arm_mean)[0].as_matrix()
+    misfits = np.linalg.norm(seats - seat_mean - (by_arm - arm_mean) @ turn.T, axis=1)
     worst = int(np.argmax(misfits))
     if misfits[worst] > LARGEST_MISFIT:
         what = f"the ball is {misfits[worst]:.3g} m from its seat"
-        expected = f"at most {LARGEST_MISFIT:g} m: perhaps rows, seats or --tool are exchanged"
+        expected = f"at most {LARGEST_MISFIT:g} m: perhaps rows, seats or --tool are exchanged or in another unit"
         raise TrackError(what, where=f"{where}, {references.readings[worst].name}", expected=expected)
-    return pin.SE3(turn, b - turn @ a)
+    if np.linalg.svd(seats - seat_mean, compute_uv=False)[1] <= SPREAD * np.sqrt(len(seats)):
+        turn = np.eye(POINT)
+    return pin.SE3(turn, seat_mean - turn @ arm_mean)
 
 
 def _mean_residuals(
