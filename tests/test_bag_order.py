@@ -231,7 +231,7 @@ def test_scans_that_are_read_twice_are_noted(records: list[Record], tmp_path: Pa
         f"stamps of {joint} that are not after the one before: 1" for joint in arm.calibrations
     ]
     whole.endpoint_of_one_run("bag")
-    with pytest.raises(BagError, match=r"bag: poses of base_swivel at \d+ ns are followed by those at \d+ ns; expected one"):
+    with pytest.raises(BagError, match=r"bag: poses of base_swivel at \d+ ns are followed by those at \d+ ns"):
         found.endpoint_of_one_run("bag")
 
 

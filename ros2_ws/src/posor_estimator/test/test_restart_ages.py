@@ -10,7 +10,7 @@ from posor.calibration.designs import DesignName, design
 from posor.estimation.forward import scans_at
 from posor.estimation.posor import Posor
 from posor.messages.message_stream import RawScanStream
-from posor.messages.raw_scan import ScanTemplate
+from posor.messages.raw_scan import ScanTemplate, scan_of
 from posor.model.fault import USABLE_STATES, State
 from posor.model.native_coordinates import rotation_from_native
 from posor.numerics.stamps import NS
@@ -30,12 +30,16 @@ class RestartedDriver:
     def __init__(self, stack: DesignName = "triad_diodes", late_s: float = 0.0) -> None:
         self.posor = Posor(design(stack, motion=True))
         self._scans = iter(self._at_rest())
-        self._stream = RawScanStream(self.posor, next(self._scans).at(NS, 1))
-        self._stream.accept_ages(-0.5 * NS, 1.0 * NS)
+        self._stream = self._open()
         self._now_ns, self._number, self.step_s = 10**18, 0, 0.0
         for _ in range(100):
             self.receive(late_s)
         self._now_ns += round(self.AWAY * self.PERIOD_S * NS)
+
+    def _open(self) -> RawScanStream:
+        stream = RawScanStream(self.posor, next(self._scans).at(NS, 1))
+        stream.accept_ages(-0.5 * NS, 1.0 * NS)
+        return stream
 
     def _at_rest(self) -> list[ScanTemplate]:
         """Return noisy scans of one pose."""
@@ -51,22 +55,45 @@ class RestartedDriver:
     def receive(self, late_s: float = 0.0, *, live: bool = True) -> JointTransform:
         """Return the transform of the next scan, whose stamp is ``step_s`` ahead."""
         self._now_ns += round(self.PERIOD_S * NS)
-        data = next(self._scans).at(self._now_ns + round(self.step_s * NS), self._number)
         self._number += 1
+        return self._estimate(late_s, live=live)
+
+    def receive_again(self) -> JointTransform:
+        """Return the transform of a scan with stamp and number of the one before, and other readings."""
+        self._now_ns += round(self.PERIOD_S * NS)
+        self.step_s -= self.PERIOD_S
+        return self._estimate()
+
+    def _estimate(self, late_s: float = 0.0, *, live: bool = True) -> JointTransform:
+        data = next(self._scans).at(self._now_ns + round(self.step_s * NS), self._number)
         arrival_ns = self._now_ns + round((self.AGE_S + late_s) * NS)
         found = self._stream.estimate_message(data, *([arrival_ns] if live else []))
         assert found is not None
         return deserialize_message(found, JointTransform)
+
+    def reload(self) -> None:
+        """Continue with another POSOR of the same calibration, as ``~/reload`` does."""
+        other = Posor(self.posor.calibration)
+        other.continue_from(self.posor, scan_of(self._stream.last_scan().data))
+        self.posor = other
+        self._stream = self._open()
+
+    def pause(self, seconds: float, step_s: float) -> None:
+        """Send nothing for a while in which the clock that numbers and stamps the scans is set; whole intervals."""
+        self._now_ns += round(seconds * NS)
+        self.step_s += step_s
+        self._number += round((seconds + step_s) / self.PERIOD_S)
 
     def receive_missed(self) -> JointTransform:
         """Return the transform of a scan of the old clock, after those that were missed."""
         self._number += self.AWAY
         return self.receive()
 
-    def set_forward(self) -> JointTransform:
+    def set_forward(self, late_s: float = 0.0) -> JointTransform:
         """Return the transform of the next scan; the clock that numbers and stamps it was set forward by intervals."""
         self.step_s += self.AWAY * self.PERIOD_S
-        return self.receive_missed()
+        self._number += self.AWAY
+        return self.receive(late_s)
 
     def begin_numbers(self) -> None:
         """Number the scans from 0."""
@@ -130,3 +157,48 @@ def test_a_clock_that_is_set_forward_shifts_the_poses_until_an_acknowledgement()
 
 def test_scans_of_a_full_queue_after_the_start_are_no_step() -> None:
     assert not np.any(RestartedDriver(late_s=0.1).receive_missed().stamp_shift)
+
+
+def settled() -> RestartedDriver:
+    """Return a driver of one clock, whose scans have arrived for so long that their least age is known."""
+    driver = RestartedDriver()
+    for found in (driver.receive_missed(), *(driver.receive() for _ in range(300))):
+        assert not np.any(found.stamp_shift)
+    return driver
+
+
+def stated_step(driver: RestartedDriver) -> float:
+    return float(driver.posor.tracker["clocks"]["step"])
+
+
+def test_a_late_first_scan_hides_a_step_forward_only_until_a_scan_arrives_in_time() -> None:
+    driver = settled()
+    driver.set_forward(late_s=0.025)
+    assert stated_step(driver) == pytest.approx(driver.step_s - 0.025, abs=1e-3)
+    driver.receive()
+    assert stated_step(driver) == pytest.approx(driver.step_s, abs=1e-3)
+
+
+@pytest.mark.parametrize("step_s", [0.0, -0.06, 0.06])
+def test_a_step_while_the_driver_is_away_is_found_in_both_directions(step_s: float) -> None:
+    driver = settled()
+    driver.pause(0.4, step_s)
+    assert driver.receive().state in USABLE_STATES
+    assert stated_step(driver) == pytest.approx(abs(step_s), abs=1e-3)
+
+
+def test_one_number_with_other_readings_is_a_clock_that_was_set_back() -> None:
+    driver = settled()
+    assert driver.receive_again().state == State.LOST
+    assert np.all(driver.receive().stamp_shift)
+    assert stated_step(driver) >= -driver.step_s
+
+
+def test_a_reload_leaves_no_false_age_to_compare_a_restart_with(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(RestartedDriver, "AGE_S", 0.04)
+    driver = settled()
+    driver.reload()
+    for _ in range(20):
+        driver.receive()
+    driver.restart()
+    assert stated_step(driver) == 0.0
