@@ -30,6 +30,7 @@ from posor.messages.raw_scan import ScanTemplate, scan_of
 from posor.numerics.stamps import NS
 from posor_bringup.arms import load_checked_arm
 from posor_bringup.view_messages import BagTopics
+from posor_calibration.arm.arm_poses import recorded_poses
 from posor_drivers.sources.bag_source import BagParameters, BagSource
 from posor_drivers.sources.looped_source import LoopedParameters, LoopedSource
 from posor_lab.harness.graph import Graph
@@ -233,6 +234,8 @@ def test_scans_that_are_read_twice_are_noted(records: list[Record], tmp_path: Pa
     whole.endpoint_of_one_run("bag")
     with pytest.raises(BagError, match=r"bag: poses of base_swivel at \d+ ns are followed by those at \d+ ns"):
         found.endpoint_of_one_run("bag")
+    with pytest.raises(BagError, match=r"bag: poses of base_swivel at"):
+        recorded_poses(found, arm.chain(), found.endpoint.stamps_ns[:1], np.array([1]), 0.1, "bag")
 
 
 @pytest.mark.parametrize("step_s", [0.02, 0.5, 3.0])

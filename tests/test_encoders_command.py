@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import csv
+import shutil
 from collections.abc import Callable
 from itertools import islice
 from pathlib import Path
@@ -99,6 +100,25 @@ def test_an_encoder_with_another_sign_scale_or_tooth_is_refused(
     with pytest.raises(ParameterError) as caught:
         find_errors(parse_options(OPTIONS))
     assert caught.value.what.startswith(f"the encoder of joint shoulder {clause}")
+
+
+def test_late_readings_are_no_backlash(monkeypatch: pytest.MonkeyPatch) -> None:
+    def late(self: RecordedEncoders, joint: int, stamps_ns: IntArray) -> FloatArray:
+        return sound(self, joint, stamps_ns - 20_000_000)
+
+    sound = RecordedEncoders.at
+    monkeypatch.setattr(RecordedEncoders, "at", late)
+    with pytest.raises(ParameterError, match=r"the backlash of base_swivel would be -\d+ µrad: its readings are late"):
+        find_errors(parse_options(OPTIONS))
+
+
+def test_results_have_the_whole_name_of_their_bag(tmp_path: Path) -> None:
+    dated = tmp_path / "run.2026.11"
+    dated.symlink_to(BAG)
+    assert parse_options([*OPTIONS[:2], str(dated), *OPTIONS[3:]]).output == Path("build/encoders/five_axis.csv")
+    shutil.copytree(BAG, tmp_path / "run.2026.12")
+    options = parse_options([*OPTIONS[:2], str(tmp_path / "run.2026.12"), *OPTIONS[3:]])
+    assert options.output == Path("build/encoders/run.2026.12.csv")
 
 
 def test_readings_that_are_too_far_apart_are_refused(tmp_path: Path) -> None:

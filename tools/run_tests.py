@@ -37,7 +37,8 @@ PROCESSES = min(2, os.cpu_count() or 1)  # of each priority
 LOW_PRIORITY = 4  # nice value
 NO_TESTS = 5  # pytest's exit code
 PROCESS_TIMEOUT_S = 900.0  # in addition to pytest's own timeout for each test
-LONG_TIMEOUT_S, LONG_PROCESS_TIMEOUT_S = 3600, 4 * 3600.0  # of a test and of a process with --long
+LONG_TIMEOUT_S = 3600  # of a test with --long
+LONG_PROCESS_TIMEOUT_S = 4 * 3600.0  # several such tests share a process
 INTERRUPT_TIMEOUT_S = 20.0  # for an interrupted pytest to stop the nodes of its tests
 DEFAULTS = {  # the caller's own settings have precedence
     "OPENBLAS_NUM_THREADS": "1",  # numpy and scipy

@@ -36,7 +36,7 @@ class ScpiServer(DeviceServer):
         self.functions: dict[int, str] = {}  # what the channels have been set up for
         self.temperature_unit = ""  # as written
         self.function = '"VOLT"'  # answer to ``FUNC?``
-        # put into the error queue with the next scan: code and message of each
+        # that the next scan puts into the error queue: code and message of each
         self.errors: list[tuple[int, str]] = []
         self.answer: str | None = None  # instead of the readings of a scan; None: the readings
         self.outputs: list[tuple[int, int]] = []  # values and numbers of digital outputs, as written

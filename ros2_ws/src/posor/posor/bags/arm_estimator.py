@@ -139,7 +139,7 @@ class _JointEstimator:
     Attributes:
         scans: Number of scans.
         lost: Number of scans without a pose.
-        faults: The same by fault.
+        faults: Number of scans without a pose, by fault.
         backward: Number of stamps that are not after the one before.
 
     """

@@ -98,9 +98,9 @@ class CertificateFile(FrozenModel):
             if last < first:
                 what = f"{last} is before {first}" if getattr(self, key) else f"{key} today, {last}, is before {first}"
                 raise EntryError(what, key=(key,), expected="begin, end, issued in this order")
-        tomorrow = (dt.datetime.now(dt.UTC).date() + dt.timedelta(days=1)).isoformat()  # today, east of Greenwich
+        tomorrow = (dt.datetime.now(dt.UTC).date() + dt.timedelta(days=1)).isoformat()  # UTC may be a day behind
         if self.day_of_issue > tomorrow:
-            raise EntryError(f"{self.day_of_issue} is to come", key=("issued",), expected="a day until today")
+            raise EntryError(f"{self.day_of_issue} is in the future", key=("issued",), expected="today or earlier")
         return self
 
 

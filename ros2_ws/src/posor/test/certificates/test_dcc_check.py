@@ -161,7 +161,7 @@ def test_a_new_certificate_file_names_all_blanks(tmp_path: Path, capsys: pytest.
         (
             "end: 2026-11-25",
             "end: 2026-11-25\nissued: 2999-01-01",
-            "line 5, key issued: 2999-01-01 is to come; expected",
+            "line 5, key issued: 2999-01-01 is in the future; expected",
         ),
         ("2026-11-25", "25.11.2026", "line 4, key end: '25.11.2026'; expected a date, such as 2026-11-26."),
         ("country: DE", "country: Germany", "'Germany'; expected two capital letters (ISO 3166-1), such as 'DE'."),

@@ -33,8 +33,10 @@ def written(folder: Path, text: str, name: str = "program.csv") -> Path:
     return folder / name
 
 
-@pytest.mark.parametrize(("output", "code"), [("bag/corrected.csv", 1), ("arm.yaml", 2), ("program.csv", 2)])
-def test_an_output_that_would_replace_what_is_read_is_refused(
+@pytest.mark.parametrize(
+    ("output", "code"), [("bag/corrected.csv", 1), ("arm.yaml", 2), ("program.csv", 2), ("corrected.json", 2)]
+)
+def test_an_output_that_would_replace_what_is_read_or_of_another_format_is_refused(
     tmp_path: Path, output: str, code: int, capsys: pytest.CaptureFixture[str]
 ) -> None:
     shutil.copytree(ARM, tmp_path, dirs_exist_ok=True)
@@ -198,3 +200,14 @@ def test_a_correction_beyond_its_limits_or_without_endpoints_is_refused(
     with pytest.raises(DataFileError) as error:
         correct_path(path, part, robot, limits)
     assert text in str(error.value)
+
+
+def test_rows_after_the_end_of_a_program_have_its_last_offsets(robot: NominalRobot) -> None:
+    path = motion(robot)
+    run, rows = wrong_run(robot, path, 1e-4), path.at_period(0.6)
+    assert rows.times_s[-1] > path.duration_s + LIMITS.max_age
+    with pytest.raises(DataFileError, match="no usable endpoint within"):
+        correct_path(rows, run, robot, LIMITS)
+    corrected = correct_path(rows, run, robot, LIMITS, end_s=path.duration_s)
+    at_end = (correct_path(path, run, robot, LIMITS).angles - path.angles)[-1]
+    np.testing.assert_allclose((corrected.angles - rows.angles)[-1], at_end, rtol=1e-9)

@@ -116,12 +116,13 @@ def _state_noise(file: InstrumentsFile, arm: ArmFile, output: Path | None) -> No
         PosorError: A calibration is invalid, or the folder cannot be made or has such a calibration.
 
     """
+    for joint in file.joints:
+        if joint not in arm.calibrations:
+            raise ParameterError(f"joint '{joint}'", where=str(arm.path), expected=", ".join(arm.calibrations))
     if output is not None:
         with writing(output):
             output.mkdir(parents=True, exist_ok=True)
     for joint in file.joints:
-        if joint not in arm.calibrations:
-            raise ParameterError(f"joint '{joint}'", where=str(arm.path), expected=", ".join(arm.calibrations))
         path = arm.calibrations[joint]
         noises = noise_in_motion(file, joint, load_calibration(path))
         for each in noises:
