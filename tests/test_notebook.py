@@ -39,7 +39,9 @@ def test_the_notebook_plots_the_endpoint(notebook: Any, tmp_path: Path, monkeypa
     monkeypatch.setenv("IPYTHONDIR", str(tmp_path / "ipython"))
     NotebookClient(notebook, timeout=100, resources={"metadata": {"path": str(EXAMPLES)}}).execute()
     outputs = [output for cell in notebook.cells if cell.cell_type == "code" for output in cell.outputs]
-    printed = "".join(output.text for output in outputs if output.output_type == "stream")
+    streams = [output for output in outputs if output.output_type == "stream"]
+    printed, noted = ("".join(each.text for each in streams if each.name == name) for name in ("stdout", "stderr"))
     assert printed.startswith("1991 poses\n")
+    assert "scans without a usable pose: 5 of 2,000 of base_swivel (the first UNCOUNTED)" in noted
     assert "median 2-sigma" in printed
     assert any("image/png" in output.data for output in outputs if output.output_type == "display_data")

@@ -83,7 +83,8 @@ class WallClock(TickClock):
 
     The steady clock never jumps, and the kernel wakes threads by it. Linux disciplines the rate of both clocks alike
     (NTP, PTP), so their difference changes only when the wall clock is set. They are compared once a second: a small
-    change is slewed over the next second, so that no tick moves by it at once; a large one is a step.
+    change is slewed over the next second, so that no tick moves by it at once; a large one is a step. A step is looked
+    for with every wait, so that the drivers of a host, in any process, follow it with their next ticks.
     """
 
     def __init__(
@@ -112,7 +113,8 @@ class WallClock(TickClock):
     def wait(self, time_ns: int) -> None:
         """Wait; ``wake`` does not interrupt the last part."""
         steady_ns = self._steady_ns()
-        if steady_ns - self._compared_ns >= CHECK_PERIOD_NS:
+        seems_stepped = abs(self._wall_ns() - self._wall_time_at(steady_ns)) > STEP_NS  # or this thread was interrupted
+        if seems_stepped or steady_ns - self._compared_ns >= CHECK_PERIOD_NS:
             epoch = self.epoch
             self._follow_wall_clock()
             if self.epoch != epoch:

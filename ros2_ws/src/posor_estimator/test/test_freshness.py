@@ -89,8 +89,10 @@ def test_missing_repeated_and_backward_numbers_are_counted() -> None:
         ("numbers_backward", "scan 5 came after scan 11"),
         ("", ""),
     ]
+    kind, text = order.describe((6, 6), (6, 6), is_same=False)
+    assert (kind, text) == ("numbers_backward", "scan 6 came again with other readings")
     assert order.count_missing(11, 2) == ("numbers_missing", "scans missing before scan 11: 2")
-    assert order.counts == {"numbers_missing": 2, "scans_repeated": 1, "numbers_backward": 2}
+    assert order.counts == {"numbers_missing": 2, "scans_repeated": 1, "numbers_backward": 3}
     last = 2**64 - 1  # after scan 11, as a kernel subtracts 64-bit numbers
     assert order.count_missing(last, -13)[1] == f"scans missing before scan {last}: {last - 12}"
 

@@ -82,7 +82,8 @@ class ScanOrder:
             return REPEATED, f"scan {number} was repeated"
         if number <= last_number:
             self.counts[BACKWARD] += 1
-            return BACKWARD, f"scan {number} came after scan {last_number}"
+            how = "again with other readings" if identity == last else f"after scan {last_number}"
+            return BACKWARD, f"scan {number} came {how}"
         return "", ""
 
     def count_missing(self, number: int, missing: int) -> tuple[str, str]:
