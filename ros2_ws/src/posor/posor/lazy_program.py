@@ -30,6 +30,8 @@ LEAST_LIMITS = (  # limits below which libraries of every program fail, in ways 
     (resource.RLIMIT_NOFILE, 64, "files open at a time (ulimit -n)"),
     (resource.RLIMIT_AS, 2 * 1024**3, "bytes of address space (ulimit -v counts kilobytes)"),
 )
+BLAS_THREADS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+"""Variables that limit the threads of the libraries of linear algebra that numpy may be built with."""
 SHORTAGES = {  # remedies of errors of the system
     errno.EMFILE: "a higher limit (ulimit -n)",
     errno.ENFILE: "fewer open files on this host",
@@ -114,9 +116,11 @@ def _lost_output() -> str:
 class LazyProgram:
     """A program that is imported when it is called."""
 
-    def __init__(self, name: str, module: str) -> None:
+    def __init__(self, name: str, module: str, *, is_live: bool = False) -> None:
         self.name = name  # name of the program
         self.module = module  # module whose function ``main`` runs the program and returns its exit code
+        # The matrices of a live node are small: threads of linear algebra would wait for each other, and spin.
+        self.environment = dict.fromkeys(BLAS_THREADS, "1") if is_live else {}  # the caller's own has precedence
 
     def __call__(self) -> int:
         """Import and run the program; return its exit code, or ``EXIT_INTERRUPTED`` after one of INTERRUPT_SIGNALS.
@@ -139,6 +143,7 @@ class LazyProgram:
             allowed, _ = resource.getrlimit(limit)
             if allowed != resource.RLIM_INFINITY and allowed < least:
                 return self._fail(f"the process is limited to {allowed} {what}; expected at least {least}")
+        os.environ |= self.environment | os.environ
         try:
             program = import_module(self.module).main
             handle_interrupts()

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from posor.lazy_program import LazyProgram
 
-driver_node = LazyProgram("driver_node", "posor_drivers.driver_node")
+driver_node = LazyProgram("driver_node", "posor_drivers.driver_node", is_live=True)
 import_table = LazyProgram("import", "posor_drivers.import_command")
 instruments = LazyProgram("instruments", "posor_drivers.instruments.instruments_command")
-record = LazyProgram("record", "posor_drivers.recorder")
+record = LazyProgram("record", "posor_drivers.recorder", is_live=True)

@@ -1,0 +1,35 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Entry points of the nodes: threads of linear algebra."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from posor.lazy_program import BLAS_THREADS
+
+COUNT = """\
+import os
+
+import numpy as np
+
+np.ones((500, 500)) @ np.ones((500, 500))
+main = lambda: print(len(os.listdir("/proc/self/task"))) or 0
+"""
+RUN = "import sys; from posor_estimator.estimator_programs import {0}; {0}.module = 'shown'; sys.exit({0}())"
+
+
+@pytest.mark.parametrize("program", ["posor_node", "chain_node", "correction_node", "compose"])
+def test_a_node_has_one_thread_of_linear_algebra_unless_the_caller_asks_for_more(program: str, tmp_path: Path) -> None:
+    (tmp_path / "shown.py").write_text(COUNT, encoding="utf-8")
+    environ = {name: value for name, value in os.environ.items() if name not in BLAS_THREADS}
+    environ["PYTHONPATH"] = f"{tmp_path}{os.pathsep}{os.environ.get('PYTHONPATH', '')}"
+    for given, threads in (({}, 1), ({"OPENBLAS_NUM_THREADS": "2"}, min(2, os.cpu_count() or 1))):
+        done = subprocess.run(
+            [sys.executable, "-c", RUN.format(program)], env=environ | given, capture_output=True, text=True, check=True
+        )
+        assert int(done.stdout) == threads
