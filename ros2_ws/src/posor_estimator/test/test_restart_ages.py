@@ -202,3 +202,18 @@ def test_a_reload_leaves_no_false_age_to_compare_a_restart_with(monkeypatch: pyt
         driver.receive()
     driver.restart()
     assert stated_step(driver) == 0.0
+
+
+def test_a_step_forward_is_no_time_in_which_the_joint_may_have_moved() -> None:
+    driver = settled()
+    before = float(driver.posor.tracker["time"])
+    driver.set_forward()
+    assert driver.posor.tracker["time"] - before == pytest.approx(driver.PERIOD_S, abs=1e-3)
+
+
+def test_clocks_that_drift_apart_while_the_driver_is_away_are_no_step() -> None:
+    driver = settled()
+    driver.pause(300.0, 0.0)
+    driver.step_s = 50e-6 * 300.0
+    assert driver.receive().state in USABLE_STATES
+    assert stated_step(driver) == 0.0
