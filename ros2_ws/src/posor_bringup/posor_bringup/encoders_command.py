@@ -35,8 +35,7 @@ if TYPE_CHECKING:
 
 PARTS = 64  # of a recording, between which the motions of encoder and POSOR are compared
 LEAST_ERROR = 1e-3  # largest error of an encoder's motion that is not taken for another encoder, sign or scale [rad]
-LEAST_BACKLASH = 1e-4  # largest amount of a negative backlash that is taken for noise [rad]
-LIVE_READINGS = "new readings in each message, with the stamps of the scans' clock"
+BACKLASH_NOISE = 1e-4  # largest amount of a negative backlash that is no late reading [rad]
 HEADER = ("joint", "direction", "angle_rad", "encoder_minus_posor_rad", "standard_deviation_rad", "readings")
 
 
@@ -91,9 +90,10 @@ def find_errors(options: argparse.Namespace) -> dict[str, EncoderErrors]:
             raise ParameterError(what, where=f"{options.bag}, topic {options.topic}", expected=expected)
         around = np.hstack(gravity[j : j + 3]) if gravity else None  # before and after the joint, after the next one
         found[joint] = encoder_errors(end.angles[:, j], readings, efforts, options.bins, around)
-        if (backlash := found[joint].backlash) < -LEAST_BACKLASH:
+        if (backlash := found[joint].backlash) < -BACKLASH_NOISE:
             what = f"the backlash of {joint} would be {1e6 * backlash:.0f} µrad: its readings are late or held"
-            raise ParameterError(what, where=f"{options.bag}, topic {options.topic}", expected=LIVE_READINGS)
+            expected = "new readings in each message, with the stamps of the scans' clock"
+            raise ParameterError(what, where=f"{options.bag}, topic {options.topic}", expected=expected)
     if not any(each.readings for each in found.values()):
         what, expected = "no joint moves while its encoder is read", "scans and readings of one motion and one clock"
         raise ParameterError(what, where=f"{options.bag}, topic {options.topic}", expected=expected)

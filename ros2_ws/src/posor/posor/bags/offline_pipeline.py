@@ -199,17 +199,16 @@ def _open_output(task: Task, folder: Path, topics: BagTopics, estimator: ArmEsti
     return TableOutput(folder, task.format, list(topics.raw), None if endpoint is None else endpoint.joints)
 
 
-def unusable_scans(joints: Mapping[str, Estimates]) -> Iterator[str]:
-    """Yield a sentence on scans without a usable pose, if any: how many of each joint, and why the first has none."""
+def _unusable_scans(joints: Mapping[str, Estimates]) -> list[str]:
+    """Return a sentence on scans without a usable pose, if any: how many of each joint, and why the first has none."""
     counts = []
     for name, estimates in joints.items():
         unusable = np.flatnonzero(~np.isin(estimates.states, USABLE_STATES))
         if unusable.size:
             fault, state = (int(each[unusable[0]]) for each in (estimates.faults, estimates.states))
-            why = (Fault(fault) or State(state)).name
+            why = (Fault(fault) or State(state)).name  # an UNCOUNTED scan may have no fault
             counts.append(f"{unusable.size:,} of {len(estimates):,} of {name} (the first {why})")
-    if counts:
-        yield f"scans without a usable pose: {', '.join(counts)}"
+    return [f"scans without a usable pose: {', '.join(counts)}"] if counts else []
 
 
 class Arm(ArmFile):
@@ -217,6 +216,8 @@ class Arm(ArmFile):
 
     def estimate(self, bag: Path | str, *, false_alarm: float | None = None) -> ArmEstimates:
         """Return the poses and covariances of all joints and of the endpoint, as the nodes would have published them.
+
+        What was left out of the bag or is not as recorded is logged, and in the ``notes`` of the result.
 
         Args:
             bag: Folder with metadata.yaml, or a single .mcap or .db3 file, with scans on topics ``.../<joint>/raw``.
@@ -227,8 +228,6 @@ class Arm(ArmFile):
             ParameterError: ``false_alarm`` is not a probability.
             PosorError: The bag, a calibration or the kinematic chain cannot be used.
 
-        What was left out of the bag or is not as recorded is logged, and in the ``notes`` of the result.
-
         """
         path = checked_path(bag, "Arm.estimate", "the path of a bag")
         settings = Settings.of_arm(self).with_false_alarm(false_alarm)
@@ -236,7 +235,7 @@ class Arm(ArmFile):
         topics = topics_of(path, settings.joints, estimator.thermometers)
         parts = list(estimate_bag(path, topics, estimator))
         joints = {name: Estimates.concatenate([part.joints[name] for part in parts]) for name in settings.joints}
-        notes = (*topics.notes, *unusable_scans(joints), *estimator.notes(), *differences(custom_data(path), settings))
+        notes = (*topics.notes, *_unusable_scans(joints), *estimator.notes(), *differences(custom_data(path), settings))
         for note in notes:
             log_once(f"{path}: {note}")
         endpoint = EndpointEstimates.concatenate([part.endpoint for part in parts])

@@ -173,15 +173,20 @@ def _accept(clocks: Any, scan: Any, stamp: float) -> None:
 
 
 @inlined
-def _watch_ages(clocks: Any, elapsed: float) -> None:
-    """Compare the ages from here on with those before ``elapsed`` [s] without a scan, unless that has begun before."""
-    is_away = elapsed >= AWAY_S
-    if clocks.fitted < MEMORY_SCANS or not (is_away or math.isnan(clocks.former_age)):
-        return
-    clocks.former_age, clocks.age_step, clocks.compared = clocks.least_age, 0.0, 0
-    clocks.age_tolerance = CLOCK_DRIFT * elapsed
+def _watch_ages(clocks: Any, elapsed: float) -> float:
+    """Compare the ages behind a gap of ``elapsed`` [s] with those before, unless that has begun behind an earlier one.
+
+    Return how far the first scan shows that the clock of numbers and stamps was set forward in the gap [s].
+    """
+    if clocks.fitted < MEMORY_SCANS:
+        return 0.0
+    younger, is_away = clocks.least_age - clocks.age, elapsed >= AWAY_S
+    if is_away or math.isnan(clocks.former_age):
+        clocks.former_age, clocks.age_step, clocks.compared = clocks.least_age, 0.0, 0
+        clocks.age_tolerance = CLOCK_DRIFT * elapsed
     if is_away:
         clocks.least_age = math.inf
+    return float(min(younger, elapsed)) if younger > _least_age_step(clocks) else 0.0
 
 
 @inlined
@@ -261,11 +266,9 @@ def follow_clocks(model: Model, scan: Any) -> int:
         tracker.time += elapsed
         _begin_again(model, scan, stamp, abs(deviation))
         return IN_ORDER
-    missing, ahead = _missing_time(clocks, elapsed), 0.0
+    missing = _missing_time(clocks, elapsed)
+    ahead = _watch_ages(clocks, elapsed) if steps > 1.0 else 0.0
     clocks.step += missing
-    if steps > 1.0:
-        ahead = _step_in_gap(clocks, elapsed)
-        _watch_ages(clocks, elapsed)
     if clocks.fitted > 1 and abs(deviation) > _tolerance(clocks, 1.0):
         clocks.line = stamp  # the clocks drifted while no scan came
     else:
@@ -287,14 +290,6 @@ def _missing_time(clocks: Any, elapsed: float) -> float:
     if clocks.late > 1 and clocks.refused_number == clocks.number:  # both clocks were set back, and came here again
         missing = max(missing, clocks.late * clocks.period)
     return missing
-
-
-@inlined
-def _step_in_gap(clocks: Any, elapsed: float) -> float:
-    """Return how far the clock of numbers and stamps was set forward [s] within ``elapsed`` [s], by the first scan."""
-    ahead = min(clocks.least_age - clocks.age, elapsed)
-    is_step = clocks.fitted >= MEMORY_SCANS and ahead > _least_age_step(clocks) + CLOCK_DRIFT * elapsed
-    return float(ahead) if is_step else 0.0
 
 
 @inlined

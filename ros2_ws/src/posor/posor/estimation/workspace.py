@@ -70,7 +70,7 @@ CLOCKS = np.dtype(  # the line between scan numbers and stamps (``estimation.clo
         ("age", "f8"),  # of the present scan when it arrived [s]; NaN, or the same for all: unknown, as in a recording
         ("least_age", "f8"),  # of the last scans in order [s]
         ("run_age", "f8"),  # of the scans in a row that are late or contradict the line and agree with one another [s]
-        ("former_age", "f8"),  # ``least_age`` before a restart, to be compared with; NaN: there is nothing to compare
+        ("former_age", "f8"),  # ``least_age`` before a restart or a gap, to be compared with; NaN: nothing is
         ("compared", "i8"),  # scans since the ages are compared with ``former_age``
         ("age_tolerance", "f8"),  # change of the ages that the drift of the clocks explains since then [s]
         ("content", "f8"),  # sum of the raw readings of the last scan in order
