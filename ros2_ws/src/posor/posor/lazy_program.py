@@ -8,6 +8,7 @@ This module and the modules that name the programs in ``setup.cfg`` import only 
 from __future__ import annotations
 
 import errno
+import gc
 import os
 import resource
 import select
@@ -30,6 +31,8 @@ LEAST_LIMITS = (  # limits below which libraries of every program fail, in ways 
     (resource.RLIMIT_NOFILE, 64, "files open at a time (ulimit -n)"),
     (resource.RLIMIT_AS, 2 * 1024**3, "bytes of address space (ulimit -v counts kilobytes)"),
 )
+NO_PLUGINS = {"PYDANTIC_DISABLE_PLUGINS": "__all__"}
+"""Pydantic looks for plugins in every installed package, which takes 20 ms; the programs use none."""
 BLAS_THREADS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 """Variables that limit the threads of the libraries of linear algebra that numpy may be built with."""
 SHORTAGES = {  # remedies of errors of the system
@@ -120,7 +123,9 @@ class LazyProgram:
         self.name = name  # name of the program
         self.module = module  # module whose function ``main`` runs the program and returns its exit code
         # The matrices of a live node are small: threads of linear algebra would wait for each other, and spin.
-        self.environment = dict.fromkeys(BLAS_THREADS, "1") if is_live else {}  # the caller's own has precedence
+        self.environment = NO_PLUGINS | (
+            dict.fromkeys(BLAS_THREADS, "1") if is_live else {}
+        )  # the caller's own precedes
 
     def __call__(self) -> int:
         """Import and run the program; return its exit code, or ``EXIT_INTERRUPTED`` after one of INTERRUPT_SIGNALS.
@@ -145,7 +150,10 @@ class LazyProgram:
                 return self._fail(f"the process is limited to {allowed} {what}; expected at least {least}")
         os.environ |= self.environment | os.environ
         try:
+            gc.disable()  # what an import makes stays
             program = import_module(self.module).main
+            gc.freeze()
+            gc.enable()
             handle_interrupts()
             code = int(program())
             sys.stdout.flush()

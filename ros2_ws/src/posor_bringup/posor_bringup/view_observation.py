@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from posor.errors import TopicError
+from posor.estimation.settings import residual_limit
 from posor.messages.joint_position import joint_position
 from posor.model.fault import USABLE_STATES, State
 from posor.numerics.stamps import NS
 from posor.ros_names import ENDPOINT_STATE, ENDPOINT_STATE_TOPIC
 from posor_msgs.msg import EndpointState
-from scipy.special import chdtri
 
 from posor_bringup.view_events import NOTE, WARNING, Cause, causes_of_state, merge_causes
 
@@ -253,7 +253,7 @@ class Observer:
         """Return chi-square of a transform divided by its limit; NaN without redundant readings."""
         if values is None or not values["redundancy"]:
             return np.nan
-        return float(values["residual"] / chdtri(values["redundancy"], self._topics.false_alarms[joint]))
+        return float(values["residual"] / residual_limit(values["redundancy"], self._topics.false_alarms[joint]))
 
     def _encoder(self, joint: str, stamp_ns: int) -> float:
         """Return the angle of a joint's encoder at a time [rad], between two messages if necessary; NaN without."""

@@ -7,6 +7,8 @@ from typing import Any
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from posor.calibration.designs import design
+from posor.estimation.posor import Posor
 from posor.numerics.stamps import NS
 from posor_bringup.arms import load_checked_arm
 from posor_bringup.view_events import Cause
@@ -14,7 +16,6 @@ from posor_bringup.view_messages import ArmTopics, MessageStore
 from posor_bringup.view_observation import LAG_S, PERIODS, SILENCE_S, Observer
 from posor_msgs.msg import EndpointState, JointTransform
 from posor_ros.message_classes import schema_of_class
-from scipy.special import chdtri
 from sensor_msgs.msg import JointState
 
 PERIOD_S = 0.01
@@ -55,6 +56,7 @@ def test_nothing_is_fresh_before_the_first_message(rig: Rig) -> None:
 
 
 def test_sound_scan(rig: Rig) -> None:
+    posor = Posor(design("quad_diodes"))
     rig.add_scan(1.0)
     rig.add_scan(1.0 + PERIOD_S)
     seen = rig.observe(1.05)
@@ -62,7 +64,8 @@ def test_sound_scan(rig: Rig) -> None:
     assert (seen.state, seen.joints["joint1"]) == ("OK", "OK")
     assert seen.scan is not None
     assert seen.scan.stamp_ns == 1_010_000_000
-    assert seen.scan.residuals[0] == pytest.approx(3.0 / chdtri(2, 1e-4))
+    assert posor.redundancy == 2
+    assert seen.scan.residuals[0] == pytest.approx(3.0 / posor.residual_limit)
     assert seen.causes == ()
     assert seen.reports == (Cause("NOTE", "no encoder: the nominal arm has the measured angle there", ("joint1",)),)
 

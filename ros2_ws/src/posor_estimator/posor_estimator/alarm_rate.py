@@ -8,9 +8,8 @@ scans in a row have no pose, or if ``WINDOW`` scans hold more of them than sound
 
 from __future__ import annotations
 
+import math
 from collections import deque
-
-from scipy.special import bdtrc
 
 WINDOW = 1000  # number of scans over which the rate is judged
 SIGNIFICANCE = 1e-6  # largest probability that ``WINDOW`` sound scans are reported as a fault
@@ -18,7 +17,12 @@ SIGNIFICANCE = 1e-6  # largest probability that ``WINDOW`` sound scans are repor
 
 def alarm_limit(probability: float) -> int:
     """Return the smallest number of alarms in ``WINDOW`` scans that sound scans reach with at most ``SIGNIFICANCE``."""
-    return next((k for k in range(1, WINDOW) if bdtrc(k - 1, WINDOW, probability) <= SIGNIFICANCE), WINDOW)
+    fewer = 0.0  # probability of fewer alarms than ``count``
+    for count in range(1, WINDOW):
+        fewer += math.comb(WINDOW, count - 1) * probability ** (count - 1) * (1.0 - probability) ** (WINDOW - count + 1)
+        if 1.0 - fewer <= SIGNIFICANCE:
+            return count
+    return WINDOW
 
 
 class AlarmRate:

@@ -27,10 +27,10 @@ from itertools import chain
 from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import numpy as np
-from scipy.special import ndtri
 
 from posor.chain.error_propagation import add_first_order
 from posor.estimation.fault_model import ALWAYS, SECOND, SHARED
+from posor.numerics.chi_square import upper_quantile
 from posor.numerics.compiled import in_place, inlined
 from posor.numerics.vector import (
     applied,
@@ -60,7 +60,7 @@ if TYPE_CHECKING:
 
 INTEGRITY_RISK = 1e-5
 """Probability, of one scan and axis, that noise and calibration errors alone exceed their part of the level."""
-COVERAGE_FACTOR = float(-ndtri(0.5 * INTEGRITY_RISK))
+COVERAGE_FACTOR = math.sqrt(upper_quantile(1, INTEGRITY_RISK))
 """K, 4.42: the standard uncertainties of the endpoint in a protection level."""
 UNKNOWN = -1  # in place of the joint and the cause that set a level
 STAMPS = "stamps"  # in place of the cause, where no fault does as much as the errors of the stamps

@@ -29,10 +29,7 @@ Delft 2006 (multidimensional alternatives).
 from __future__ import annotations
 
 import math
-from functools import lru_cache
 from typing import TYPE_CHECKING, Any
-
-from scipy.special import chndtrinc, ndtri
 
 from posor.estimation.fault_model import (
     ALWAYS,
@@ -53,6 +50,7 @@ from posor.model.fault import Fault, State
 from posor.model.readings import DIODE_CURRENTS, GAP_VOLTAGES, PYTHON
 from posor.model.scan import CONTACTS
 from posor.model.spot_map import spot_position
+from posor.numerics.chi_square import upper_quantile
 from posor.numerics.compiled import in_place, inlined
 from posor.numerics.vector import applied, in_double, matrix, plus, put, square, times, within
 
@@ -62,16 +60,11 @@ if TYPE_CHECKING:
 
 MISSED_DETECTION = 1e-2  # probability that a fault of the smallest detectable size passes the test of one scan
 LINEAR_LIMIT = 0.01  # effects up to this size are linear [m], [rad]; an encoder does not bound larger ones
-MISSED_SIGMAS = float(-ndtri(MISSED_DETECTION))  # a fault that is missed so rarely exceeds the limit by these
+MISSED_SIGMAS = math.sqrt(upper_quantile(1, 2.0 * MISSED_DETECTION))
+"""A fault that is missed so rarely exceeds the limit by so many standard deviations of normal noise."""
 LEAST_SHOWN_SHARE = 1e-4
 """A direction that the readings show less is not tested: faults of hundreds of standard deviations would pass."""
 LOST, ILL_CONDITIONED = int(State.LOST), int(Fault.ILL_CONDITIONED)
-
-
-@lru_cache
-def noncentrality(redundant: int, limit: float, missed_detection: float) -> float:
-    """Return the non-centrality at which chi-square of ``redundant`` degrees of freedom is below a limit so rarely."""
-    return float(chndtrinc(limit, redundant, missed_detection))
 
 
 @in_place

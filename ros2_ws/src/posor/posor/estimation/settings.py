@@ -8,14 +8,14 @@ import math
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.special import chdtri
 
 from posor.calibration.calibration_file import Environment, TiltAngle
 from posor.calibration.causes import EXCEEDED
-from posor.estimation.fault_effects import MISSED_DETECTION, noncentrality
+from posor.estimation.fault_effects import MISSED_DETECTION
 from posor.estimation.frozen import evidence_of_repetition
 from posor.estimation.linearise import ANY_FINITE
 from posor.model.readings import DIODE_CURRENTS, PYTHON
+from posor.numerics.chi_square import noncentrality, upper_quantile
 from posor.sensors.diodes import DiodesCalibration
 from posor.sensors.gap_probes import GapProbesCalibration
 
@@ -29,6 +29,14 @@ _MOTION_LIMITS = (  # settings of the largest velocities and accelerations, in t
 )
 
 
+def residual_limit(redundancy: int, false_alarm: float) -> float:
+    """Return the largest chi-square of a scan that is not LOST.
+
+    ``redundancy``: number of redundant readings, at least 1; ``false_alarm``: as of ``Posor``, above 0.
+    """
+    return upper_quantile(redundancy, EXCEEDED * false_alarm)
+
+
 def write_settings(model: Model, calibration: Calibration, redundancy: int, false_alarm: float) -> None:
     """Write what a calibration states into the workspace of a new model.
 
@@ -37,7 +45,7 @@ def write_settings(model: Model, calibration: Calibration, redundancy: int, fals
     settings = model.workspace[0]["settings"]
     settings["residual_limit"] = settings["noncentrality_root"] = math.inf
     if redundancy > 0 and false_alarm > 0.0:
-        settings["residual_limit"] = largest = float(chdtri(redundancy, EXCEEDED * false_alarm))
+        settings["residual_limit"] = largest = residual_limit(redundancy, false_alarm)
         settings["noncentrality_root"] = math.sqrt(noncentrality(redundancy, largest, MISSED_DETECTION))
     _write_motion(settings, calibration)
     _write_environment(model, settings, calibration.environment or Environment())

@@ -150,12 +150,13 @@ def slip_angle(diodes: FloatArray, sources: FloatArray, sigma: float) -> float:
 
 
 def _sources_seen(diodes: FloatArray, sources: FloatArray) -> IntArray:
-    """Return the source nearest to each diode for every theta at which one changes, shape (thetas, d)."""
+    """Return the source nearest to each diode around a turn, at 16 thetas for each source, shape (thetas, d)."""
     thetas = np.linspace(0.0, 2.0 * math.pi, 16 * len(sources), endpoint=False)
     c, s = np.cos(thetas)[:, None], np.sin(thetas)[:, None]
     x, y = c * sources[:, 0] - s * sources[:, 1], s * sources[:, 0] + c * sources[:, 1]  # (thetas, n)
-    nearest = [np.argmin(np.square(x - diode[0]) + np.square(y - diode[1]), axis=1) for diode in diodes]
-    return np.unique(np.stack(nearest, axis=1), axis=0)
+    squares = np.square(x - diodes[:, :1, None]) + np.square(y - diodes[:, 1:, None])  # (d, thetas, n)
+    nearest: IntArray = np.argmin(squares, axis=2).T
+    return nearest
 
 
 class DiodesCalibration(SensorCalibration):

@@ -11,14 +11,12 @@ import pinocchio as pin
 import pytest
 from posor.calibration.causes import EXCEEDED, FALSE_ALARM
 from posor.calibration.designs import design, sized_design
-from posor.estimation.fault_effects import noncentrality
 from posor.estimation.forward import scans_at
 from posor.estimation.posor import Posor
 from posor.model.fault import State
 from posor.model.native_coordinates import rotation_from_native
 from posor.numerics.array_types import FloatArray
 from posor.uncertainty.reliability import Reliability, joint_reliability
-from scipy.special import chndtr
 
 from .biased_readings import biased_scans, drawn_stack
 
@@ -105,11 +103,6 @@ def test_few_joints_have_more_false_alarms_than_stated() -> None:
 
 def test_without_a_test_no_bias_is_detected() -> None:
     assert np.isinf(reliability_of(Posor(design("quad_diodes"), false_alarm=0.0)).biases).all()
-
-
-def test_noncentrality_inverts_the_distribution() -> None:
-    for redundant in (1, 2, 5):
-        assert chndtr(12.0, redundant, noncentrality(redundant, 12.0, 0.01)) == pytest.approx(0.01)
 
 
 @pytest.mark.parametrize("stack", CALIBRATIONS)
