@@ -3,13 +3,14 @@
 """Source ``simulated``: one joint of a simulated arm, in step with the drivers of the other joints.
 
 Every driver computes the same truth from the same files. The driver of the last joint also publishes the truth of the
-endpoint and moves the stage, if there is one.
+endpoint and moves the stage, if there is one. Scans are computed ahead, several ticks together, unless the stage
+moves.
 """
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import numpy as np
 from posor.chain.arm_file import load_arm_file
@@ -29,7 +30,23 @@ from posor_drivers.sources.source import Input, LiveSource, Topic
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
+    from posor.numerics.array_types import FloatArray
+
+    from posor_drivers.simulator.pose_array import ArmTruth
+    from posor_drivers.simulator.simulated_scans import SimulatedScans
     from posor_drivers.sources.source import SourceMessage
+
+BATCH_TICKS = 16
+"""Ticks that are computed together, which takes little longer than one of them."""
+
+
+class _Batch(NamedTuple):
+    """Truth and scans of consecutive ticks."""
+
+    first: int  # tick
+    stage: FloatArray | None  # position of the stage, (3,) [m], axes of the endpoint
+    truth: ArmTruth
+    scans: SimulatedScans
 
 
 class SimulatedParameters(Imperfections, ParameterGroup):
@@ -61,6 +78,7 @@ class SimulatedSource(LiveSource[SimulatedParameters]):
     _simulation: ArmSimulation
     _messages: SimulatedMessages
     _stage: Stage | None
+    _batch: _Batch | None = None
     _latest: tuple[int, int]
     """Tick and publication time [ns] of the last call of ``publication_time_ns``."""
 
@@ -81,6 +99,8 @@ class SimulatedSource(LiveSource[SimulatedParameters]):
         self._rate = self._simulation.scenario.ticks_per_second
         self._latest = (-1, 0)
         self._is_last = joint == joints[-1]
+        # Drivers of one process compute their batches at different ticks.
+        self._batch_offset = BATCH_TICKS * joints.index(joint) // len(joints)
         settings = self._simulation.scenario.stage if self._is_last else None
         self._stage = None if settings is None else Stage(settings, self._simulation.arm.endpoint_frame)
         topics = self._messages.topics
@@ -116,6 +136,7 @@ class SimulatedSource(LiveSource[SimulatedParameters]):
             self._stage.restart()
         first, _ = super().start_run(now_ns)
         self._simulation.start_at(self.parameters.joint, first)
+        self._batch = None
         if not self.parameters.cycles:
             return first, None
         length = self._simulation.scenario.cycle_ticks
@@ -132,21 +153,35 @@ class SimulatedSource(LiveSource[SimulatedParameters]):
 
     def read_tick(self, tick: int) -> Iterator[SourceMessage]:
         """Yield scan and truth of a tick."""
-        joint, ticks, stamp_ns = self.parameters.joint, np.array([tick]), tick_stamp_ns(tick, self.rate)
+        joint, stamp_ns = self.parameters.joint, tick_stamp_ns(tick, self.rate)
         position = None if self._stage is None else self._stage.position_at(stamp_ns)
-        truth = self._simulation.truth(ticks, None if position is None else position[None, :])
-        scans = self._simulation.scans(joint, ticks, truth)
+        batch = self._batch_of(tick, position)
+        truth, scans, n = batch.truth, batch.scans, tick - batch.first
         if self._is_last:  # before the scan, which needs them
             for name, reading in self._simulation.accelerations(tick).items():
                 sigma = self._simulation.accelerometers[name].uncertainty.number
                 yield self._messages.acceleration(name, stamp_ns, reading, sigma)
-        if scans.sent[0]:
-            yield self._messages.raw_scan(joint, scans, 0)
-        yield self._messages.joint_truth(joint, stamp_ns, truth, 0)
+        if scans.sent[n]:
+            yield self._messages.raw_scan(joint, scans, n)
+        yield self._messages.joint_truth(joint, stamp_ns, truth, n)
         if self._is_last:
-            yield from self._messages.arm_truth(stamp_ns, truth, 0)
+            yield from self._messages.arm_truth(stamp_ns, truth, n)
             for beam, kelvin in self._simulation.temperatures(tick).items():
                 entry = self._simulation.thermometers[beam]
                 yield self._messages.temperature(entry.name, stamp_ns, kelvin, entry.uncertainty.number)
         if position is not None:
             yield self._messages.stage_position(stamp_ns, position)
+        if 1 < len(scans.sent) == n + 1:
+            self._batch_of(tick + 1, position)  # now that this tick is published
+
+    def _batch_of(self, tick: int, position: FloatArray | None) -> _Batch:
+        """Return a batch with a tick: of this tick alone, where the stage was elsewhere at the tick before."""
+        batch = self._batch
+        is_at_rest = batch is not None and np.array_equal(batch.stage, position)
+        if batch is None or not is_at_rest or not batch.first <= tick < batch.first + len(batch.scans.sent):
+            count = BATCH_TICKS - (tick + self._batch_offset) % BATCH_TICKS if is_at_rest else 1
+            ticks = np.arange(tick, tick + count)
+            truth = self._simulation.truth(ticks, None if position is None else np.tile(position, (count, 1)))
+            scans = self._simulation.scans(self.parameters.joint, ticks, truth)
+            batch = self._batch = _Batch(tick, position, truth, scans)
+        return batch

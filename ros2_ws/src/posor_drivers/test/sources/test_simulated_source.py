@@ -16,6 +16,8 @@ from posor.chain.arm_file import load_arm_file
 from posor.errors import CalibrationError, ParameterError
 from posor.messages.message_definitions import MessageTypes
 from posor.numerics.stamps import NS
+from posor_bringup.arms import load_checked_arm
+from posor_drivers.message_builder import SimulatedMessages
 from posor_drivers.simulator.arm_simulation import ArmSimulation
 from posor_drivers.sources.simulated_source import SimulatedParameters, SimulatedSource
 from posor_lab.harness.graph import BEST_EFFORT, Graph, values_of, wait_for_value
@@ -293,6 +295,38 @@ def test_only_the_last_joint_of_an_arm_with_stage_takes_commands(arm: Path, tmp_
 
     assert (inputs(arm, "base"), inputs(arm, LAST)) == ([], ["/arm/stage/command"])
     assert inputs(write_arm(tmp_path, scenario({"stage": None})), LAST) == []
+
+
+def test_scans_computed_together_are_those_of_each_tick(arm: Path) -> None:
+    simulation = ArmSimulation(load_arm_file(arm))
+    messages = SimulatedMessages(MessageTypes(), simulation)
+    source = opened(arm, LAST)
+    first, _ = source.start_run(100 * PERIOD)
+    simulation.start_at(LAST, first)
+    move, seen = Vector3Stamped(), []
+    move.header.frame_id, move.vector.x = "endpoint", 2e-4
+    for tick in (*range(first, first + 40), *range(first + 60, first + 100), *range(first, first + 20)):
+        if tick == first + 70:
+            move.header.stamp.sec, move.header.stamp.nanosec = divmod(tick * PERIOD, NS)
+            source.inputs()[0].on_message(move, tick * PERIOD)
+        if tick == first:  # a simulation that starts again
+            source.start_run(100 * PERIOD)
+        published = {message.topic: message.data for message in source.read_tick(tick)}
+        seen.append(vector(deserialize_message(published["/arm/stage/position"], Vector3Stamped)))
+        scans = simulation.scans(LAST, np.array([tick]), simulation.truth(np.array([tick]), np.array([seen[-1]])))
+        assert published.get("raw") == (messages.raw_scan(LAST, scans, 0).data if scans.sent[0] else None)
+    assert seen[40:50] == [[0.0, 0.0, 0.0]] * 10
+    assert len({x for x, _, _ in seen}) > 3  # the stage moved for several ticks
+    assert seen[-1] == pytest.approx([2e-4, 0.0, 0.0])
+
+
+def test_the_first_scan_of_each_run_is_dark() -> None:
+    source = opened(load_checked_arm("six_axis").path, "elbow", dropouts=False)
+    for begin in (1000, 1003):  # the second one is among the ticks that were computed together before
+        first, _ = source.start_run(begin * NS // 200)
+        published = [deserialize_message(next(iter(source.read_tick(first + n))).data, RawScan) for n in range(6)]
+        dark = [all(lit == RawScan.NO_SOURCE for lit in scan.lit_sources) for scan in published]
+        assert dark == [True] + 5 * [False]
 
 
 def test_rate_replaces_that_of_the_scenario(arm: Path) -> None:
