@@ -179,6 +179,7 @@ def test_stated_dwells_replace_those_that_are_found(made: Path, arm: Path, bag: 
             1,
             "BACK, line 3: dwell from 5 to 6; expected begin_ns before end_ns, in order.",
         ),
+        ("--reference REF --dwells EARLY", 1, "EARLY: dwells from 1 to 9, none of them in the recording; expected"),
         ("--reference REF --dwells MOVING", 1, "BAG, topic REF: moves by 0.0"),
         ("--reference REF --same-turn 4", 2, "iso9283: argument --same-turn: '4' is not a number of more than 0 and"),
         ("--reference REF --least 1e300", 2, "iso9283: argument --least: '1e300' is not a number"),
@@ -193,12 +194,15 @@ def test_refusals(
 ) -> None:
     back = tmp_path / "back.csv"
     back.write_text("begin_ns,end_ns\n1,9\n5,6\n", encoding="utf-8")
+    early = tmp_path / "early.csv"
+    early.write_text("begin_ns,end_ns\n1,5\n6,9\n", encoding="utf-8")
     moving = tmp_path / "moving.csv"
     moving.write_text(f"begin_ns,end_ns\n1,{4 * 10**18}\n", encoding="utf-8")
     names = {
         "REF": REFERENCE,
         "NONE": str(tmp_path / "none.csv"),
         "BACK": str(back),
+        "EARLY": str(early),
         "BAG": str(bag),
         "MOVING": str(moving),
     }

@@ -107,6 +107,14 @@ def _stated_dwells(path: Path) -> list[tuple[int, int]]:
     return dwells
 
 
+def _check_recorded(path: Path, dwells: Sequence[tuple[int, int]], motion: Motion) -> None:
+    """Raise DataFileError: the dwells of a table are of another time than the recording."""
+    first, last = motion.stamps_ns[0].item(), motion.stamps_ns[-1].item()
+    if all(begin > last or end < first for begin, end in dwells):
+        what = f"dwells from {dwells[0][0]} to {dwells[-1][1]}, none of them in the recording"
+        raise DataFileError(what, where=str(path), expected=f"dwells between {first} and {last}")
+
+
 def _read(options: Namespace) -> tuple[Motion, Track, list[str]]:
     """Return the motion, the reference, and notes on endpoints that are left out or DEGRADED.
 
@@ -213,6 +221,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parse_options(arguments)
     stated = None if options.dwells is None else _stated_dwells(options.dwells)
     motion, track, notes = _read(options)
+    if stated:
+        _check_recorded(options.dwells, stated, motion)
     dwells = stated or [
         (each.begin_ns, each.end_ns)
         for each in find_dwells(track, options.still, int(options.least * NS), settle_ns=int(options.settle * NS))

@@ -23,8 +23,9 @@ if TYPE_CHECKING:
 
 HIGH_CORRELATION = 0.9  # correlation above which two parameters are hard to separate
 NAMED_OUTLIERS = 5
-IMPROBABLE = 1e-3  # probability of chi-square below which the stated uncertainties are not believed
+IMPROBABLE = 1e-3  # probability of so large or so small a chi-square, below which stated uncertainties are not believed
 MOST_SPREAD = 10.0  # residuals over the stated uncertainties beyond which data and model do not belong together
+LEAST_SPREAD = 0.1  # below which the stated uncertainties may be in another unit
 
 
 def table_row(name: str | int, numbers: Iterable[float]) -> tuple[float | int | str, ...]:
@@ -102,14 +103,15 @@ def describe_residuals(fit: Fit, readings: Sequence[str] = ()) -> tuple[str, ...
 
 
 def describe_spread(fit: Fit) -> tuple[str, ...]:
-    """Return a warning if the residuals exceed the stated uncertainties."""
-    if fit.probability >= IMPROBABLE:
+    """Return a warning if the residuals exceed the stated uncertainties, or are far below them."""
+    if fit.probability < IMPROBABLE:
+        reason = "too small, or the model is incomplete"
+    elif fit.spread < LEAST_SPREAD and 1.0 - fit.probability < IMPROBABLE:
+        reason = "too large, perhaps in another unit, and so are those of the result"
+    else:
         return ()
-    sentence = (
-        f"The residuals are {fit.spread:.2g} times as large as the stated uncertainties explain: these are too small, "
-        "or the model is incomplete."
-    )
-    return (sentence,)
+    explained = f"The residuals are {fit.spread:.2g} times as large as the stated uncertainties explain"
+    return (f"{explained}: these are {reason}.",)
 
 
 def describe_enlargement(fit: Fit, where: str) -> tuple[str, ...]:

@@ -7,7 +7,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from posor.errors import FitError
-from posor_calibration.fit_report import describe_enlargement, describe_rejected, enlarge_if_improbable
+from posor_calibration.fit_report import describe_enlargement, describe_rejected, describe_spread, enlarge_if_improbable
 from posor_calibration.least_squares import fit_parameters
 
 
@@ -34,3 +34,17 @@ def test_residuals_beyond_the_stated_uncertainties_are_reported(
     assert bool(describe_enlargement(found, "the mean")) == improbable
     growth = found.spread if improbable else 1.0
     np.testing.assert_allclose(enlarge_if_improbable(found).sigmas, growth * found.sigmas)
+
+
+@pytest.mark.parametrize(
+    ("times", "count", "why"),
+    [(1.0, 100, ""), (0.3, 100, ""), (0.05, 100, "too large"), (0.05, 2, ""), (2.0, 100, "too small")],
+)
+def test_stated_uncertainties_that_the_residuals_contradict_are_reported(
+    times: float, count: int, why: str, rng: np.random.Generator
+) -> None:
+    readings = times * rng.normal(size=count)
+    found = fit_parameters(lambda values: readings - values[0], np.zeros(1), ("mean",), ("m",), np.ones(1))
+    sentences = describe_spread(found)
+    assert len(sentences) == bool(why)
+    assert why in "".join(sentences)

@@ -19,7 +19,7 @@ from scipy.linalg import block_diag, solve_triangular
 
 from posor_calibration.arm.arm_model import EXACT, UNITS, Parameter
 from posor_calibration.data_checks import MOST_OUTLIERS, POSE_AXES
-from posor_calibration.fit_report import check_spread, describe_spread
+from posor_calibration.fit_report import IMPROBABLE, check_spread, describe_spread
 from posor_calibration.least_squares import fit_parameters
 
 if TYPE_CHECKING:
@@ -317,7 +317,7 @@ def calibrate_arm(problem: ArmProblem, held_out: Collection[int]) -> ArmCalibrat
     tested = [n for n in every if n not in out and problem.readings[n].pose in held_out]
     _check_count(problem, used)
     mounting, found = problem.fit(used, mounting_only=True), problem.fit(used)
-    if warnings := describe_spread(found):
+    if found.probability < IMPROBABLE:
         _check_step(problem, found, used)
     check_spread(found, problem.names_of(used), NAME)
     sigmas = np.sqrt(np.diagonal(problem.prior))
@@ -333,7 +333,7 @@ def calibrate_arm(problem: ArmProblem, held_out: Collection[int]) -> ArmCalibrat
         outliers=tuple(problem.readings[n].name for n in sorted(out)),
         before={name: problem.misfit(mounting, group) for name, group in groups.items()},
         after={name: problem.misfit(found, group) for name, group in groups.items()},
-        warnings=warnings,
+        warnings=describe_spread(found),
     )
 
 
