@@ -6,10 +6,15 @@ from __future__ import annotations
 
 import csv
 import math
+import re
 import shutil
 import signal
+import socket
+import sys
 import time
+from http import HTTPStatus
 from pathlib import Path
+from urllib.request import urlopen
 
 import pytest
 from environment import THIS
@@ -25,8 +30,10 @@ from make_screenshots import (
     wait_for_banner,
 )
 from playwright.sync_api import Page
+from posor_bringup.view_page import HOST
 from posor_bringup.view_texts import GREEN, RED
 from posor_lab.harness.browser import BROWSER, opened_browser
+from posor_lab.harness.program import Program
 
 pytestmark = [
     pytest.mark.usefixtures("ros_domain"),
@@ -126,6 +133,22 @@ def test_replay_says_what_is_wrong_where_and_since_when_on_the_time_axis_of_the_
             assert [tuple(row) for row in cells(page, "#causes .cause")] == causes
             assert page.evaluate(OVERLAPS) == []
         assert view.end(signal.SIGTERM) == 0
+
+
+def test_connections_without_a_request_are_no_errors() -> None:
+    command = ["-m", "posor_bringup.view_command", STATES_BAG.name, "--port", "0", "--bag", str(STATES_BAG)]
+    with Program([sys.executable, *command]) as view:
+        port = int(re.findall(rf"http://{HOST}:(\d+)", view.wait_for_line("page at"))[0])
+        for request in (b"", b"\0\n", b"GET / HTTP/1.1\r\n"):  # of a browser that connects ahead, of a scanner
+            with socket.create_connection((HOST, port)) as connection:
+                connection.sendall(request)
+                connection.shutdown(socket.SHUT_WR)
+                while connection.recv(4096):  # until the server closes it, which is after the report of an error
+                    pass
+        with urlopen(f"http://{HOST}:{port}/") as page:
+            assert page.status == HTTPStatus.OK
+        assert view.end(signal.SIGTERM) == 0
+        assert view.errors == []
 
 
 def test_page_that_is_opened_again_finds_the_history_and_the_events_of_a_night(tmp_path: Path) -> None:

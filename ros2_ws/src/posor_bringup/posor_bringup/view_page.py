@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import socket
 import time
@@ -42,6 +43,7 @@ if TYPE_CHECKING:
     from posor_bringup.view_record import ArmRecord
 
 HOST = "127.0.0.1"
+NO_BROWSER = "opening handshake failed"  # message of websockets, with a traceback, on a connection without a request
 CHART_PERIOD_S, TEXT_PERIOD_S = 0.5, 0.2
 """Time between two updates of the charts and of the numbers; a change of state is shown at once."""
 MAX_POWER, USUAL_POWER = 4.0, 2.0  # of ten, of the enlargement
@@ -162,6 +164,7 @@ class ViewPage:
         """
         self._name, self._geometry, self._record, self._span_ns = name, geometry, record, span_ns
         _check_port(port)
+        logging.getLogger("websockets.server").addFilter(lambda record: record.msg != NO_BROWSER)
         self._server = _LocalServer(host=HOST, port=port, label=name, verbose=False)
         self._wake = Wake()
         self._server.on_client_connect(lambda _client: self._wake.set())
