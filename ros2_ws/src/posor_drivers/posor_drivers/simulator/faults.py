@@ -229,7 +229,7 @@ KINDS: dict[str, FaultKind] = {
     "multiplexed_unknown": FaultKind(lambda scans: _multiplexed(scans, "unknown"), "s", states_exposures=True),
     "multiplexed_unstated": FaultKind(lambda scans: _multiplexed(scans, "unstated"), "s"),
     "number": FaultKind(lambda scans: {"numbers": scans.now("numbers").astype(np.int64) + scans.size}, "1"),
-    "repeat": FaultKind(lambda scans: scans.begin(*READING_FIELDS, "numbers", "stamps_ns")),
+    "repeat": FaultKind(lambda scans: scans.begin(*CONTENT, "numbers", "stamps_ns")),
 }
 """All kinds: what is published instead of the scan."""
 

@@ -98,7 +98,7 @@ CASES: list[tuple[str, dict[str, Any], set[str]]] = [
         {*MOVED, "exposure_spans", "exposure_offsets"} - {"lit_sources"},
     ),
     ("multiplexed_unstated", {"size": quantity(1e-4, "s")}, {"gap_voltages", "diode_currents"}),
-    ("repeat", {}, {"gap_voltages", "diode_currents", "lit_sources", "numbers", "stamps_ns"}),
+    ("repeat", {}, {*MOVED, "statuses", "numbers", "stamps_ns"}),
 ]
 
 
