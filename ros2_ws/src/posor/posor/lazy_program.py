@@ -123,9 +123,8 @@ class LazyProgram:
         self.name = name  # name of the program
         self.module = module  # module whose function ``main`` runs the program and returns its exit code
         # The matrices of a live node are small: threads of linear algebra would wait for each other, and spin.
-        self.environment = NO_PLUGINS | (
-            dict.fromkeys(BLAS_THREADS, "1") if is_live else {}
-        )  # the caller's own precedes
+        threads = dict.fromkeys(BLAS_THREADS, "1") if is_live else {}
+        self.environment = NO_PLUGINS | threads  # the caller's own has precedence
 
     def __call__(self) -> int:
         """Import and run the program; return its exit code, or ``EXIT_INTERRUPTED`` after one of INTERRUPT_SIGNALS.
@@ -150,7 +149,7 @@ class LazyProgram:
                 return self._fail(f"the process is limited to {allowed} {what}; expected at least {least}")
         os.environ |= self.environment | os.environ
         try:
-            gc.disable()  # what an import makes stays
+            gc.disable()  # an import leaves no garbage that is worth a search, and what it makes stays
             program = import_module(self.module).main
             gc.freeze()
             gc.enable()

@@ -1,6 +1,6 @@
 # Copyright 2026 POSOR maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Entry points of the nodes: threads of linear algebra."""
+"""Entry points of the nodes: threads of linear algebra, and libraries that take long to load."""
 
 from __future__ import annotations
 
@@ -21,6 +21,13 @@ np.ones((500, 500)) @ np.ones((500, 500))
 main = lambda: print(len(os.listdir("/proc/self/task"))) or 0
 """
 RUN = "import sys; from posor_estimator.estimator_programs import {0}; {0}.module = 'shown'; sys.exit({0}())"
+
+
+@pytest.mark.parametrize("program", ["posor_node", "chain_node"])
+def test_a_node_loads_neither_scipy_nor_numba(program: str) -> None:
+    code = f"import sys, posor_estimator.{program}; print(*{{'scipy', 'numba'}} & set(sys.modules))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "\n"
 
 
 @pytest.mark.parametrize("program", ["posor_node", "chain_node", "correction_node", "compose"])

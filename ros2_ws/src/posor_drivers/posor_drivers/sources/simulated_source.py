@@ -3,8 +3,7 @@
 """Source ``simulated``: one joint of a simulated arm, in step with the drivers of the other joints.
 
 Every driver computes the same truth from the same files. The driver of the last joint also publishes the truth of the
-endpoint and moves the stage, if there is one. Scans are computed ahead, several ticks together, unless the stage
-moves.
+endpoint and moves the stage, if there is one. Scans are computed for several ticks together, unless the stage moves.
 """
 
 from __future__ import annotations
