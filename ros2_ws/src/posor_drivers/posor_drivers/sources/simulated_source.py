@@ -43,7 +43,7 @@ class _Batch(NamedTuple):
     """Truth and scans of consecutive ticks."""
 
     first: int  # tick
-    stage: FloatArray | None  # position of the stage, (3,) [m], axes of the endpoint
+    stage: list[float] | None  # position of the stage [m], axes of the endpoint
     truth: ArmTruth
     scans: SimulatedScans
 
@@ -175,12 +175,12 @@ class SimulatedSource(LiveSource[SimulatedParameters]):
 
     def _batch_of(self, tick: int, position: FloatArray | None) -> _Batch:
         """Return a batch with a tick: of this tick alone, where the stage was elsewhere at the tick before."""
-        batch = self._batch
-        is_at_rest = batch is not None and np.array_equal(batch.stage, position)
+        batch, stage = self._batch, None if position is None else position.tolist()
+        is_at_rest = batch is not None and batch.stage == stage
         if batch is None or not is_at_rest or not batch.first <= tick < batch.first + len(batch.scans.sent):
             count = BATCH_TICKS - (tick + self._batch_offset) % BATCH_TICKS if is_at_rest else 1
             ticks = np.arange(tick, tick + count)
             truth = self._simulation.truth(ticks, None if position is None else np.tile(position, (count, 1)))
             scans = self._simulation.scans(self.parameters.joint, ticks, truth)
-            batch = self._batch = _Batch(tick, position, truth, scans)
+            batch = self._batch = _Batch(tick, stage, truth, scans)
         return batch
