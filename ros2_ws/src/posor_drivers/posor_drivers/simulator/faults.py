@@ -274,16 +274,16 @@ class JointFaults:
 
     def change(self, published: SimulatedScans, ticks: IntArray, sound: SoundScans) -> SimulatedScans:
         """Return the scans at ticks (n,) with the faults; ``sound`` are the scans without them."""
-        in_cycle = np.mod(ticks, self._cycle_ticks)
+        cycles, in_cycle = np.divmod(ticks, self._cycle_ticks)
         if any(placed.kind.states_exposures for placed in self._placed) and not published.scans.exposure_offsets.size:
             simultaneous = np.tile(sound.exposure_offsets(0.0), (len(ticks), 1))
             published = replace(published, scans=published.scans.with_fields({"exposure_offsets": simultaneous}))
         for placed in self._placed:
             begin, end = placed.ticks
-            which = np.flatnonzero((in_cycle >= begin) & (in_cycle < end))
-            if which.size:
-                first = int(ticks[which[0]] - in_cycle[which[0]]) + begin
-                published = placed.change(published, which, ticks, first, sound)
+            is_faulty = (in_cycle >= begin) & (in_cycle < end)
+            for cycle in np.unique(cycles[is_faulty]).tolist():
+                which = np.flatnonzero(is_faulty & (cycles == cycle))
+                published = placed.change(published, which, ticks, cycle * self._cycle_ticks + begin, sound)
         return published
 
     def delay_ns(self, tick: int) -> int:

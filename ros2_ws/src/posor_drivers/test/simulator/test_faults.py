@@ -102,6 +102,18 @@ CASES: list[tuple[str, dict[str, Any], set[str]]] = [
 ]
 
 
+def test_a_fault_of_a_whole_cycle_begins_anew_in_each(sound: tuple[ArmSimulation, SimulatedScans]) -> None:
+    arm, _ = sound
+    cycle = arm.scenario.cycle_ticks
+    always = {"from": quantity(0.0, "s"), "until": quantity(cycle / 100, "s")}
+    faulty = arm.with_faults([SimulatedFault.model_validate(fault("frozen") | always)])
+    ticks = np.arange(cycle - 3, cycle + 3)
+    together = faulty.scans("shoulder", ticks).scans.gap_voltages
+    alone = [faulty.scans("shoulder", ticks[n : n + 1]).scans.gap_voltages[0] for n in range(6)]
+    assert np.array_equal(together, alone)
+    assert not np.array_equal(together[2], together[3])
+
+
 def test_every_kind_has_a_case() -> None:
     assert {kind for kind, *_ in CASES} == set(KINDS)
 
