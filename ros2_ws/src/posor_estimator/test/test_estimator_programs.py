@@ -23,6 +23,15 @@ main = lambda: print(len(os.listdir("/proc/self/task"))) or 0
 RUN = "import sys; from posor_estimator.estimator_programs import {0}; {0}.module = 'shown'; sys.exit({0}())"
 
 
+def test_garbage_is_collected_again_after_the_import(tmp_path: Path) -> None:
+    (tmp_path / "shown.py").write_text(
+        "import gc\nmain = lambda: print(gc.isenabled(), gc.get_freeze_count() > 0) or 0\n"
+    )
+    environ = os.environ | {"PYTHONPATH": f"{tmp_path}{os.pathsep}{os.environ.get('PYTHONPATH', '')}"}
+    command = [sys.executable, "-c", RUN.format("posor_node")]
+    assert subprocess.run(command, env=environ, capture_output=True, text=True, check=True).stdout == "True True\n"
+
+
 @pytest.mark.parametrize("program", ["posor_node", "chain_node"])
 def test_a_node_loads_neither_scipy_nor_numba(program: str) -> None:
     code = f"import sys, posor_estimator.{program}; print(*{{'scipy', 'numba'}} & set(sys.modules))"

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Chi-square of a whole number of degrees of freedom: the two quantiles that every node computes at its start.
 
-``scipy.special`` has both, but it takes a fifth of the start and 18 MB of a node; the tests compare with it.
+``scipy.special`` has both, but it takes an eighth of the start and 16 MB of a node; the tests compare with it.
 
 With t(k, x) = (x/2)^(k/2) exp(-x/2) / Gamma(k/2 + 1), chi-square of k degrees of freedom exceeds x with the probability
 
