@@ -200,10 +200,8 @@ def assemble(entries: list[Entry]) -> str:
             function.linkage = "internal"
     target = llvm.Target.from_triple(llvm.get_process_triple())
     machine = target.create_target_machine(cpu=PROCESSOR, features="", opt=3, reloc="pic", codemodel="small")
-    options = llvm.create_pipeline_tuning_options(speed_level=2)
-    passes = llvm.create_new_module_pass_manager()
-    passes.add_global_dead_code_eliminate_pass()
-    passes.run(module, llvm.create_pass_builder(machine, options))
+    builder = llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options(speed_level=2))
+    builder.getModulePassManager().run(module, builder)
     return str(machine.emit_assembly(module))
 
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from posor.numerics.compiled import inlined
+from posor.numerics.compiled import in_place
 
 if TYPE_CHECKING:
     from posor.chain.joint_measurements import RecordArray
@@ -60,7 +60,7 @@ class BeamHistory(NamedTuple):
         )
 
 
-@inlined
+@in_place
 def has_free_row(history: BeamHistory) -> bool:
     """Return whether one more scan fits; move the window to the front if that halves the occupied rows at least."""
     window, stamps_ns, past = history.window[0], history.stamps_ns, history.past_centres
@@ -78,7 +78,7 @@ def has_free_row(history: BeamHistory) -> bool:
     return True
 
 
-@inlined
+@in_place
 def forget_after_gap(stamp_ns: int, history: BeamHistory) -> None:
     """Forget all scans if time went back since the last one, or advanced by more than the window."""
     window = history.window[0]
@@ -88,7 +88,7 @@ def forget_after_gap(stamp_ns: int, history: BeamHistory) -> None:
             window["begin"] = window["end"]
 
 
-@inlined
+@in_place
 def append_centres(stamp_ns: int, history: BeamHistory) -> None:
     """Store the present centres; ``has_free_row`` must have returned true."""
     window, end = history.window[0], history.window[0]["end"]
@@ -100,7 +100,7 @@ def append_centres(stamp_ns: int, history: BeamHistory) -> None:
         window["begin"] += 1
 
 
-@inlined
+@in_place
 def estimate_accelerations(history: BeamHistory) -> None:
     """Write ``accelerations``: curvature of the least-squares parabola; zero where the scans do not determine it.
 

@@ -32,7 +32,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from posor.chain.beam_entries import STANDARD_GRAVITY
-from posor.numerics.compiled import bind, in_place, inlined
+from posor.numerics.compiled import bind, in_place
 from posor.numerics.stamps import NS
 
 if TYPE_CHECKING:
@@ -85,7 +85,7 @@ class Oscillators(NamedTuple):
         return cls(numbers, stamps_ns, forces, slopes, filtered, rates, np.zeros((2, 3)), fields)
 
 
-@inlined
+@in_place
 def _swing(oscillators: Oscillators, n: int, k: int, seconds: float, slope: float) -> tuple[float, float]:
     """Return u and u' along axis k after a time in which f has a slope [m/s^3]."""
     own = oscillators.numbers[n]

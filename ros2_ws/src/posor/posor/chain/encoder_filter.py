@@ -40,7 +40,7 @@ from posor.chain.encoder_track import (
 from posor.chain.error_propagation import ZERO_COVARIANCE, Blocks, add_outer_product, add_rotated, write_covariance
 from posor.chain.forward_kinematics import compute_endpoint, is_finite, joint_angle, write_nan
 from posor.chain.joint_measurements import measurement_fault, read_joint, shared_fault
-from posor.numerics.compiled import in_place, inlined
+from posor.numerics.compiled import in_place
 from posor.numerics.matrix import cholesky_factorise, solve_lower_triangular
 from posor.numerics.vector import (
     IDENTITY,
@@ -95,7 +95,7 @@ class Twists(NamedTuple):
         return cls(np.zeros(6), np.zeros((6, 6)))
 
 
-@inlined
+@in_place
 def _carry(
     encoders: EncoderFilter, arm: ArmGeometry, j: int, to: Angle, seconds: float, prior: FloatArray
 ) -> tuple[Matrix, Vector, Vector, Vector, float]:
@@ -131,7 +131,7 @@ def _carry(
     return product(turn, rotation_of_pose(pose)), plus(place, arm_of_plate), shift, axis, error
 
 
-@inlined
+@in_place
 def _write_with_error(prior: FloatArray, shift: Vector, axis: Vector, gains: FloatArray, total: FloatArray) -> None:
     """Write the covariance of the plate with the error of its reading, (6, 6), and of both states with it, (7, 6)."""
     effect = (*shift, *axis)
@@ -143,20 +143,20 @@ def _write_with_error(prior: FloatArray, shift: Vector, axis: Vector, gains: Flo
             total[i, k] = gains[i, k] + effect[i] * gains[6, k]
 
 
-@inlined
+@in_place
 def _widened(blocks: Blocks, place: float, turn: float) -> Blocks:
     """Return the sum with independent variances along [m^2] and about [rad^2] each axis."""
     (a, b, c, d, e, f), mixed, (g, h, i, j, k, m) = blocks
     return (a + place, b, c, d + place, e, f + place), mixed, (g + turn, h, i, j + turn, k, m + turn)
 
 
-@inlined
+@in_place
 def turned(rotation: Matrix, vector: Vector) -> Matrix:
     """Return a rotation turned by a vector [rad] in the axes of the parent."""
     return product(turned_by(IDENTITY, vector), rotation)
 
 
-@inlined
+@in_place
 def _rotation_vector(rotation: Matrix) -> Vector:
     """Return the logarithm of a rotation [rad]; of half a turn some vector of that length."""
     x, y, z = rotation[2][1] - rotation[1][2], rotation[0][2] - rotation[2][0], rotation[1][0] - rotation[0][1]
@@ -169,7 +169,7 @@ def _rotation_vector(rotation: Matrix) -> Vector:
     return times(0.5 * math.atan2(sine, cosine) / sine, (x, y, z))
 
 
-@inlined
+@in_place
 def _use(encoders: EncoderFilter, arm: ArmGeometry, measurements: JointMeasurements, j: int, stamp_ns: int) -> int:
     """Fuse the measurement of a joint with what its encoder predicts; return ``USED``, or why not."""
     state = encoders.states[j]
@@ -204,7 +204,7 @@ def _use(encoders: EncoderFilter, arm: ArmGeometry, measurements: JointMeasureme
     return USED
 
 
-@inlined
+@in_place
 def _begin(encoders: EncoderFilter, arm: ArmGeometry, j: int, pose: FloatArray, random: FloatArray) -> None:
     """Take a measurement as the estimate of a joint: the plate with the error of the reading is known that well."""
     covariance, origin, variance = encoders.random[j], arm.joint_origins[j], encoders.settings[j]["variance"]
@@ -220,7 +220,7 @@ def _begin(encoders: EncoderFilter, arm: ArmGeometry, j: int, pose: FloatArray, 
         encoders.poses[j, k] = pose[k]
 
 
-@inlined
+@in_place
 def _fuse(
     encoders: EncoderFilter, arm: ArmGeometry, j: int, to: Angle, stamp_ns: int, pose: FloatArray, random: FloatArray
 ) -> bool:
@@ -259,7 +259,7 @@ def _fuse(
     return True
 
 
-@inlined
+@in_place
 def _write_mean(encoders: EncoderFilter, j: int) -> None:
     """Write the step of the seven states into ``scratch[3, 1]`` and their covariance, from what ``_fuse`` has left."""
     total, gains, prior = encoders.scratch[0], encoders.scratch[1], encoders.scratch[2]
@@ -293,7 +293,7 @@ def use_transform_row(
     return _use(encoders, arm, measurements, j, stamp_ns)
 
 
-@inlined
+@in_place
 def _fault(encoders: EncoderFilter, j: int, stamp_ns: int) -> int:
     """Return zero, or why a joint cannot be predicted at a stamp."""
     settings, state = encoders.settings[j], encoders.states[j]
@@ -315,7 +315,7 @@ def _fault(encoders: EncoderFilter, j: int, stamp_ns: int) -> int:
     return fault
 
 
-@inlined
+@in_place
 def _predict(
     encoders: EncoderFilter, arm: ArmGeometry, measurements: JointMeasurements, j: int, stamp_ns: int, lead_ns: int
 ) -> None:
@@ -342,7 +342,7 @@ def _predict(
     write_pose(turned(rotation, times(error, axis)), translation, measurements.poses[0, j])
 
 
-@inlined
+@in_place
 def _write_twist(
     encoders: EncoderFilter,
     arm: ArmGeometry,
@@ -382,7 +382,7 @@ def _write_twist(
     write_covariance(add_rotated(ZERO_COVARIANCE, back, encoders.scratch[0]), out.covariance)
 
 
-@inlined
+@in_place
 def _predict_endpoint(
     encoders: EncoderFilter,
     arm: ArmGeometry,

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from posor.numerics.compiled import inlined
+from posor.numerics.compiled import in_place
 from posor.numerics.vector import square
 
 if TYPE_CHECKING:
@@ -119,19 +119,19 @@ class EncoderFilter(NamedTuple):
         )
 
 
-@inlined
+@in_place
 def within_play(joint: float, angle: float, half: float) -> float:
     """Return the angle of a joint that follows its encoder at most ``half`` behind [rad]."""
     return min(max(joint, angle - half), angle + half)
 
 
-@inlined
+@in_place
 def extrapolated(row: FloatArray, seconds: float) -> float:
     """Return the angle of a row of the history after a time [s]."""
     return float(row[3] + seconds * (row[4] + 0.5 * seconds * row[5]))
 
 
-@inlined
+@in_place
 def extrapolated_variances(track: FloatArray, density: float, seconds: float) -> tuple[float, float]:
     """Return the variances of angle and rate after a time [s]."""
     s, q = seconds, density * seconds
@@ -142,7 +142,7 @@ def extrapolated_variances(track: FloatArray, density: float, seconds: float) ->
     return angle + q * s * s * s * s / 20.0, rate
 
 
-@inlined
+@in_place
 def _propagate(track: FloatArray, density: float, s: float) -> None:
     """Advance the covariance of a track by a time [s]."""
     for k in range(3):  # F P
@@ -161,7 +161,7 @@ def _propagate(track: FloatArray, density: float, s: float) -> None:
     track[1, 0], track[2, 0], track[2, 1] = track[0, 1], track[0, 2], track[1, 2]
 
 
-@inlined
+@in_place
 def _begin_track(encoders: EncoderFilter, j: int, angle: float, low: float, high: float) -> None:
     """Begin the history of an encoder with a reading."""
     settings, row, track = encoders.settings[j], encoders.history[j, 0], encoders.tracks[j]
@@ -174,7 +174,7 @@ def _begin_track(encoders: EncoderFilter, j: int, angle: float, low: float, high
     track[2, 2] = square(settings["max_rate"] / JERK_S)
 
 
-@inlined
+@in_place
 def _compare_predicted(encoders: EncoderFilter, j: int, stamp_ns: int, angle: float) -> None:
     """Compare a reading with what was predicted ``lead_ns`` before."""
     settings, state = encoders.settings[j], encoders.states[j]
@@ -193,7 +193,7 @@ def _compare_predicted(encoders: EncoderFilter, j: int, stamp_ns: int, angle: fl
     state["due"] = n
 
 
-@inlined
+@in_place
 def add_reading(encoders: EncoderFilter, j: int, stamp_ns: int, angle: float) -> None:
     """Add a reading of an encoder; stamps that go back begin anew, a repeated stamp is ignored."""
     settings, state, track = encoders.settings[j], encoders.states[j], encoders.tracks[j]
@@ -234,7 +234,7 @@ def add_reading(encoders: EncoderFilter, j: int, stamp_ns: int, angle: float) ->
     state["readings"], state["read_ns"] = count + 1, stamp_ns
 
 
-@inlined
+@in_place
 def angle_at(encoders: EncoderFilter, j: int, stamp_ns: int) -> Angle:
     """Return the angle at a time between readings, by a cubic with their rates; NaN: before the history.
 

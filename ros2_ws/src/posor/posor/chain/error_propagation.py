@@ -23,7 +23,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, TypeAlias
 
-from posor.numerics.compiled import in_place, inlined
+from posor.numerics.compiled import in_place
 from posor.numerics.vector import (
     IDENTITY,
     ZERO_MATRIX,
@@ -54,7 +54,7 @@ _ZERO_TRIANGLE: UpperTriangle = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 ZERO_COVARIANCE: Blocks = (_ZERO_TRIANGLE, ZERO_MATRIX, _ZERO_TRIANGLE)
 
 
-@inlined
+@in_place
 def moved_along(blocks: Blocks, lever: Vector) -> Blocks:
     """Return the covariance of another point of the same body, ``lever`` [m] away.
 
@@ -79,7 +79,7 @@ def moved_along(blocks: Blocks, lever: Vector) -> Blocks:
     return position, (x, y, z), turn
 
 
-@inlined
+@in_place
 def add_rotated(blocks: Blocks, rotation: Matrix, own: FloatArray) -> Blocks:
     """Return the sum with the covariance of one more transform.
 
@@ -108,21 +108,21 @@ def add_rotated(blocks: Blocks, rotation: Matrix, own: FloatArray) -> Blocks:
     return _added(position, position_part), mixed, _added(turn, turn_part)
 
 
-@inlined
+@in_place
 def _rotated(rotation: Matrix, x: Vector, y: Vector, z: Vector) -> Matrix:
     """Return ``rotation @ block @ rotation.T``; x, y, z are the columns of the block."""
     a, b, c = transposed((applied(rotation, x), applied(rotation, y), applied(rotation, z)))
     return applied(rotation, a), applied(rotation, b), applied(rotation, c)
 
 
-@inlined
+@in_place
 def _added(triangle: UpperTriangle, block: Matrix) -> UpperTriangle:
     a, b, c, d, e, f = triangle
     x, y, z = block
     return a + x[0], b + x[1], c + x[2], d + y[1], e + y[2], f + z[2]
 
 
-@inlined
+@in_place
 def add_outer_product(blocks: Blocks, sign: float, shift: Vector, turn: Vector) -> Blocks:
     """Return the sum with the covariance of one standard deviation along a shift [m] and a turn [rad], axes of base.
 
@@ -138,14 +138,14 @@ def add_outer_product(blocks: Blocks, sign: float, shift: Vector, turn: Vector) 
     )
 
 
-@inlined
+@in_place
 def move_effects(effects: FloatArray, lever: Vector) -> None:
     """Replace effects on a point (K, 6) by those on another point of the same body, ``lever`` [m] away."""
     for k in range(effects.shape[0]):
         put(effects, k, 0, plus(within(effects, k, 0), cross(within(effects, k, 3), lever)))
 
 
-@inlined
+@in_place
 def separate_joint_terms(
     systematic: Blocks, terms: IntArray, own: FloatArray, parent: Matrix, effects: FloatArray
 ) -> Blocks:
@@ -159,7 +159,7 @@ def separate_joint_terms(
     return systematic
 
 
-@inlined
+@in_place
 def add_beam_terms(arm: ArmGeometry, b: int, force: Vector, parent: Matrix, effects: FloatArray) -> None:
     """Add the shared terms of a beam under a specific force [m/s^2] to ``effects`` (K, 6)."""
     for k in range(effects.shape[0]):
@@ -169,13 +169,13 @@ def add_beam_terms(arm: ArmGeometry, b: int, force: Vector, parent: Matrix, effe
         _add_effect(effects, k, applied(parent, shift), applied(parent, turn))
 
 
-@inlined
+@in_place
 def _add_effect(effects: FloatArray, k: int, shift: Vector, turn: Vector) -> None:
     put(effects, k, 0, plus(within(effects, k, 0), shift))
     put(effects, k, 3, plus(within(effects, k, 3), turn))
 
 
-@inlined
+@in_place
 def write_covariance(blocks: Blocks, covariance: FloatArray) -> None:
     """Write the covariance as a full matrix, (6, 6)."""
     position, mixed, turn = blocks
@@ -222,7 +222,7 @@ def bound_stamp_shift(
             rotation = product(rotation, rotation_of_pose(beams[b]))
 
 
-@inlined
+@in_place
 def add_first_order(parent: Matrix, lever: Vector, shifts: FloatArray, bound: FloatArray) -> None:
     """Add the largest shifts and turns of an endpoint, a lever away, by those of a joint, (6,), axes of ``parent``."""
     axes = transposed(parent)
@@ -232,7 +232,7 @@ def add_first_order(parent: Matrix, lever: Vector, shifts: FloatArray, bound: Fl
         add_amounts(bound, 3, axes[k], shifts[3 + k])
 
 
-@inlined
+@in_place
 def _add_joint_shift(parent: Matrix, lever: Vector, shifts: FloatArray, turned: float, bound: FloatArray) -> float:
     """Add what a joint may add; return the turn ``turned`` [rad] of the joints before, with that of this joint."""
     add_first_order(parent, lever, shifts, bound)
@@ -250,7 +250,7 @@ def _add_joint_shift(parent: Matrix, lever: Vector, shifts: FloatArray, turned: 
     return turned + angle
 
 
-@inlined
+@in_place
 def add_amounts(bound: FloatArray, first: int, effect: Vector, shift: float) -> None:
     """Add the amounts of a shift times its effect; an infinite shift without effect adds nothing."""
     for i in range(3):

@@ -31,7 +31,7 @@ import numpy as np
 from posor.chain.error_propagation import add_first_order
 from posor.estimation.fault_model import ALWAYS, SECOND, SHARED
 from posor.numerics.chi_square import upper_quantile
-from posor.numerics.compiled import in_place, inlined
+from posor.numerics.compiled import in_place
 from posor.numerics.vector import (
     applied,
     at,
@@ -150,7 +150,7 @@ def bound_endpoints(
                 bounds.causes[n, k] = causes.totals.shape[0]
 
 
-@inlined
+@in_place
 def _are_valid(causes: ArmCauses, effects: FloatArray, j: int) -> bool:
     """Return whether the effects of joint j are finite, with cuts from 0 to 1 or infinite."""
     valid = True
@@ -163,7 +163,7 @@ def _are_valid(causes: ArmCauses, effects: FloatArray, j: int) -> bool:
     return valid
 
 
-@inlined
+@in_place
 def _place_joints(
     arm: ArmGeometry, causes: ArmCauses, measurements: JointMeasurements, n: int, rotation: Matrix, level: FloatArray
 ) -> Vector:
@@ -197,7 +197,7 @@ def _place_joints(
     return translation
 
 
-@inlined
+@in_place
 def _add_faults(causes: ArmCauses, measurements: JointMeasurements, n: int, end: Vector, level: FloatArray) -> None:
     """Write the effects of faults into ``causes``; add those of causes that are always there to ``level``."""
     for j in range(causes.kinds.shape[0]):
@@ -230,7 +230,7 @@ def _add_joint(
     _add_totals(causes, j)
 
 
-@inlined
+@in_place
 def _add_totals(causes: ArmCauses, j: int) -> None:
     """Add the largest effects of the causes of joint j, ``causes.own``, to those of the arm."""
     own = causes.own
@@ -244,7 +244,7 @@ def _add_totals(causes: ArmCauses, j: int) -> None:
                 causes.totals[c, k] = own[c, k]
 
 
-@inlined
+@in_place
 def _name_fault(causes: ArmCauses, bounds: EndpointBounds, n: int, k: int) -> float:
     """Write joint and cause of the largest effect on endpoint n along or about axis k; return the effect."""
     worst = 0.0
@@ -255,7 +255,7 @@ def _name_fault(causes: ArmCauses, bounds: EndpointBounds, n: int, k: int) -> fl
     return worst
 
 
-@inlined
+@in_place
 def _joint_of_stamps(causes: ArmCauses, shifts: FloatArray, end: Vector, k: int) -> int:
     """Return the joint whose shift by its stamp, (j, 6), moves the endpoint most along or about axis k, first order."""
     found, most, moved = 0, 0.0, causes.own[0]
@@ -268,7 +268,7 @@ def _joint_of_stamps(causes: ArmCauses, shifts: FloatArray, end: Vector, k: int)
     return found
 
 
-@inlined
+@in_place
 def _largest(first: float, second: float, cut: float, other_cut: float, least: float, other_least: float) -> float:
     """Return the largest effect of a hypothesis along an axis from those of its columns; the second may be zero.
 
@@ -285,7 +285,7 @@ def _largest(first: float, second: float, cut: float, other_cut: float, least: f
     return bounded
 
 
-@inlined
+@in_place
 def largest_of_pair(first: float, second: float, first_cut: float, second_cut: float) -> float:
     """Return the largest effect of a hypothesis of two parameters from the effects of its columns along one axis."""
     f, g, c, d = abs(first), abs(second), first_cut, second_cut
@@ -302,7 +302,7 @@ def largest_of_pair(first: float, second: float, first_cut: float, second_cut: f
     )  # in the corner
 
 
-@inlined
+@in_place
 def _moved(effects: FloatArray, i: int, rotation: Matrix, lever: Vector) -> Shift:
     """Return shift and turn of the endpoint by effect i."""
     shift = applied(rotation, (in_double(effects[i, 0]), in_double(effects[i, 1]), in_double(effects[i, 2])))
@@ -311,7 +311,7 @@ def _moved(effects: FloatArray, i: int, rotation: Matrix, lever: Vector) -> Shif
     return x, y, z, turn[0], turn[1], turn[2]
 
 
-@inlined
+@in_place
 def _size(moved: Shift) -> float:
     x, y, z, a, b, c = moved
     return abs(x) + abs(y) + abs(z) + abs(a) + abs(b) + abs(c)

@@ -35,7 +35,7 @@ from posor.chain.joint_measurements import (
 )
 from posor.estimation.fault_model import EFFECT
 from posor.model.fault import USABLE_STATES
-from posor.numerics.compiled import in_place, inlined
+from posor.numerics.compiled import in_place
 from posor.numerics.vector import (
     IDENTITY,
     ZERO_VECTOR,
@@ -117,7 +117,7 @@ class Endpoints(NamedTuple):
         return own._replace(angles=self.angles, faults=self.faults)
 
 
-@inlined
+@in_place
 def _add_bend(
     systematic: Blocks, arm: ArmGeometry, vibrations: RecordArray, scan: int, b: int, force: Vector, parent: Matrix
 ) -> Blocks:
@@ -145,7 +145,7 @@ def _add_bend(
     )
 
 
-@inlined
+@in_place
 def _add_force(systematic: Blocks, sigma: float, shifts: Matrix, turns: Matrix, parent: Matrix) -> Blocks:
     """Return the sum with the covariance of sigma [m/s^2] along each axis, which shifts and turns a plate per m/s^2."""
     for k in range(3):
@@ -154,7 +154,7 @@ def _add_force(systematic: Blocks, sigma: float, shifts: Matrix, turns: Matrix, 
     return systematic
 
 
-@inlined
+@in_place
 def bent_beam(
     arm: ArmGeometry, history: BeamHistory, vibrations: RecordArray, scan: int, b: int, force: Vector
 ) -> tuple[Matrix, Vector, Vector]:
@@ -176,13 +176,13 @@ def bent_beam(
     return turned_by(product(rotation, matrix(beam["rotation"], 0)), end_turn), translation, force
 
 
-@inlined
+@in_place
 def _bend(gain: FloatArray, force: Vector, tilt_gain: FloatArray, tilt: Vector) -> Vector:
     """Return a motion of a plate under a force at the beam's centre and its increase along the beam."""
     return plus(applied(matrix(gain, 0), force), applied(matrix(tilt_gain, 0), tilt))
 
 
-@inlined
+@in_place
 def compute_endpoint(
     arm: ArmGeometry, history: BeamHistory, measurements: JointMeasurements, endpoints: Endpoints, scan: int
 ) -> None:
@@ -244,7 +244,7 @@ def compute_endpoint(
     write_pose(rotation, translation, endpoints.poses[scan])
 
 
-@inlined
+@in_place
 def joint_angle(pose: FloatArray, origin: FloatArray, theta: float) -> float:
     """Return the angle of a joint about its nominal axis [rad]: the heading of the target's Y axis about that axis.
 
@@ -342,7 +342,7 @@ def estimate_endpoint_of_rows(
     return UNUSABLE if math.isnan(endpoints.poses[0, 0]) else worst
 
 
-@inlined
+@in_place
 def is_finite(endpoints: Endpoints, n: int) -> bool:
     """Return whether pose and variances of a scan's endpoint are finite; no covariance exceeds the variances."""
     total = 0.0

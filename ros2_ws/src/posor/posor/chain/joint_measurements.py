@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from posor.estimation.fault_model import EFFECT
-from posor.numerics.compiled import inlined
+from posor.numerics.compiled import in_place
 from posor.numerics.vector import rotation_of_pose
 
 if TYPE_CHECKING:
@@ -176,7 +176,7 @@ class JointRows(NamedTuple):
         return cls(layout, numbers, numbers.view(np.uint8), numbers.view(np.float32), missing)
 
 
-@inlined
+@in_place
 def covariance_fault(covariance: FloatArray, scratch: FloatArray) -> int:
     """Return what is wrong with a covariance (6, 6): a key of ``FAULT_TEXTS``, or zero. Writes ``scratch``, (6, 6)."""
     finite = small = True
@@ -196,7 +196,7 @@ def covariance_fault(covariance: FloatArray, scratch: FloatArray) -> int:
     return 0 if is_positive_semidefinite(covariance, scratch) else COVARIANCE_NOT_POSITIVE
 
 
-@inlined
+@in_place
 def is_positive_semidefinite(covariance: FloatArray, scratch: FloatArray) -> bool:
     """Return whether a symmetric matrix (6, 6) of small numbers is positive semi-definite, but for rounding.
 
@@ -220,7 +220,7 @@ def is_positive_semidefinite(covariance: FloatArray, scratch: FloatArray) -> boo
     return positive
 
 
-@inlined
+@in_place
 def measurement_fault(
     pose: FloatArray, random: FloatArray, systematic: FloatArray, theta: float, origin: FloatArray, scratch: FloatArray
 ) -> int:
@@ -244,7 +244,7 @@ def measurement_fault(
     return covariance_fault(random, scratch) or covariance_fault(systematic, scratch)
 
 
-@inlined
+@in_place
 def shared_fault(shared: FloatArray, systematic: FloatArray) -> int:
     """Return a key of ``FAULT_TEXTS`` where effects of shared terms (T, 6) are not part of a covariance; else zero."""
     for i in range(6):
@@ -256,7 +256,7 @@ def shared_fault(shared: FloatArray, systematic: FloatArray) -> int:
     return 0
 
 
-@inlined
+@in_place
 def stamp_shift_fault(shift: FloatArray) -> int:
     """Return what is wrong with a stamp shift (6,): a key of ``FAULT_TEXTS``, or zero."""
     valid = True
@@ -265,7 +265,7 @@ def stamp_shift_fault(shift: FloatArray) -> int:
     return 0 if valid else STAMP_SHIFT_INVALID
 
 
-@inlined
+@in_place
 def native_agrees(native: FloatArray, pose: FloatArray) -> bool:
     """Return whether native coordinates (6,) are finite and those of a pose (7,) (``model.native_coordinates``)."""
     rotation = rotation_of_pose(pose)
@@ -280,7 +280,7 @@ def native_agrees(native: FloatArray, pose: FloatArray) -> bool:
     return same
 
 
-@inlined
+@in_place
 def read_row(
     layouts: RecordArray,
     joint: int,
@@ -316,7 +316,7 @@ def read_row(
     return float(native[5]) if native_agrees(native, pose) else math.inf
 
 
-@inlined
+@in_place
 def read_joint(measurements: JointMeasurements, rows: JointRows, joint: int, terms: IntArray) -> None:
     """Read the measurement of a joint from its row, but for its fault effects.
 

@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING, Any
 
 from posor.model.diode import BRIGHT, CODES, NOT_FINITE, VALID
 from posor.model.scan import CONTACTS, DARK_SUBTRACTED, NO_SOURCE
-from posor.numerics.compiled import in_place, inlined
+from posor.numerics.compiled import in_place
 from posor.numerics.stamps import NS
 from posor.numerics.vector import square
 
@@ -38,7 +38,7 @@ NO_POSE, NO_DARK_SCAN = -106, -107
 """Codes of a dark scan without a previous pose or of a latched joint, and of a lit scan before any dark scan."""
 
 
-@inlined
+@in_place
 def is_dark(scan: Any) -> bool:
     """Return whether a scan is a dark scan."""
     dark = scan.lit_count > 0
@@ -47,7 +47,7 @@ def is_dark(scan: Any) -> bool:
     return bool(dark)
 
 
-@inlined
+@in_place
 def check_dark_currents(model: Model, sensor: Any, scan: Any) -> int:
     """Return VALID, or the code of a diode whose currents are not finite or those of a lit source."""
     for i in range(sensor.count):
@@ -61,7 +61,7 @@ def check_dark_currents(model: Model, sensor: Any, scan: Any) -> int:
     return VALID
 
 
-@inlined
+@in_place
 def subtract_ambient(workspace: Any, scan: Any) -> float:
     """Write the currents without ambient light; return the standard uncertainty of what was subtracted [A].
 
@@ -77,7 +77,7 @@ def subtract_ambient(workspace: Any, scan: Any) -> float:
     return math.sqrt(ambient.variance + square(settings.dark_drift) * age) if known else 0.0
 
 
-@inlined
+@in_place
 def write_ambient_effects(workspace: Any, r: int, diode: int, sigma: float) -> None:
     """Write what the ambient light does to readings r and r + 1, a spot whose ratios and slope are in the workspace."""
     spot, currents = workspace.spot, workspace.lit_currents

@@ -48,7 +48,7 @@ from typing import TYPE_CHECKING, Any
 
 from posor.estimation.tracking import renew_twist
 from posor.model.fault import Fault
-from posor.numerics.compiled import in_place, inlined
+from posor.numerics.compiled import in_place
 from posor.numerics.vector import cross, minus, square, wrapped
 
 if TYPE_CHECKING:
@@ -84,14 +84,14 @@ NOISE_SIGMAS = 5.0 * math.sqrt(2.0)  # of the difference of two poses
 SCATTER_LIMIT = 0.02  # scatter in periods above which an unstated stamp is replaced by its number times the period
 
 
-@inlined
+@in_place
 def elapsed_at(tracker: Any, scan: Any) -> float:
     """Return the time from the previous pose to a scan whose readings are not used, by its stamp [s]."""
     since_last = (scan.stamp_ns - tracker.epoch_ns) * 1e-9 - tracker.clocks.stamp
     return float(tracker.time - tracker.stamp + since_last)
 
 
-@inlined
+@in_place
 def is_repeated(tracker: Any, scan: Any) -> bool:
     """Return whether a scan is the last one in order again, by number, stamp and readings: it was delivered twice."""
     clocks = tracker.clocks
@@ -100,13 +100,13 @@ def is_repeated(tracker: Any, scan: Any) -> bool:
     return bool(is_last and _content_of(scan) == clocks.content)
 
 
-@inlined
+@in_place
 def _content_of(scan: Any) -> float:
     """Return the sum of the raw readings of a scan, which differs from scan to scan by their noise."""
     return float(_sum_of(scan.gap_voltages) + _sum_of(scan.ring_voltages) + _sum_of(scan.diode_currents))
 
 
-@inlined
+@in_place
 def _sum_of(readings: FloatArray) -> float:
     """Return the sum of the readings that are numbers."""
     total = 0.0
@@ -116,20 +116,20 @@ def _sum_of(readings: FloatArray) -> float:
     return total
 
 
-@inlined
+@in_place
 def scatter_of(tracker: Any) -> float:
     """Return the standard deviation of the stamps from the line [s]; zero while there is no line."""
     clocks = tracker.clocks
     return math.sqrt(clocks.variance) if clocks.fitted >= 3 else 0.0  # noqa: PLR2004  two scans fit any line
 
 
-@inlined
+@in_place
 def stamp_is_valid(scan: Any) -> bool:
     """Return whether the uncertainty and the limit that a scan states of its stamp are valid."""
     return bool(0.0 <= scan.stamp_uncertainty < math.inf and 0.0 <= scan.stamp_limit < math.inf)
 
 
-@inlined
+@in_place
 def stamp_sigma(tracker: Any, scan: Any) -> float:
     """Return the standard uncertainty of a stamp [s]: the stated one, else the scatter of the stamps.
 
@@ -140,20 +140,20 @@ def stamp_sigma(tracker: Any, scan: Any) -> float:
     return float(max(scatter_of(tracker), tracker.clocks.deviation / DEVIATION_SIGMAS))
 
 
-@inlined
+@in_place
 def _uses_numbers(tracker: Any, scan: Any) -> bool:
     """Return whether time is taken from the numbers, because unstated stamps scatter."""
     stated = scan.stamp_uncertainty > 0.0
     return bool(not stated and scatter_of(tracker) > SCATTER_LIMIT * tracker.clocks.period)
 
 
-@inlined
+@in_place
 def motion_allowance(tracker: Any, scan: Any) -> float:
     """Return the time [s] by which the elapsed time may be longer than the tracker's, because stamps scatter."""
     return SCATTER_SIGMAS * scatter_of(tracker) if _uses_numbers(tracker, scan) else 0.0
 
 
-@inlined
+@in_place
 def _begin_line(clocks: Any, scan: Any, stamp: float) -> None:
     """Begin a new line at a scan; until the next one its period is that of the line before."""
     clocks.fitted, clocks.variance, clocks.deviation = 1, 0.0, 0.0
@@ -161,7 +161,7 @@ def _begin_line(clocks: Any, scan: Any, stamp: float) -> None:
     _accept(clocks, scan, stamp)
 
 
-@inlined
+@in_place
 def _accept(clocks: Any, scan: Any, stamp: float) -> None:
     clocks.number, clocks.stamp, clocks.content = scan.number, stamp, _content_of(scan)
     clocks.refused, clocks.late, clocks.agreeing = 0, 0, 0
@@ -172,7 +172,7 @@ def _accept(clocks: Any, scan: Any, stamp: float) -> None:
         _compare_ages(clocks)
 
 
-@inlined
+@in_place
 def _watch_ages(clocks: Any, elapsed: float) -> float:
     """Compare the ages behind a gap of ``elapsed`` [s] with those before, unless that has begun behind an earlier one.
 
@@ -189,13 +189,13 @@ def _watch_ages(clocks: Any, elapsed: float) -> float:
     return float(min(younger, elapsed)) if younger > _least_age_step(clocks) else 0.0
 
 
-@inlined
+@in_place
 def _least_age_step(clocks: Any) -> float:
     """Return the least change of the least age that shows a step of the stamps [s]."""
     return float(max(LEAST_AGE_STEP_S, LEAST_DEVIATION * clocks.period) + clocks.age_tolerance)
 
 
-@inlined
+@in_place
 def _compare_ages(clocks: Any) -> None:
     """Correct the step of the stamps in a restart or a gap by the ages of the scans since then."""
     change = abs(clocks.least_age - clocks.former_age)
@@ -207,7 +207,7 @@ def _compare_ages(clocks: Any) -> None:
         clocks.former_age, clocks.age_step, clocks.age_tolerance = math.nan, 0.0, 0.0
 
 
-@inlined
+@in_place
 def _agrees_with_run(clocks: Any, scan: Any, stamp: float) -> bool:
     """Return whether a scan agrees with the first of those in a row, late or refused, before it."""
     steps = float(scan.number - clocks.run_number)
@@ -216,7 +216,7 @@ def _agrees_with_run(clocks: Any, scan: Any, stamp: float) -> bool:
     return bool(agrees and (clocks.fitted <= 1 or abs(since - steps * clocks.period) <= _tolerance(clocks, 1.0)))
 
 
-@inlined
+@in_place
 def _follow_run(clocks: Any, scan: Any, stamp: float) -> None:
     """Count the scans in a row, late or refused, that agree with the first of them."""
     agrees = _agrees_with_run(clocks, scan, stamp)
@@ -229,7 +229,7 @@ def _follow_run(clocks: Any, scan: Any, stamp: float) -> None:
     clocks.refused_number, clocks.refused_stamp = scan.number, stamp
 
 
-@inlined
+@in_place
 def _least_elapsed(clocks: Any) -> float:
     """Return the least time since the last scan in order: an interval for each scan that was refused since."""
     return float(clocks.refused * clocks.period)
@@ -281,7 +281,7 @@ def follow_clocks(model: Model, scan: Any) -> int:
     return IN_ORDER
 
 
-@inlined
+@in_place
 def _missing_time(clocks: Any, elapsed: float) -> float:
     """Return the time before a scan in order [s] that neither its number nor its stamp shows."""
     missing = 0.0
@@ -292,7 +292,7 @@ def _missing_time(clocks: Any, elapsed: float) -> float:
     return missing
 
 
-@inlined
+@in_place
 def _begin_to_scatter(clocks: Any, scatters: bool, deviation: float) -> bool:  # noqa: FBT001  kernels take no keywords
     """Return whether a stamp that scatters is one of too many; the scatter of the line then allows for it."""
     clocks.off_line += ((1.0 if scatters else 0.0) - clocks.off_line) / SHARE_MEMORY
@@ -329,13 +329,13 @@ def _begin_again(model: Model, scan: Any, stamp: float, deviation: float) -> Non
         _begin_recording(tracker)
 
 
-@inlined
+@in_place
 def _begin_recording(tracker: Any) -> None:
     """Forget pose, count and latch, because the elapsed times were wrong since the first scan."""
     tracker.initialised, tracker.counted, tracker.theta, tracker.latch = 0, 0, 0.0, 0
 
 
-@inlined
+@in_place
 def _hold(tracker: Any) -> None:
     """Hold a line that FITTED_SCANS agree with.
 
@@ -350,7 +350,7 @@ def _hold(tracker: Any) -> None:
     clocks.held, clocks.failed = 1, 0
 
 
-@inlined
+@in_place
 def _tolerance(clocks: Any, steps: float) -> float:
     """Return the deviation from the line [s] beyond which a stamp contradicts its number, ``steps`` after the last."""
     if clocks.fitted < SETTLING_SCANS:
@@ -362,7 +362,7 @@ def _tolerance(clocks: Any, steps: float) -> float:
     return float(least + (steps - 1.0) * (CLOCK_DRIFT * clocks.period + of_period))
 
 
-@inlined
+@in_place
 def _fit(clocks: Any, steps: float, deviation: float) -> None:
     """Add a scan to the line, ``steps`` numbers after the last one and ``deviation`` [s] off the predicted line."""
     clocks.deviation = abs(deviation) if clocks.fitted > 1 else 0.0
@@ -439,7 +439,7 @@ def _follow_back(model: Model, scan: Any, stamp: float, elapsed: float) -> int:
     return IN_ORDER
 
 
-@inlined
+@in_place
 def _doubt_count(model: Model) -> None:
     """Give up a count of theta, because the elapsed time is in doubt."""
     workspace = model.workspace[0]
@@ -469,13 +469,13 @@ def add_stamp_variance(
     return fault
 
 
-@inlined
+@in_place
 def _axis_of(rotation: FloatArray) -> Vector:
     """Return the target's Z axis."""
     return rotation[0, 2], rotation[1, 2], rotation[2, 2]
 
 
-@inlined
+@in_place
 def _largest_shift(
     limit: float, elapsed: float, fastest: float, acceleration: float, moved: float, noise: float
 ) -> float:

@@ -23,7 +23,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from posor.model.reading_rows import PARAMETERS
-from posor.numerics.compiled import in_place, inlined
+from posor.numerics.compiled import in_place
 from posor.numerics.matrix import (
     add_outer,
     fill_upper_triangle,
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from posor.numerics.vector import Matrix
 
 
-@inlined
+@in_place
 def write_covariances(workspace: Any, random: FloatArray, systematic: FloatArray) -> None:
     """Write the random and the systematic covariance of the solution, ROS order, (6, 6) each; ``gain`` is written."""
     jacobian, weights, gain = workspace.jacobian, workspace.weights, workspace.gain
@@ -64,14 +64,14 @@ def write_covariances(workspace: Any, random: FloatArray, systematic: FloatArray
     _write_in_parent_axes((fill_upper_triangle(a), b, fill_upper_triangle(d)), axes, systematic)
 
 
-@inlined
+@in_place
 def _rotated_block(block: Matrix, axes: Matrix) -> Matrix:
     """Return ``R block R'``, R the rotation whose rows are ``axes``."""
     half = row_times(axes[0], block), row_times(axes[1], block), row_times(axes[2], block)
     return product_transposed(half, axes)
 
 
-@inlined
+@in_place
 def _write_in_parent_axes(local: Symmetric, axes: Matrix, out: FloatArray) -> None:
     """Write a covariance of the local tangent, rotated block by block into the parent's axes, into ``out`` (6, 6)."""
     a = fill_upper_triangle(_rotated_block(local[0], axes))
@@ -84,7 +84,7 @@ def _write_in_parent_axes(local: Symmetric, axes: Matrix, out: FloatArray) -> No
         put(out, 3 + i, 3, d[i])
 
 
-@inlined
+@in_place
 def _parameter_of(model: Model, reading: int, k: int) -> int:
     """Return the parameter of derivative k of a reading, first those of its row; -1: none."""
     if k < PARAMETERS:
@@ -92,7 +92,7 @@ def _parameter_of(model: Model, reading: int, k: int) -> int:
     return int(model.linearisation_parameters[reading, k - PARAMETERS])
 
 
-@inlined
+@in_place
 def _uncertain_parameter_of(model: Model, reading: int, k: int) -> int:
     """Return the same, or -1 where the parameter has no uncertainty of its own."""
     parameter = _parameter_of(model, reading, k)
@@ -101,7 +101,7 @@ def _uncertain_parameter_of(model: Model, reading: int, k: int) -> int:
     return parameter
 
 
-@inlined
+@in_place
 def _derivative_of(model: Model, reading: int, k: int) -> int:
     """Return the index of derivative k of a reading in ``derivatives``."""
     if k < PARAMETERS:
@@ -179,7 +179,7 @@ def _add_contributions(model: Model, shared: bool, next_coefficient: int) -> int
     return next_coefficient
 
 
-@inlined
+@in_place
 def _extend_blocks(model: Model, use: Any, reading: int, count: int) -> None:
     """Add new columns to the last block where they reach the same readings, else to a new block."""
     workspace = model.workspace[0]
@@ -197,7 +197,7 @@ def _extend_blocks(model: Model, use: Any, reading: int, count: int) -> None:
     model.blocks[found - 1].count += count
 
 
-@inlined
+@in_place
 def add_systematic_covariance(model: Model) -> None:  # noqa: C901, PLR0912  loops over plain numbers
     """Add the readings' covariance from the calibration parameters to ``systematic_readings`` [m^2].
 
@@ -238,7 +238,7 @@ def add_systematic_covariance(model: Model) -> None:  # noqa: C901, PLR0912  loo
                     out[j, i] += total
 
 
-@inlined
+@in_place
 def _row_product(effects: FloatArray, i: int, j: int, first: int, count: int) -> float:
     """Return the scalar product of parts of two rows; four sums side by side, since each waits for its last term."""
     a = b = c = d = 0.0

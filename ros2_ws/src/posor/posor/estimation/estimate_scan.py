@@ -62,7 +62,7 @@ from posor.estimation.tracking import (
 from posor.model.fault import Fault, State
 from posor.model.reading_rows import begin_scan, differentiate_by_parameters, pair_spots, prepare_row, turn_row
 from posor.model.scan import DIODES_ESTIMATED, MAX_TERMS, PROBES_ESTIMATED, SATURATED
-from posor.numerics.compiled import in_place, inlined, without_lock
+from posor.numerics.compiled import in_place, without_lock
 from posor.numerics.vector import at, matrix, store, theta_in_kernel, wrapped, write_pose
 
 if TYPE_CHECKING:
@@ -85,7 +85,7 @@ FLAGGED_FAULT, LATCHED_FAULT, ACKNOWLEDGED_FAULT = int(Fault.FLAGGED), int(Fault
 WEAK = 1e-4  # pivot ratio below which the previous pose is a prior: 100 times the usual uncertainty
 
 
-@inlined
+@in_place
 def estimate_scan(model: Model, scan: Any, estimate: Any) -> int:
     """Estimate the pose of one scan from the previous pose on; return DONE or what is left to do.
 
@@ -106,7 +106,7 @@ def estimate_scan(model: Model, scan: Any, estimate: Any) -> int:
     return int(solve_and_check(model, scan, True, estimate))  # noqa: FBT003  kernels take no keywords
 
 
-@inlined
+@in_place
 def begin_scan_estimate(model: Model, scan: Any, estimate: Any, linearised: bool) -> bool:  # noqa: FBT001
     """Begin the estimate of a scan; return whether its readings can be used, else it is LOST.
 
@@ -144,7 +144,7 @@ def begin_scan_estimate(model: Model, scan: Any, estimate: Any, linearised: bool
     return False
 
 
-@inlined
+@in_place
 def _can_be_solved(workspace: Any, scan: Any, estimate: Any) -> bool:
     """Return whether a scan in order can be solved; a dark scan only from a pose, but its ambient light is followed."""
     tracker = workspace.tracker
@@ -161,33 +161,33 @@ def _can_be_solved(workspace: Any, scan: Any, estimate: Any) -> bool:
     return False
 
 
-@inlined
+@in_place
 def _needs_acknowledgement(tracker: Any) -> bool:
     """Return whether only an acknowledgement can release the latch; the scan is not solved then."""
     known = tracker.initialised or tracker.start_given
     return bool(not known and tracker.latch & REGAINABLE_FAULTS and not tracker.latch_about_theta)
 
 
-@inlined
+@in_place
 def _with_latch(faults: int, latched: int) -> int:
     """Return the faults of a LOST scan, given what was latched before it."""
     return int(faults | latched | LATCHED_FAULT) if latched else int(faults)
 
 
-@inlined
+@in_place
 def _flagged(scan: Any) -> int:
     """Return the fault of a scan whose driver has marked a reading as saturated or filled in."""
     return FLAGGED_FAULT if scan.status & (SATURATED | PROBES_ESTIMATED | DIODES_ESTIMATED) else 0
 
 
-@inlined
+@in_place
 def _lasting_faults(workspace: Any, scan: Any) -> int:
     """Return the faults that degrade a pose without a test: flags, what is no longer measured, an acknowledgement."""
     faults = _flagged(scan) | (ENVIRONMENT_FAULT if missing(workspace.settings, workspace.tracker, scan) != 0 else 0)
     return faults | (ACKNOWLEDGED_FAULT if workspace.tracker.acknowledged else 0)
 
 
-@inlined
+@in_place
 def activate_rows(model: Model) -> None:
     """Copy the selected reading rows into the workspace, unless they are there; make them ready for a new scan."""
     workspace = model.workspace[0]
@@ -218,7 +218,7 @@ def _copy_selected_rows(model: Model) -> None:
     workspace.row_changes += changed
 
 
-@inlined
+@in_place
 def _solve(model: Model, extrapolate: bool) -> tuple[int, int]:  # noqa: FBT001  kernels take no keywords
     """Solve the scan from ``workspace.pose`` on; return the solver's outcome and faults.
 
@@ -335,7 +335,7 @@ def _write_dark(workspace: Any, scan: Any, theta: float, estimate: Any) -> int:
     return DONE
 
 
-@inlined
+@in_place
 def _write_covariances(model: Model, estimate: Any) -> None:
     """Write both covariances of the solution, and the effects of shared terms."""
     workspace, has_terms = model.workspace[0], model.shared_readings.shape[1] > 0
@@ -364,7 +364,7 @@ def _write_unsolved(workspace: Any, outcome: int, flagged: int, estimate: Any) -
     write_lost(estimate, _with_latch(faults, latched) | flagged)
 
 
-@inlined
+@in_place
 def _bound_stamp_shift(workspace: Any, limit: float, theta: float, estimate: Any) -> None:
     """Write the largest error of an accepted pose by its stamp; zero where no limit [s] is known."""
     checks = workspace.checks
@@ -377,7 +377,7 @@ def _bound_stamp_shift(workspace: Any, limit: float, theta: float, estimate: Any
         write_stamp_shift(workspace, limit, theta, elapsed, estimate)
 
 
-@inlined
+@in_place
 def _keep_pose(workspace: Any, theta: float) -> float:
     """Keep an accepted pose as the previous one, else as rejected; return theta, of an accepted one with its turns."""
     tracker, checks = workspace.tracker, workspace.checks
@@ -393,14 +393,14 @@ def _keep_pose(workspace: Any, theta: float) -> float:
     return theta
 
 
-@inlined
+@in_place
 def _end_start(settings: Any, tracker: Any) -> None:
     """Use a given start for one scan only, but the one that knows a count until a scan has used it."""
     if tracker.initialised or not (settings.bump_angle > 0.0 and tracker.counted):
         tracker.start_given = 0
 
 
-@inlined
+@in_place
 def _write_pose(workspace: Any, theta: float, estimate: Any) -> None:
     """Write the solution as rotation and translation, as quaternion, and in native coordinates, theta counted."""
     pose = workspace.pose

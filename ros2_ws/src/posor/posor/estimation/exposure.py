@@ -23,7 +23,7 @@ from posor.estimation.clocks import TIME_SHARE
 from posor.estimation.tracking import copy_pose, turn_about_z
 from posor.model.reading_rows import predict_readings
 from posor.model.scan import CONTACTS
-from posor.numerics.compiled import in_place, inlined
+from posor.numerics.compiled import in_place
 from posor.numerics.vector import square
 
 if TYPE_CHECKING:
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 LONGEST_OFFSET_S = 1.0  # largest offset of an exposure from the stamp that is accepted [s]
 
 
-@inlined
+@in_place
 def begin_exposures(workspace: Any, scan: Any) -> bool:
     """Set all offsets to zero with the variance of an unknown one; return whether offsets and span are valid."""
     workspace.has_offsets = 1 if scan.offset_count > 0 else 0
@@ -47,14 +47,14 @@ def begin_exposures(workspace: Any, scan: Any) -> bool:
     return bool(valid)
 
 
-@inlined
+@in_place
 def _unknown_variance(tracker: Any, scan: Any) -> float:
     """Return the variance of an unknown offset [s^2]: uniform over the scan, or over a scan interval."""
     span = scan.exposure_span if scan.exposure_span > 0.0 else tracker.clocks.period
     return float(square(span) / 12.0)
 
 
-@inlined
+@in_place
 def write_voltage_offset(workspace: Any, scan: Any, r: int, channel: int) -> None:
     """Write the offset of a probe's reading; ``channel``: index of its offset in the scan."""
     offset = scan.exposure_offsets[channel]
@@ -62,7 +62,7 @@ def write_voltage_offset(workspace: Any, scan: Any, r: int, channel: int) -> Non
         workspace.offsets[r], workspace.offset_variances[r] = offset, 0.0
 
 
-@inlined
+@in_place
 def write_spot_offsets(workspace: Any, scan: Any, r: int, diode: int) -> None:
     """Write the offsets of readings r and r + 1, x and y of a spot, whose ratios and slope are in the workspace."""
     spot, first = workspace.spot, scan.gap_count + scan.ring_count + CONTACTS * diode
@@ -82,7 +82,7 @@ def write_spot_offsets(workspace: Any, scan: Any, r: int, diode: int) -> None:
     workspace.offset_variances[r] = workspace.offset_variances[r + 1] = 0.0
 
 
-@inlined
+@in_place
 def _move(pose: Any, twist: FloatArray, time: float, moved: Any) -> None:
     """Write the pose after ``time`` [s] of a motion that turns about the target's Z, see ``tracking.write_twist``."""
     copy_pose(pose, moved)

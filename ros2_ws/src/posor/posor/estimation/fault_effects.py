@@ -51,7 +51,7 @@ from posor.model.readings import DIODE_CURRENTS, GAP_VOLTAGES, PYTHON
 from posor.model.scan import CONTACTS
 from posor.model.spot_map import spot_position
 from posor.numerics.chi_square import upper_quantile
-from posor.numerics.compiled import in_place, inlined
+from posor.numerics.compiled import in_place
 from posor.numerics.vector import applied, in_double, matrix, plus, put, square, times, within
 
 if TYPE_CHECKING:
@@ -107,7 +107,7 @@ def write_fault_effects(model: Model, scan: Any, estimate: Any, effects: FloatAr
         _limit_by_encoder(model, estimate, effects)
 
 
-@inlined
+@in_place
 def _limit_by_encoder(model: Model, estimate: Any, effects: FloatArray) -> None:
     """Shorten the effects of faults that turn theta by more than its comparison with the encoder misses."""
     columns, checks = model.faults.columns, model.workspace[0].checks
@@ -125,7 +125,7 @@ def _limit_by_encoder(model: Model, estimate: Any, effects: FloatArray) -> None:
                 _shorten(effects, c, partner, largest)
 
 
-@inlined
+@in_place
 def _shorten(effects: FloatArray, c: int, partner: int, largest: float) -> None:
     """Shorten effect c to a largest turn of theta [rad], whatever the other parameter of its fault is; -1: none."""
     turn, size = abs(in_double(effects[c, 5])), 0.0
@@ -142,7 +142,7 @@ def _shorten(effects: FloatArray, c: int, partner: int, largest: float) -> None:
         effects[c, 6] = effects[partner, 6] = 0.0
 
 
-@inlined
+@in_place
 def _write_effect(shifts: FloatArray, effects: FloatArray, c: int, size: float, cut: float) -> None:
     """Write the effect of a size of column c."""
     for k in range(6):
@@ -150,7 +150,7 @@ def _write_effect(shifts: FloatArray, effects: FloatArray, c: int, size: float, 
     effects[c, 6] = cut
 
 
-@inlined
+@in_place
 def _write_single(model: Model, effects: FloatArray, c: int, root: float) -> None:
     faults = model.faults
     bound, seen = faults.columns[c].bound, math.sqrt(_dot(faults.components, c, c))
@@ -162,7 +162,7 @@ def _write_single(model: Model, effects: FloatArray, c: int, root: float) -> Non
     _write_effect(faults.shifts, effects, c, size, cut)
 
 
-@inlined
+@in_place
 def _write_pair(model: Model, effects: FloatArray, c: int, root: float) -> None:
     """Write both columns of a hypothesis along the principal axes of what the test sees of it."""
     faults = model.faults
@@ -189,13 +189,13 @@ def _write_pair(model: Model, effects: FloatArray, c: int, root: float) -> None:
     effects[c, 6], effects[c + 1, 6] = cut, other_cut
 
 
-@inlined
+@in_place
 def _largest_undetected(bound: float, root: float, seen: float) -> float:
     """Return the largest size that is neither beyond the bound nor detected."""
     return root / seen if seen > 0.0 and root < bound * seen else bound
 
 
-@inlined
+@in_place
 def _dot(rows: FloatArray, i: int, j: int) -> float:
     total = 0.0
     for t in range(rows.shape[1]):
@@ -203,7 +203,7 @@ def _dot(rows: FloatArray, i: int, j: int) -> float:
     return total
 
 
-@inlined
+@in_place
 def _shown(model: Model, c: int, u: float, v: float) -> float:
     """Return the share of the square of u times column c plus v times the next one that the residuals show."""
     workspace, faults = model.workspace[0], model.faults
@@ -224,7 +224,7 @@ def _shown(model: Model, c: int, u: float, v: float) -> float:
     return shown / total if total > 0.0 else 0.0
 
 
-@inlined
+@in_place
 def _write_sensitivities(model: Model, scan: Any) -> None:
     """Write the sensitivities of all readings at a valid scan."""
     workspace, out = model.workspace[0], model.faults.sensitivities
@@ -247,7 +247,7 @@ def _write_sensitivities(model: Model, scan: Any) -> None:
                 out[r, GAIN] = out[r, VOLTAGE] * volt
 
 
-@inlined
+@in_place
 def _write_spot_sensitivities(model: Model, i: int, d: int, r: int) -> None:
     """Write the sensitivities of both coordinates of the spot on diode i of the scan estimated last."""
     workspace, out, diode = model.workspace[0], model.faults.sensitivities, model.diodes[d]
@@ -268,7 +268,7 @@ def _write_spot_sensitivities(model: Model, i: int, d: int, r: int) -> None:
             out[r + k, AMBIENT] -= 0.5 * ratio * light / pair * slope
 
 
-@inlined
+@in_place
 def _write_parity(model: Model) -> None:
     """Write the directions of the residual space divided by the Cholesky factor of their covariance."""
     workspace, out = model.workspace[0], model.faults.parity
@@ -281,7 +281,7 @@ def _write_parity(model: Model) -> None:
             out[t, r] = entry / factor[t, t]
 
 
-@inlined
+@in_place
 def _project_columns(model: Model) -> None:
     """Write the entries of all columns, their components in the residual space, and their shifts of the pose."""
     workspace, faults = model.workspace[0], model.faults

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 from posor.estimation.workspace import LONGEST_LOOP
 from posor.model.readings import DIODE_CURRENTS, GAP_VOLTAGES, PYTHON
 from posor.model.scan import CONTACTS, DIODES_ESTIMATED, PROBES_ESTIMATED
-from posor.numerics.compiled import inlined
+from posor.numerics.compiled import in_place
 
 if TYPE_CHECKING:
     from posor.estimation.workspace import Model
@@ -49,7 +49,7 @@ def evidence_of_repetition(step: float, noise: float) -> float:
     return min(FROZEN_EVIDENCE, max(0.0, -math.log10(likely)))
 
 
-@inlined
+@in_place
 def count_repetitions(model: Model, scan: Any) -> int:  # noqa: C901  loops over plain numbers
     """Count how often each raw reading has repeated; return a reading that is frozen, ALL or NOT_FROZEN.
 
@@ -96,7 +96,7 @@ def count_repetitions(model: Model, scan: Any) -> int:  # noqa: C901  loops over
     return frozen
 
 
-@inlined
+@in_place
 def _repeats_in_a_loop(tracker: Any, signature: float, evidence: float) -> bool:
     """Return whether the readings repeat those of some scans before; their weighted sum differs where one does."""
     count, longest = tracker.signature_count, 0

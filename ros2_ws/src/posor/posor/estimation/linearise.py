@@ -32,7 +32,7 @@ from posor.model.readings import (
 from posor.model.scan import CONTACTS
 from posor.model.spot_map import INSIDE, spot_position
 from posor.model.voltage import converter_gain, gain_is_valid, linearise_voltage, voltage_code
-from posor.numerics.compiled import in_place, inlined
+from posor.numerics.compiled import in_place
 from posor.numerics.vector import square
 
 if TYPE_CHECKING:
@@ -50,7 +50,7 @@ REFERENCE_MEASURED = 4  # of ``missing``: the known voltage of the converter
 ANY_FINITE = (-sys.float_info.max, sys.float_info.max)  # range of a calibration that states none
 
 
-@inlined
+@in_place
 def environment_is_valid(settings: Any, scan: Any) -> bool:
     """Return whether supply, temperature and gain are each in their range, or not measured (NaN)."""
     limits = settings.environment
@@ -62,7 +62,7 @@ def environment_is_valid(settings: Any, scan: Any) -> bool:
     )
 
 
-@inlined
+@in_place
 def unmeasured(settings: Any, scan: Any) -> int:
     """Return which deviations are not measured and have a spread: 1 the supply, 2 the temperature, or their sum."""
     supply = math.isnan(scan.supply_voltage) and settings.spreads[SUPPLY] > 0.0
@@ -70,7 +70,7 @@ def unmeasured(settings: Any, scan: Any) -> int:
     return (1 if supply else 0) + (2 if temperature else 0)
 
 
-@inlined
+@in_place
 def missing(settings: Any, tracker: Any, scan: Any) -> int:
     """Return what is not measured although a scan before measured it, and note what is.
 
@@ -94,7 +94,7 @@ def add_unmeasured(workspace: Any) -> None:
                     workspace.systematic_readings[r, q] += variance * by[r, quantity] * by[q, quantity]
 
 
-@inlined
+@in_place
 def _select_probe_rows(model: Model, sensor: Any, scan: Any) -> int:
     """Write the reading rows of gap or ring probes; return VALID or a code."""
     if (scan.gap_count if sensor.source == GAP_VOLTAGES else scan.ring_count) != sensor.count:
@@ -104,7 +104,7 @@ def _select_probe_rows(model: Model, sensor: Any, scan: Any) -> int:
     return VALID
 
 
-@inlined
+@in_place
 def _linearise_voltages(model: Model, sensor: Any, scan: Any) -> int:
     """Linearise the voltages of gap or ring probes; return VALID or a code."""
     workspace = model.workspace[0]
@@ -129,7 +129,7 @@ def _linearise_voltages(model: Model, sensor: Any, scan: Any) -> int:
     return VALID
 
 
-@inlined
+@in_place
 def _select_spot_rows(model: Model, sensor: Any, scan: Any) -> int:
     """Write the reading rows of the light sources lit; return VALID or a code."""
     workspace = model.workspace[0]
@@ -147,7 +147,7 @@ def _select_spot_rows(model: Model, sensor: Any, scan: Any) -> int:
     return VALID
 
 
-@inlined
+@in_place
 def _linearise_spots(model: Model, sensor: Any, scan: Any) -> int:
     """Linearise the contact currents of diodes; return VALID or a code."""
     code = _select_spot_rows(model, sensor, scan)
@@ -177,7 +177,7 @@ def _linearise_spots(model: Model, sensor: Any, scan: Any) -> int:
     return VALID
 
 
-@inlined
+@in_place
 def _linearise_dark(model: Model, sensor: Any, scan: Any) -> int:
     """Make the spots of a dark scan state nothing; return VALID or a code."""
     workspace = model.workspace[0]
@@ -190,7 +190,7 @@ def _linearise_dark(model: Model, sensor: Any, scan: Any) -> int:
     return int(check_dark_currents(model, sensor, scan))
 
 
-@inlined
+@in_place
 def linearise_scan(model: Model, scan: Any, estimate: Any) -> bool:
     """Linearise one scan; return whether all its readings are valid.
 

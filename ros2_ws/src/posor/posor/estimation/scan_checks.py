@@ -25,7 +25,7 @@ from posor.estimation.time_offset import follow_offset, move_reference
 from posor.estimation.tracking import LONGEST_GAP, REGAIN_GAP, copy_pose, count_is_stale, turn_about_z
 from posor.model.fault import Fault
 from posor.model.scan import STATED_HOME
-from posor.numerics.compiled import in_place, inlined
+from posor.numerics.compiled import in_place
 from posor.numerics.matrix import cholesky_factorise, solve_lower_triangular
 from posor.numerics.vector import ZERO_VECTOR, dot, square, theta_in_kernel, within, wrapped
 
@@ -46,7 +46,7 @@ REGAINABLE_FAULTS = int(Fault.INNOVATION | Fault.SOURCE | Fault.FROZEN)
 """Faults whose latch is released by a pose that continues the motion before the fault."""
 
 
-@inlined
+@in_place
 def begin_checks(workspace: Any, scan: Any) -> None:
     """Begin the checks of a scan with its reference of theta, if any; give up a count that nobody followed."""
     tracker, checks = workspace.tracker, workspace.checks
@@ -79,7 +79,7 @@ def count_theta(workspace: Any, theta: float, at_home: int) -> bool:
     return bool(checks.recounted and checks.marks_off != 0.0)
 
 
-@inlined
+@in_place
 def bump_is_unknown(workspace: Any) -> bool:
     """Return whether the bump has never been counted: at the begin, and after an acknowledgement."""
     return bool(workspace.settings.bump_angle > 0.0 and not workspace.tracker.was_counted)
@@ -225,7 +225,7 @@ def use_confirmation(workspace: Any, at_home: int) -> None:
             checks.recounted, checks.accepted = 1, 1
 
 
-@inlined
+@in_place
 def motion_gate(workspace: Any, previous: Any, elapsed: float, covariance: FloatArray) -> tuple[float, float]:
     """Return the distance of the pose from another one as a share of the largest possible motion: position, theta.
 
@@ -241,14 +241,14 @@ def motion_gate(workspace: Any, previous: Any, elapsed: float, covariance: Float
     return largest, turned / allowed
 
 
-@inlined
+@in_place
 def _shifted(workspace: Any, previous: Any, elapsed: float, covariance: FloatArray, i: int) -> float:
     """Return the shift along axis i as a share of the largest one possible."""
     allowed = workspace.settings.max_velocity * elapsed + NOISE_ALLOWANCE * math.sqrt(2.0 * covariance[i, i])
     return float(abs(workspace.pose.translation[i] - previous.translation[i]) / allowed)
 
 
-@inlined
+@in_place
 def _plane_gate(workspace: Any, previous: Any, elapsed: float, covariance: FloatArray) -> float:
     """Return the motion of the target plane, gap and lean, as a share of the largest one possible."""
     settings, pose = workspace.settings, workspace.pose
@@ -276,7 +276,7 @@ def latch(tracker: Any, faults: int, about_theta: int, elapsed: float) -> None:
     tracker.latch_about_theta &= about_theta
 
 
-@inlined
+@in_place
 def is_regained(workspace: Any, covariance: FloatArray) -> bool:
     """Return whether the pose continues the motion of the last accepted pose, not that of a pose rejected since."""
     tracker, centre = workspace.tracker, workspace.start_pose
@@ -305,7 +305,7 @@ def periods_off(settings: Any, theta: float) -> float:
     return float(off - per_turn * math.floor(off / per_turn + 0.5))
 
 
-@inlined
+@in_place
 def chi_square(workspace: Any) -> float:
     """Return the chi-square of the solution in the workspace, NaN where the residual space cannot be found."""
     m, redundant = workspace.reading_count, workspace.redundant_count
@@ -334,7 +334,7 @@ def chi_square(workspace: Any) -> float:
     return out
 
 
-@inlined
+@in_place
 def _find_residual_space(workspace: Any) -> bool:
     """Write directions Z with ``J' Z = 0`` and ``Z' R Z = 1`` into ``residual_space``; return whether there are enough.
 
@@ -364,7 +364,7 @@ def _find_residual_space(workspace: Any) -> bool:
     return True
 
 
-@inlined
+@in_place
 def _explained(v: Vector, w: Vector, gain: FloatArray, r: int) -> float:
     """Return an entry of ``J G``: how a reading with derivatives v, w follows a change of reading r."""
     return dot(v, within(gain, r, 0)) + dot(w, within(gain, r, 3))

@@ -12,7 +12,7 @@ import math
 from typing import TYPE_CHECKING, Any
 
 from posor.model.reading_rows import predict_readings, prepare_row, turn_row
-from posor.numerics.compiled import in_place, inlined
+from posor.numerics.compiled import in_place
 from posor.numerics.matrix import factorise, normal_matrix, solve, store_factors
 from posor.numerics.vector import ZERO_VECTOR, dot, move, orthonormalise, plus, theta_in_kernel, times, within, wrapped
 
@@ -34,7 +34,7 @@ SINGULAR = 1e-10  # at a smaller pivot ratio (``numerics.matrix``) the readings 
 TURN_TOLERANCE = 1e-14  # change of theta [rad] below which the lagging turn of the tilts has converged
 
 
-@inlined
+@in_place
 def _right_side(workspace: Any, count: int) -> tuple[Vector, Vector]:
     """Return ``J' W e`` of the first ``count`` rows: translation, rotation."""
     translation, rotation = ZERO_VECTOR, ZERO_VECTOR
@@ -45,14 +45,14 @@ def _right_side(workspace: Any, count: int) -> tuple[Vector, Vector]:
     return translation, rotation
 
 
-@inlined
+@in_place
 def _largest(a: Vector) -> float:
     """Return the largest absolute value of three; infinite where one is not finite."""
     largest = max(abs(a[0]), abs(a[1]), abs(a[2]))
     return largest if math.isfinite(a[0] + a[1] + a[2]) else math.inf
 
 
-@inlined
+@in_place
 def iterate(workspace: Any, count: int, least_ratio: float) -> int:
     """Move the pose (in place) to the weighted least-squares solution of the first ``count`` rows.
 

@@ -28,7 +28,7 @@ import math
 from typing import Any
 
 from posor.estimation.tracking import rate_is_known, uniform_sigma
-from posor.numerics.compiled import in_place, inlined
+from posor.numerics.compiled import in_place
 from posor.numerics.vector import square, wrapped
 
 BIAS_ANGLE = 0.5  # angle over which the error of an encoder changes [rad]
@@ -40,7 +40,7 @@ LARGEST_MOTION = 0.1  # possible turn since a reference was read [rad]; beyond, 
 OFFSET_SIGMAS = 5.0  # standard uncertainties that an offset may exceed the largest error of the stamps
 
 
-@inlined
+@in_place
 def move_reference(workspace: Any, scan: Any, widest: float) -> None:
     """Move a reference of theta from its own stamp to that of a scan, into ``checks``.
 
@@ -103,18 +103,18 @@ def follow_offset(workspace: Any, theta: float, difference: float, noise: float,
     _judge(offset, limit)
 
 
-@inlined
+@in_place
 def _begin(offset: Any, bias: float) -> None:
     offset.known, offset.bias, offset.seconds = 1, 0.0, 0.0
     offset.bias_variance, offset.covariance, offset.variance = bias, 0.0, square(PRIOR_S)
 
 
-@inlined
+@in_place
 def _variance_of_difference(offset: Any, rate: float) -> float:
     return float(offset.bias_variance + 2.0 * rate * offset.covariance + square(rate) * offset.variance)
 
 
-@inlined
+@in_place
 def _judge(offset: Any, limit: float) -> None:
     """Keep an offset that is beyond its uncertainty and the limit, until one is known to half of it that is not."""
     uncertainty = OFFSET_SIGMAS * math.sqrt(offset.variance)

@@ -8,7 +8,7 @@ import math
 from typing import TYPE_CHECKING, Any
 
 from posor.model.reading_rows import AFFINE
-from posor.numerics.compiled import in_place, inlined
+from posor.numerics.compiled import in_place
 from posor.numerics.vector import square, wrapped
 
 if TYPE_CHECKING:
@@ -30,7 +30,7 @@ def turn_about_z(rotation: FloatArray, angle: float) -> None:
         rotation[i, 1] = c * y - s * x
 
 
-@inlined
+@in_place
 def copy_pose(source: Any, target: Any) -> None:
     """Copy a pose, records of dtype POSE or with the same fields."""
     for i in range(3):
@@ -39,7 +39,7 @@ def copy_pose(source: Any, target: Any) -> None:
             target.rotation[i, j] = source.rotation[i, j]
 
 
-@inlined
+@in_place
 def forget_pose(tracker: Any) -> None:
     """Forget the previous pose, the count, and the home marks that agreed with them."""
     tracker.initialised = 0
@@ -47,7 +47,7 @@ def forget_pose(tracker: Any) -> None:
     tracker.marks = 0
 
 
-@inlined
+@in_place
 def count_is_stale(settings: Any, tracker: Any, elapsed: float) -> bool:
     """Return whether theta may be half a period off because the last pose is too old: UNCOUNTED, not a fault.
 
@@ -59,7 +59,7 @@ def count_is_stale(settings: Any, tracker: Any, elapsed: float) -> bool:
     return bool(0.5 * settings.period < settings.max_theta_rate * elapsed < math.inf)
 
 
-@inlined
+@in_place
 def needs_start(settings: Any, tracker: Any) -> bool:
     """Return whether a scan needs a start in closed form: no pose is known, or the phase of its bumps is not.
 
@@ -72,7 +72,7 @@ def needs_start(settings: Any, tracker: Any) -> bool:
     return bool(not tracker.initialised or lost_phase)
 
 
-@inlined
+@in_place
 def write_start(settings: Any, tracker: Any, pose: Any) -> None:
     """Write the start of a scan: the given one, or the previous pose, a counted theta extrapolated at the last rate."""
     if tracker.start_given:
@@ -83,7 +83,7 @@ def write_start(settings: Any, tracker: Any, pose: Any) -> None:
         turn_about_z(pose.rotation, tracker.theta_rate * (tracker.time - tracker.stamp))
 
 
-@inlined
+@in_place
 def predict(settings: Any, tracker: Any, elapsed: float, pose: Any) -> None:
     """Move a start from ``write_start`` on as the target moved before, for ``elapsed`` [s], if that was recent enough.
 
@@ -115,20 +115,20 @@ def add_prior(workspace: Any, first: int, elapsed: float) -> None:
         workspace.weights[first + i] = 1.0 / square(rate * elapsed)
 
 
-@inlined
+@in_place
 def rate_is_known(tracker: Any, elapsed: float) -> bool:
     """Return whether the motion is known ``elapsed`` [s] after the previous pose."""
     known = tracker.initialised and not tracker.start_given and tracker.interval > 0.0
     return bool(known and elapsed <= LONGEST_GAP * tracker.interval)
 
 
-@inlined
+@in_place
 def uniform_sigma(largest: float) -> float:
     """Return the standard uncertainty of a rate within a motion limit; zero where the motion is not limited."""
     return largest / math.sqrt(3.0) if largest < math.inf else 0.0
 
 
-@inlined
+@in_place
 def write_twist(workspace: Any, elapsed: float) -> None:
     """Write the twist of the target and its standard uncertainties, ROS order, ``elapsed`` [s] after the previous pose.
 
@@ -147,7 +147,7 @@ def write_twist(workspace: Any, elapsed: float) -> None:
         workspace.twist[3 + i], workspace.twist_sigmas[3 + i] = turn * rotation[i, 2], turn_sigma * abs(rotation[i, 2])
 
 
-@inlined
+@in_place
 def renew_twist(workspace: Any, theta: float, elapsed: float) -> None:
     """Write the twist over the last interval; its change from that before is part of the uncertainty."""
     previous, pose = workspace.tracker.pose, workspace.pose
@@ -159,7 +159,7 @@ def renew_twist(workspace: Any, theta: float, elapsed: float) -> None:
         workspace.twist_sigmas[i] = max(abs(change), workspace.twist_sigmas[i])
 
 
-@inlined
+@in_place
 def _update_rate(tracker: Any, i: int, rate: float, former: float) -> float:
     """Return a rate; write its standard uncertainty: its largest change in the last scans, of a first rate itself."""
     kept = RATE_MEMORY * tracker.rate_sigmas[i] if tracker.rates > 1 else 0.0
@@ -167,7 +167,7 @@ def _update_rate(tracker: Any, i: int, rate: float, former: float) -> float:
     return rate
 
 
-@inlined
+@in_place
 def update_tracker(tracker: Any, pose: Any, theta: float, elapsed: float) -> None:
     """Keep a pose as the previous one; ``elapsed`` [s] since the one before, NaN: its motion is unknown."""
     tracker.rates = tracker.rates if tracker.interval > 0.0 else 0

@@ -19,7 +19,7 @@ from posor.estimation.fault_model import EFFECT, JointCauses
 from posor.messages.cdr_schema import LITTLE_ENDIAN, STAMP
 from posor.messages.message_definitions import installed_schema
 from posor.messages.message_table import LEAD, MessageRows, MessageTable, TableLayout
-from posor.numerics.compiled import in_place, inlined, record_view
+from posor.numerics.compiled import in_place, record_view
 from posor.numerics.stamps import NS, time_ns
 from posor.ros_names import JOINT_TRANSFORM
 
@@ -100,7 +100,7 @@ def packing_layout(transforms: TableLayout) -> NDArray[np.void]:
     return layout
 
 
-@inlined
+@in_place
 def pack_estimate(
     estimate: Any, effects: NDArray[np.float32], layout: Any, template: FloatArray, rows: MessageRows, n: int
 ) -> None:

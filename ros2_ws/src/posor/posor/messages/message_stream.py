@@ -26,7 +26,7 @@ from posor.messages.message_table import LEAD, MessageRows, TableLayout
 from posor.messages.raw_scan import raw_scan_layout, scan_of, unpack_scan
 from posor.model.fault import Fault, State
 from posor.model.scan import STATED_HOME, Scans
-from posor.numerics.compiled import bind_in_parts, in_parts, in_place, inlined, record_view, run_in_turn
+from posor.numerics.compiled import bind_in_parts, in_parts, in_place, record_view, run_in_turn
 from posor.numerics.stamps import NO_TIME, NS, accepted_in_kernel
 from posor.ros_names import JOINT_TRANSFORM, RAW_SCAN
 
@@ -119,7 +119,7 @@ class MessageStream(NamedTuple):
         )
 
 
-@inlined
+@in_place
 def _has_layout(stream: MessageStream, n: int) -> bool:
     differs = 0
     for k in range(stream.decisive.shape[0]):
@@ -127,7 +127,7 @@ def _has_layout(stream: MessageStream, n: int) -> bool:
     return differs == 0
 
 
-@inlined
+@in_place
 def _copy_identity(stream: MessageStream, n: int) -> None:
     """Copy stamp, number and status of raw scan n to its transform, bit by bit."""
     raw, out = stream.raw.words, stream.transforms.words
@@ -138,14 +138,14 @@ def _copy_identity(stream: MessageStream, n: int) -> None:
     out[n, target.status // 4] = raw[n, source.status // 4]
 
 
-@inlined
+@in_place
 def _is_expected(scan: Any, status: Any, now_ns: int) -> bool:
     """Return whether a scan has a greater number than the last scan and an accepted age."""
     follows = status.state >= 0 and scan.number > status.number
     return bool(follows and accepted_in_kernel(now_ns - scan.stamp_ns, status.youngest_ns, status.oldest_ns))
 
 
-@inlined
+@in_place
 def _write_step(scan: Any, clocks: Any, status: Any) -> None:
     """Write how many numbers a scan comes after the newest before it, which a late scan was not."""
     status.step = 1

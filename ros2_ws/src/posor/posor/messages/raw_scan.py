@@ -17,7 +17,7 @@ from posor.messages.message_definitions import installed_schema
 from posor.messages.message_table import LEAD, MessageRows, MessageTable, TableLayout
 from posor.model.scan import HOME_BUMP, SCAN, Scan, Scans
 from posor.numerics.array_types import IntArray  # noqa: TC001  read by dataclasses
-from posor.numerics.compiled import in_place, inlined, record_view
+from posor.numerics.compiled import in_place, record_view
 from posor.numerics.stamps import NS, time_in_kernel
 from posor.ros_names import RAW_SCAN
 
@@ -101,7 +101,7 @@ def raw_scan_layout(raw: TableLayout) -> NDArray[np.void]:
     return layout
 
 
-@inlined
+@in_place
 def unpack_scan(rows: MessageRows, n: int, layout: Any, scan: Any) -> None:
     """Write the raw scan in row n into a record of dtype SCAN; the stamp is 0 where it is invalid."""
     words, floats = rows.words, rows.floats

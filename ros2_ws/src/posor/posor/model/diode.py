@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from posor.model.scan import CONTACTS
-from posor.numerics.compiled import inlined
+from posor.numerics.compiled import in_place
 
 if TYPE_CHECKING:
     from posor.numerics.array_types import FloatArray
@@ -48,7 +48,7 @@ SPOT_POSITION = np.dtype(  # ratios and position of one spot, with memory for th
 )
 
 
-@inlined
+@in_place
 def find_ratios(currents: FloatArray, i: int, diode: Any, spot: Any) -> int:
     """Write the ratios of the contact currents (4 d,) [A] of diode i; return VALID or why there are none."""
     for axis in range(2):

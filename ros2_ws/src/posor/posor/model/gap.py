@@ -21,7 +21,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any
 
-from posor.numerics.compiled import in_place, inlined
+from posor.numerics.compiled import in_place
 from posor.numerics.vector import (
     at,
     cross,
@@ -64,7 +64,7 @@ def prepare_gap(row: Any) -> None:
     store(row.normal_by_tilt_y, 0, rotated_about_z((-cy, -sx * sy, cx * sy), row.turn))
 
 
-@inlined
+@in_place
 def _meet_plane(row: Any, pose: Any) -> tuple[float, float, Vector]:
     """Return the gap [m], the slant ``m.a``, and the point in T where the axis meets the plane."""
     normal = at(row.normal, 0)
@@ -75,7 +75,7 @@ def _meet_plane(row: Any, pose: Any) -> tuple[float, float, Vector]:
     return reading, slant, plus(tip, times(reading, axis))
 
 
-@inlined
+@in_place
 def gap(row: Any, pose: Any, jacobian: FloatArray, r: int) -> float:
     """Return the gap [m] and write its derivative with respect to the local tangent into row r of ``jacobian``."""
     normal = at(row.normal, 0)
@@ -85,7 +85,7 @@ def gap(row: Any, pose: Any, jacobian: FloatArray, r: int) -> float:
     return reading
 
 
-@inlined
+@in_place
 def gap_parameters(row: Any, pose: Any, derivatives: Any) -> None:
     """Write the derivatives of the gap with respect to the parameters of its row."""
     normal = at(row.normal, 0)
@@ -115,7 +115,7 @@ def multiple_angle(cosine: float, sine: float, k: int) -> tuple[float, float]:
     return c, s
 
 
-@inlined
+@in_place
 def radius_and_slope(row: Any, cosine: float, sine: float) -> tuple[float, float]:
     """Return r(phi) [m] and dr/dphi [m/rad], by cosine and sine of phi; keep those of each k phi in the row."""
     radius = row.mean_radius
@@ -138,7 +138,7 @@ def radius_and_slope(row: Any, cosine: float, sine: float) -> tuple[float, float
     return radius, slope
 
 
-@inlined
+@in_place
 def _meet_ring(tip: Vector, axis: Vector, row: Any) -> None:
     """Write the distance [m] from the tip to the surface, and the gradient of the surface there, into the row.
 

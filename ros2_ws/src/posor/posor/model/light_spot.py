@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from posor.numerics.compiled import in_place, inlined
+from posor.numerics.compiled import in_place
 from posor.numerics.vector import (
     Vector,
     at,
@@ -51,7 +51,7 @@ def prepare_spot(row: Any) -> None:
     store(row.axes_product, 0, cross(at(row.x_axis, 0), at(row.y_axis, 0)))
 
 
-@inlined
+@in_place
 def find_spot(row: Any, pose: Any) -> Spot:
     """Return the light spot at a pose."""
     u, v = at(row.x_axis, 0), at(row.y_axis, 0)
@@ -70,7 +70,7 @@ def find_spot(row: Any, pose: Any) -> Spot:
     )
 
 
-@inlined
+@in_place
 def spot_tangent(row: Any, pose: Any, along_ray: float, inverse: Vector, jacobian: FloatArray, r: int) -> None:
     """Write the tangent derivative of the coordinate that belongs to ``inverse`` into row r of ``jacobian``."""
     inverse_T = rotate_back(pose.rotation, inverse)
@@ -79,7 +79,7 @@ def spot_tangent(row: Any, pose: Any, along_ray: float, inverse: Vector, jacobia
     put(jacobian, r, 3, cross(point, inverse_T))
 
 
-@inlined
+@in_place
 def spot_parameters(row: Any, pose: Any, spot: Spot, inverse: Vector, derivatives: Any) -> None:
     """Write the derivatives of the coordinate that belongs to ``inverse`` by the parameters of its row."""
     inverse_T = rotate_back(pose.rotation, inverse)

@@ -18,7 +18,7 @@ import numpy as np
 
 from posor.model.gap import MAX_HARMONICS, gap, gap_parameters, prepare_gap, ring_gap, ring_parameters
 from posor.model.light_spot import find_spot, prepare_spot, spot_parameters, spot_tangent
-from posor.numerics.compiled import in_place, inlined, record_view
+from posor.numerics.compiled import in_place, record_view
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -111,7 +111,7 @@ def prepare_row(row: Any) -> None:
         row.gap = np.nan
 
 
-@inlined
+@in_place
 def begin_scan(row: Any) -> None:
     """Discard the intersection of the previous scan, so that the result does not depend on earlier scans."""
     if row.kind == RING:
@@ -155,7 +155,7 @@ def pair_spots(rows: NDArray[np.void], count: int) -> None:
                 rows[r + 1].kind = PAIRED
 
 
-@inlined
+@in_place
 def predict_readings(
     rows: NDArray[np.void], count: int, pose: Any, step_sum: FloatArray, predicted: FloatArray, jacobian: FloatArray
 ) -> None:
@@ -189,7 +189,7 @@ def predict_readings(
             predicted[r] = reading
 
 
-@inlined
+@in_place
 def differentiate_by_parameters(rows: NDArray[np.void], count: int, pose: Any, derivatives: NDArray[np.void]) -> None:
     """Write the derivatives of the first ``count`` rows with respect to their own parameters, shape (m,).
 

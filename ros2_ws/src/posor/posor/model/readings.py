@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from posor.model import diode, voltage
 from posor.model.fault import Fault
-from posor.numerics.compiled import inlined
+from posor.numerics.compiled import in_place
 
 GAP_VOLTAGES, RING_VOLTAGES, DIODE_CURRENTS, PYTHON = 0, 1, 2, 3
 SOURCE_NAMES = ("gap voltages", "ring voltages", "diode currents")
@@ -23,7 +23,7 @@ _BAD_READING, _DARK_DIODE = int(Fault.BAD_READING), int(Fault.DARK_DIODE)
 _OUT_OF_RANGE, _SOURCE = int(Fault.OUT_OF_RANGE), int(Fault.SOURCE)
 
 
-@inlined
+@in_place
 def fault_of_code(source: int, code: int) -> int:
     """Return the ``Fault`` that a sensor's code means."""
     fault = _BAD_READING

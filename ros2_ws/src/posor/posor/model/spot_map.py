@@ -17,7 +17,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any
 
-from posor.numerics.compiled import in_place, inlined
+from posor.numerics.compiled import in_place
 
 if TYPE_CHECKING:
     import numpy as np
@@ -32,7 +32,7 @@ _ITERATIONS = 60
 _TOLERANCE_M = 1e-15
 
 
-@inlined
+@in_place
 def spot_position(diode: Any, parameters: FloatArray, spot: Any, residual_derivatives: FloatArray, row: int) -> int:
     """Map the ratios of a spot to its position and slope.
 
@@ -49,7 +49,7 @@ def spot_position(diode: Any, parameters: FloatArray, spot: Any, residual_deriva
     return INSIDE
 
 
-@inlined
+@in_place
 def _write_basis(kind: int, value: float, count: int, basis: FloatArray, row: int) -> None:
     """Write the basis functions at ``value`` into a row of ``basis``, their derivatives into the next row."""
     for i in range(count):
@@ -64,7 +64,7 @@ def _write_basis(kind: int, value: float, count: int, basis: FloatArray, row: in
             basis[row + 1, i] = 2.0 * basis[row, i - 1] + 2.0 * value * basis[row + 1, i - 1] - basis[row + 1, i - 2]
 
 
-@inlined
+@in_place
 def _evaluate_tensor(diode: Any, parameters: FloatArray, spot: Any, residual_derivatives: FloatArray, row: int) -> None:
     n, m = diode.map_lengths[0], diode.map_lengths[1]
     basis, scale = spot.basis, diode.scale
@@ -94,7 +94,7 @@ def _evaluate_tensor(diode: Any, parameters: FloatArray, spot: Any, residual_der
     spot.slope[1, 0], spot.slope[1, 1] = y_u / scale[0], y_v / scale[1]
 
 
-@inlined
+@in_place
 def _curve(parameters: FloatArray, start: int, order: int, ratio: float) -> tuple[float, float]:
     """Return the polynomial whose coefficients begin at ``start``, and its slope."""
     value = 0.0

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from posor.numerics.compiled import in_place, inlined
+from posor.numerics.compiled import in_place
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -63,7 +63,7 @@ CHANNEL = _record(  # the calibration of one voltage channel
 VALID, NOT_FINITE, OUT_OF_RANGE = 0, 1, 2
 
 
-@inlined
+@in_place
 def polynomial(channel: Any, volt: float) -> tuple[float, float]:
     """Return the polynomial [m] of a shifted voltage and its slope [m/V]."""
     value = 0.0
@@ -74,7 +74,7 @@ def polynomial(channel: Any, volt: float) -> tuple[float, float]:
     return value, slope
 
 
-@inlined
+@in_place
 def voltage_code(channel: Any, volt: float) -> int:
     """Return VALID, NOT_FINITE or OUT_OF_RANGE for a shifted voltage [V]."""
     if not math.isfinite(volt):
@@ -82,13 +82,13 @@ def voltage_code(channel: Any, volt: float) -> int:
     return VALID if channel.lowest <= volt <= channel.highest else OUT_OF_RANGE
 
 
-@inlined
+@in_place
 def deviation_from_reference(measured: float, reference: float) -> float:
     """Return how far a supply or a temperature is from its reference; zero where it was not measured."""
     return measured - reference if math.isfinite(measured) else 0.0
 
 
-@inlined
+@in_place
 def linearise_voltage(
     channel: Any, volt: float, supply: float, temperature: float, residual_derivatives: Any
 ) -> tuple[float, float]:
@@ -113,7 +113,7 @@ def linearise_voltage(
     return gap, slope * slope * channel.noise * channel.noise
 
 
-@inlined
+@in_place
 def converter_gain(settings: Any, scan: Any) -> tuple[float, float]:
     """Return the gain of the probes' converter and its standard uncertainty; without a reading: one, and its spread."""
     if not settings.reference_voltage > 0.0:
@@ -125,7 +125,7 @@ def converter_gain(settings: Any, scan: Any) -> tuple[float, float]:
     return scan.reference_voltage / settings.reference_voltage, settings.reference_sigma
 
 
-@inlined
+@in_place
 def gain_is_valid(settings: Any, scan: Any) -> bool:
     """Return whether the gain is within its limit of one, or not measured."""
     known, reading = settings.reference_voltage, scan.reference_voltage

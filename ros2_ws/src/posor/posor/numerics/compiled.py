@@ -90,14 +90,6 @@ def in_place(kernel: Kernel) -> Kernel:
     return _compile(kernel, _nrt=False)
 
 
-def inlined(kernel: Kernel) -> Kernel:
-    """Return the same as ``in_place``, inlined into its callers: for what each scan calls.
-
-    A call that passes arrays costs as much as the arithmetic of one reading.
-    """
-    return _compile(kernel, _nrt=False, forceinline=True)
-
-
 def without_lock(kernel: Kernel) -> Kernel:
     """Return the same as ``in_place``, for long loops: other Python threads run meanwhile."""
     return _compile(kernel, _nrt=False, nogil=True)

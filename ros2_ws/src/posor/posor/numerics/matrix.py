@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, TypeAlias
 
-from posor.numerics.compiled import in_place, inlined
+from posor.numerics.compiled import in_place
 from posor.numerics.vector import (
     ZERO_MATRIX,
     Matrix,
@@ -70,25 +70,25 @@ Factors: TypeAlias = tuple[Lower, Matrix, Lower]
 """Of six unknowns: L of the translation, the rows of L that couple both, L of the rotation."""
 
 
-@inlined
+@in_place
 def add_outer(total: Matrix, a: Vector, b: Vector) -> Matrix:
     """Return ``total + a b'``."""
     return plus(total[0], times(a[0], b)), plus(total[1], times(a[1], b)), plus(total[2], times(a[2], b))
 
 
-@inlined
+@in_place
 def product_transposed(a: Matrix, b: Matrix) -> Matrix:
     """Return ``a b'``."""
     return applied(b, a[0]), applied(b, a[1]), applied(b, a[2])
 
 
-@inlined
+@in_place
 def fill_upper_triangle(a: Matrix) -> Matrix:
     """Return the symmetric matrix whose lower triangle is that of ``a``."""
     return (a[0][0], a[1][0], a[2][0]), (a[1][0], a[1][1], a[2][1]), a[2]
 
 
-@inlined
+@in_place
 def normal_matrix(jacobian: FloatArray, weights: FloatArray, count: int) -> Symmetric:
     """Return ``J' W J`` of the first ``count`` rows of ``jacobian`` (m, 6), ``weights`` (m,)."""
     a, b, d = ZERO_MATRIX, ZERO_MATRIX, ZERO_MATRIX
@@ -101,13 +101,13 @@ def normal_matrix(jacobian: FloatArray, weights: FloatArray, count: int) -> Symm
     return a, b, d
 
 
-@inlined
+@in_place
 def reciprocal(pivot: float) -> float:
     """Return the reciprocal of a pivot, NaN where it is not positive."""
     return 1.0 / (pivot if pivot > 0.0 else math.nan)
 
 
-@inlined
+@in_place
 def factorise_block(a: Matrix) -> tuple[Lower, float, float, float]:
     """Return the factor of a symmetric matrix and its pivots."""
     first = a[0][0]
@@ -121,7 +121,7 @@ def factorise_block(a: Matrix) -> tuple[Lower, float, float, float]:
     return ((l10, l20, l21), (by_first, by_second, reciprocal(third))), first, second, third
 
 
-@inlined
+@in_place
 def forward(lower: Lower, a: Vector) -> Vector:
     """Return x of ``L x = a``."""
     ones = lower[0]
@@ -129,7 +129,7 @@ def forward(lower: Lower, a: Vector) -> Vector:
     return a[0], second, a[2] - ones[1] * a[0] - ones[2] * second
 
 
-@inlined
+@in_place
 def back(lower: Lower, a: Vector) -> Vector:
     """Return x of ``L' x = a``."""
     ones = lower[0]
@@ -137,13 +137,13 @@ def back(lower: Lower, a: Vector) -> Vector:
     return a[0] - ones[0] * second - ones[1] * a[2], second, a[2]
 
 
-@inlined
+@in_place
 def divide_by_pivots(lower: Lower, a: Vector) -> Vector:
     """Return a vector divided by the pivots."""
     return a[0] * lower[1][0], a[1] * lower[1][1], a[2] * lower[1][2]
 
 
-@inlined
+@in_place
 def factorise(matrix: Symmetric) -> tuple[Factors, float]:
     """Return the factors of a symmetric matrix and its smallest ratio of a pivot to the diagonal entry.
 
@@ -170,7 +170,7 @@ def factorise(matrix: Symmetric) -> tuple[Factors, float]:
     return (upper, joint, lower), weakest
 
 
-@inlined
+@in_place
 def solve(factors: Factors, a: Vector, d: Vector) -> tuple[Vector, Vector]:
     """Return the solution of the equations with right sides ``a`` and ``d``."""
     upper, joint, lower = factors
@@ -179,7 +179,7 @@ def solve(factors: Factors, a: Vector, d: Vector) -> tuple[Vector, Vector]:
     return back(upper, minus(divide_by_pivots(upper, half), row_times(d, joint))), d
 
 
-@inlined
+@in_place
 def store_factors(factors: Factors, kept: FloatArray) -> None:
     """Write factors into an array (7, 3)."""
     upper, joint, lower = factors
@@ -192,14 +192,14 @@ def store_factors(factors: Factors, kept: FloatArray) -> None:
     put(kept, 6, 0, lower[1])
 
 
-@inlined
+@in_place
 def load_factors(kept: FloatArray) -> Factors:
     """Return the factors that ``store_factors`` has written."""
     joint = within(kept, 2), within(kept, 3), within(kept, 4)
     return (within(kept, 0), within(kept, 1)), joint, (within(kept, 5), within(kept, 6))
 
 
-@inlined
+@in_place
 def invert_block(lower: Lower) -> Matrix:
     """Return the inverse of the symmetric matrix that a factor is of."""
     ones, (p, q, r) = lower
@@ -208,7 +208,7 @@ def invert_block(lower: Lower) -> Matrix:
     return ((p + ones[0] * ones[0] * q + to_last * m20, m10, m20), (m10, q - ones[2] * m21, m21), (m20, m21, r))
 
 
-@inlined
+@in_place
 def invert(factors: Factors) -> Symmetric:
     """Return the inverse of the matrix that the factors are of."""
     upper, joint, lower = factors
@@ -226,7 +226,7 @@ def invert(factors: Factors) -> Symmetric:
     )
 
 
-@inlined
+@in_place
 def multiply_vector(matrix: Symmetric, a: Vector, d: Vector) -> tuple[Vector, Vector]:
     """Return the product with the vector of parts ``a`` and ``d``; A and D must be whole."""
     return plus(applied(matrix[0], a), row_times(d, matrix[1])), plus(applied(matrix[1], a), applied(matrix[2], d))

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 
 from posor.numerics.array_types import IntArray
-from posor.numerics.compiled import inlined
+from posor.numerics.compiled import in_place
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -31,7 +31,7 @@ def time_ns(seconds: int, nanoseconds: int) -> int:
     return seconds * NS + nanoseconds if nanoseconds < NS else 0
 
 
-time_in_kernel = inlined(time_ns)  # the same, for kernels
+time_in_kernel = in_place(time_ns)  # the same, for kernels
 
 
 def is_accepted_age(age_ns: int, youngest_ns: float, oldest_ns: float) -> bool:
@@ -39,7 +39,7 @@ def is_accepted_age(age_ns: int, youngest_ns: float, oldest_ns: float) -> bool:
     return youngest_ns <= age_ns <= oldest_ns
 
 
-accepted_in_kernel = inlined(is_accepted_age)  # the same, for kernels
+accepted_in_kernel = in_place(is_accepted_age)  # the same, for kernels
 
 
 def times_ns(seconds: IntArray, nanoseconds: IntArray) -> IntArray:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
-from posor.numerics.compiled import in_place, inlined
+from posor.numerics.compiled import in_place
 
 if TYPE_CHECKING:
     from posor.numerics.array_types import FloatArray
@@ -27,67 +27,67 @@ ZERO_MATRIX: Matrix = (ZERO_VECTOR, ZERO_VECTOR, ZERO_VECTOR)
 IDENTITY: Matrix = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 
-@inlined
+@in_place
 def in_double(value: float) -> float:
     """Convert float32 to float64, in compiled and in Python code."""
     return float(value) * 1.0
 
 
-@inlined
+@in_place
 def square(value: float) -> float:
     """Return the square; ``**`` rounds differently where it is not compiled."""
     return value * value
 
 
-@inlined
+@in_place
 def at(array: FloatArray, start: int) -> Vector:
     """Return three consecutive entries of an array."""
     return array[start], array[start + 1], array[start + 2]
 
 
-@inlined
+@in_place
 def store(array: FloatArray, start: int, a: Vector) -> None:
     """Write a vector into three consecutive entries of an array."""
     array[start], array[start + 1], array[start + 2] = a
 
 
-@inlined
+@in_place
 def within(rows: FloatArray, r: int, start: int = 0) -> Vector:
     """Return three consecutive entries of row r; a slice of the row would cost more than the arithmetic."""
     return rows[r, start], rows[r, start + 1], rows[r, start + 2]
 
 
-@inlined
+@in_place
 def put(rows: FloatArray, r: int, start: int, a: Vector) -> None:
     """Write a vector into three consecutive entries of row r."""
     rows[r, start], rows[r, start + 1], rows[r, start + 2] = a
 
 
-@inlined
+@in_place
 def over(a: Vector, divisor: float) -> Vector:
     """Return a / divisor."""
     return a[0] / divisor, a[1] / divisor, a[2] / divisor
 
 
-@inlined
+@in_place
 def plus(a: Vector, b: Vector) -> Vector:
     """Return a + b."""
     return a[0] + b[0], a[1] + b[1], a[2] + b[2]
 
 
-@inlined
+@in_place
 def minus(a: Vector, b: Vector) -> Vector:
     """Return a - b."""
     return a[0] - b[0], a[1] - b[1], a[2] - b[2]
 
 
-@inlined
+@in_place
 def times(factor: float, a: Vector) -> Vector:
     """Return factor a."""
     return factor * a[0], factor * a[1], factor * a[2]
 
 
-@inlined
+@in_place
 def wrapped(angle: float) -> float:
     """Return an angle [rad] in [-pi, pi)."""
     return angle - 2.0 * math.pi * math.floor((angle + math.pi) / (2.0 * math.pi))
@@ -103,7 +103,7 @@ def theta_of(rotation: FloatArray) -> float:
     return math.atan2(-rotation[0, 1], rotation[1, 1])
 
 
-theta_in_kernel = inlined(theta_of)  # the same, for kernels
+theta_in_kernel = in_place(theta_of)  # the same, for kernels
 
 
 def thetas_of(rotations: FloatArray) -> FloatArray:
@@ -111,38 +111,38 @@ def thetas_of(rotations: FloatArray) -> FloatArray:
     return np.asarray(np.arctan2(-rotations[:, 0, 1], rotations[:, 1, 1]))
 
 
-@inlined
+@in_place
 def dot(a: Vector, b: Vector) -> float:
     """Return the scalar product."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-@inlined
+@in_place
 def cross(a: Vector, b: Vector) -> Vector:
     """Return the vector product."""
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
-@inlined
+@in_place
 def matrix(rows: FloatArray, r: int, start: int = 0) -> Matrix:
     """Return the matrix that begins in row r of an array, at entry ``start`` of the row."""
     return within(rows, r, start), within(rows, r + 1, start), within(rows, r + 2, start)
 
 
-@inlined
+@in_place
 def transposed(m: Matrix) -> Matrix:
     """Return the transpose."""
     a, b, c = m
     return (a[0], b[0], c[0]), (a[1], b[1], c[1]), (a[2], b[2], c[2])
 
 
-@inlined
+@in_place
 def applied(m: Matrix, v: Vector) -> Vector:
     """Return ``m @ v``."""
     return dot(m[0], v), dot(m[1], v), dot(m[2], v)
 
 
-@inlined
+@in_place
 def row_times(v: Vector, m: Matrix) -> Vector:
     """Return ``v @ m``."""
     a, b, c = v
@@ -153,7 +153,7 @@ def row_times(v: Vector, m: Matrix) -> Vector:
     )
 
 
-@inlined
+@in_place
 def product(m: Matrix, n: Matrix) -> Matrix:
     """Return ``m @ n``."""
     return row_times(m[0], n), row_times(m[1], n), row_times(m[2], n)
@@ -168,13 +168,13 @@ def rotated_about_z(a: Vector, angle: float) -> Vector:
     return c * a[0] - s * a[1], s * a[0] + c * a[1], a[2]
 
 
-@inlined
+@in_place
 def rotate(rotation: FloatArray, a: Vector) -> Vector:
     """Return ``rotation @ a``."""
     return dot(within(rotation, 0), a), dot(within(rotation, 1), a), dot(within(rotation, 2), a)
 
 
-@inlined
+@in_place
 def rotate_back(rotation: FloatArray, a: Vector) -> Vector:
     """Return ``rotation.T @ a``."""
     return (
@@ -190,7 +190,7 @@ def apply_tangent(rotation: FloatArray, translation: FloatArray, step: FloatArra
     move(rotation, translation, at(step, 0), at(step, 3))
 
 
-@inlined
+@in_place
 def move(rotation: FloatArray, translation: FloatArray, v: Vector, w: Vector) -> None:
     """Replace the pose by ``pose * exp6(v, w)`` in place, v [m] and w [rad] in the axes of T.
 
@@ -204,14 +204,14 @@ def move(rotation: FloatArray, translation: FloatArray, v: Vector, w: Vector) ->
         put(rotation, i, 0, rotated_row(within(rotation, i), w, s, c))
 
 
-@inlined
+@in_place
 def rotated_row(row: Vector, w: Vector, s: float, c: float) -> Vector:
     """Return a row of ``m @ exp3(w)``, which is exp(-w) applied to the row of m; s, c: exponential coefficients."""
     w_row = cross(w, row)
     return plus(row, plus(times(-s, w_row), times(c, cross(w, w_row))))
 
 
-@inlined
+@in_place
 def exponential_coefficients(x: float) -> Vector:
     """Return sin a / a, (1 - cos a) / a^2 and (a - sin a) / a^3 of an angle a with square x."""
     if x < SERIES_BELOW:
@@ -226,7 +226,7 @@ def exponential_coefficients(x: float) -> Vector:
     return s, (1.0 - math.cos(angle)) / x, (1.0 - s) / x
 
 
-@inlined
+@in_place
 def turned_by(m: Matrix, w: Vector) -> Matrix:
     """Return ``m @ exp3(w)``, w [rad] in the axes of m."""
     s, c, _ = exponential_coefficients(dot(w, w))
@@ -245,7 +245,7 @@ def orthonormalise(rotation: FloatArray) -> None:
         rotation[2, j] = cc * c[j] - ac * a[j] - bc * b[j]
 
 
-@inlined
+@in_place
 def rotation_of_pose(pose: FloatArray) -> Matrix:
     """Return the rotation of a pose (7,), whose quaternion may have any length but zero."""
     x, y, z, w = pose[3], pose[4], pose[5], pose[6]
@@ -257,7 +257,7 @@ def rotation_of_pose(pose: FloatArray) -> Matrix:
     )
 
 
-@inlined
+@in_place
 def write_pose(rotation: Matrix, translation: Vector, pose: FloatArray) -> None:
     """Write a transform as a pose (7,) with a unit quaternion, whose sign is that of ``pinocchio.SE3ToXYZQUAT``."""
     for i in range(3):
