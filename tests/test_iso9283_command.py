@@ -179,7 +179,8 @@ def test_stated_dwells_replace_those_that_are_found(made: Path, arm: Path, bag: 
             1,
             "BACK, line 3: dwell from 5 to 6; expected begin_ns before end_ns, in order.",
         ),
-        ("--reference REF --dwells EARLY", 1, "EARLY: dwells from 1 to 9, none of them in the recording; expected"),
+        ("--reference REF --dwells EARLY", 1, "EARLY: dwells from 1 to 9 ns, none of them in the recording; expected"),
+        ("--reference REF --dwells LATE", 1, f"LATE: dwells from {LATER[0]} to {LATER[1]} ns, none of them in the"),
         ("--reference REF --dwells MOVING", 1, "BAG, topic REF: moves by 0.0"),
         ("--reference REF --same-turn 4", 2, "iso9283: argument --same-turn: '4' is not a number of more than 0 and"),
         ("--reference REF --least 1e300", 2, "iso9283: argument --least: '1e300' is not a number"),
@@ -196,6 +197,8 @@ def test_refusals(
     back.write_text("begin_ns,end_ns\n1,9\n5,6\n", encoding="utf-8")
     early = tmp_path / "early.csv"
     early.write_text("begin_ns,end_ns\n1,5\n6,9\n", encoding="utf-8")
+    late = tmp_path / "late.csv"
+    late.write_text(f"begin_ns,end_ns\n{LATER[0]},{LATER[1]}\n", encoding="utf-8")
     moving = tmp_path / "moving.csv"
     moving.write_text(f"begin_ns,end_ns\n1,{4 * 10**18}\n", encoding="utf-8")
     names = {
@@ -203,6 +206,7 @@ def test_refusals(
         "NONE": str(tmp_path / "none.csv"),
         "BACK": str(back),
         "EARLY": str(early),
+        "LATE": str(late),
         "BAG": str(bag),
         "MOVING": str(moving),
     }

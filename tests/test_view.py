@@ -135,11 +135,15 @@ def test_replay_says_what_is_wrong_where_and_since_when_on_the_time_axis_of_the_
         assert view.end(signal.SIGTERM) == 0
 
 
-def test_connections_without_a_request_are_no_errors() -> None:
+WITHOUT_REQUEST = (b"", b"\0\n", b"GET / HTTP/1.1\r\n")  # of a browser that connects ahead, of a scanner of ports
+FAILED_HANDSHAKE = b"GET / HTTP/1.1\r\nUpgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 1\r\n\r\n"
+
+
+def test_a_failed_handshake_is_printed_and_a_connection_without_a_request_is_not() -> None:
     command = ["-m", "posor_bringup.view_command", STATES_BAG.name, "--port", "0", "--bag", str(STATES_BAG)]
     with Program([sys.executable, *command]) as view:
         port = int(re.findall(rf"http://{HOST}:(\d+)", view.wait_for_line("page at"))[0])
-        for request in (b"", b"\0\n", b"GET / HTTP/1.1\r\n"):  # of a browser that connects ahead, of a scanner
+        for request in (*WITHOUT_REQUEST, FAILED_HANDSHAKE):
             with socket.create_connection((HOST, port)) as connection:
                 connection.sendall(request)
                 connection.shutdown(socket.SHUT_WR)
@@ -148,7 +152,7 @@ def test_connections_without_a_request_are_no_errors() -> None:
         with urlopen(f"http://{HOST}:{port}/") as page:
             assert page.status == HTTPStatus.OK
         assert view.end(signal.SIGTERM) == 0
-        assert view.errors == []
+        assert sum("handshake failed" in line for line in view.errors) == 1
 
 
 def test_page_that_is_opened_again_finds_the_history_and_the_events_of_a_night(tmp_path: Path) -> None:

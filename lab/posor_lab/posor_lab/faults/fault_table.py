@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 
 RATES: Mapping[str, int] = {"six_axis": 50, "five_axis": 50, "test_rig": 100, "quad_rig": 100, "five_axis_checked": 50}
-"""Scans per second that two processors can follow with all drivers and nodes."""
+"""Scans per second: drivers, nodes and the receiver of the trial share two processors with other work."""
 AMPLITUDES: Mapping[str, float] = {
     "six_axis": 0.03,
     "five_axis": 0.06,

@@ -185,7 +185,7 @@ def run_soak(
 ) -> SoakFigures:
     """Run an arm with all nodes in one process, after a warm-up [s], and return its figures.
 
-    It moves as in the fault table, at a rate that two processors follow. ``on_sample`` is called every ``SAMPLE_S``.
+    It moves as in the fault table, at the same rate. ``on_sample`` is called every ``SAMPLE_S``.
 
     Raises ProcessError: the process failed, or messages stopped. Raises InterruptedRunError: the user interrupted the
     run.

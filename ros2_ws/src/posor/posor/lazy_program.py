@@ -32,7 +32,7 @@ LEAST_LIMITS = (  # limits below which libraries of every program fail, in ways 
     (resource.RLIMIT_AS, 2 * 1024**3, "bytes of address space (ulimit -v counts kilobytes)"),
 )
 NO_PLUGINS = {"PYDANTIC_DISABLE_PLUGINS": "__all__"}
-"""Pydantic looks for plugins in every installed package, which takes 20 ms; the programs use none."""
+"""Pydantic looks for plugins in every installed package; the programs use none, nor do those that they start."""
 BLAS_THREADS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 """Variables that limit the threads of the libraries of linear algebra that numpy may be built with."""
 SHORTAGES = {  # remedies of errors of the system
@@ -149,10 +149,12 @@ class LazyProgram:
                 return self._fail(f"the process is limited to {allowed} {what}; expected at least {least}")
         os.environ |= self.environment | os.environ
         try:
-            gc.disable()  # an import leaves no garbage that is worth a search, and what it makes stays
-            program = import_module(self.module).main
-            gc.freeze()
-            gc.enable()
+            gc.disable()  # nearly all objects of an import live until the end: collections would only visit them
+            try:
+                program = import_module(self.module).main
+                gc.freeze()
+            finally:
+                gc.enable()
             handle_interrupts()
             code = int(program())
             sys.stdout.flush()

@@ -108,11 +108,11 @@ def _stated_dwells(path: Path) -> list[tuple[int, int]]:
 
 
 def _check_recorded(path: Path, dwells: Sequence[tuple[int, int]], motion: Motion) -> None:
-    """Raise DataFileError: the dwells of a table are of another time than the recording."""
+    """Raise DataFileError if no dwell of a table overlaps the recording."""
     first, last = motion.stamps_ns[0].item(), motion.stamps_ns[-1].item()
     if all(begin > last or end < first for begin, end in dwells):
-        what = f"dwells from {dwells[0][0]} to {dwells[-1][1]}, none of them in the recording"
-        raise DataFileError(what, where=str(path), expected=f"dwells between {first} and {last}")
+        what = f"dwells from {dwells[0][0]} to {dwells[-1][1]} ns, none of them in the recording"
+        raise DataFileError(what, where=str(path), expected=f"dwells between {first} and {last} ns")
 
 
 def _read(options: Namespace) -> tuple[Motion, Track, list[str]]:

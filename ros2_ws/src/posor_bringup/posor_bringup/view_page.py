@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from posor_bringup.view_record import ArmRecord
 
 HOST = "127.0.0.1"
-NO_BROWSER = "opening handshake failed"  # message of websockets, with a traceback, on a connection without a request
+NO_REQUEST = "InvalidMessage"  # error of websockets, on a connection that sends no HTTP request
 CHART_PERIOD_S, TEXT_PERIOD_S = 0.5, 0.2
 """Time between two updates of the charts and of the numbers; a change of state is shown at once."""
 MAX_POWER, USUAL_POWER = 4.0, 2.0  # of ten, of the enlargement
@@ -136,6 +136,11 @@ class _LocalServer(viser.ViserServer):
         return None
 
 
+def _has_other_cause(record: logging.LogRecord) -> bool:
+    """Return whether a record has another cause than a connection without a request, as of a scanner of ports."""
+    return record.exc_info is None or type(record.exc_info[1]).__name__ != NO_REQUEST
+
+
 def _check_port(port: int) -> None:
     """Refuse a port that another program uses; viser would take the next one.
 
@@ -164,7 +169,7 @@ class ViewPage:
         """
         self._name, self._geometry, self._record, self._span_ns = name, geometry, record, span_ns
         _check_port(port)
-        logging.getLogger("websockets.server").addFilter(lambda record: record.msg != NO_BROWSER)
+        logging.getLogger("websockets.server").addFilter(_has_other_cause)
         self._server = _LocalServer(host=HOST, port=port, label=name, verbose=False)
         self._wake = Wake()
         self._server.on_client_connect(lambda _client: self._wake.set())

@@ -23,9 +23,7 @@ if TYPE_CHECKING:
 
 HIGH_CORRELATION = 0.9  # correlation above which two parameters are hard to separate
 NAMED_OUTLIERS = 5
-IMPROBABLE = 1e-3  # probability of so large or so small a chi-square, below which stated uncertainties are not believed
 MOST_SPREAD = 10.0  # residuals over the stated uncertainties beyond which data and model do not belong together
-LEAST_SPREAD = 0.1  # below which the stated uncertainties may be in another unit
 
 
 def table_row(name: str | int, numbers: Iterable[float]) -> tuple[float | int | str, ...]:
@@ -60,7 +58,7 @@ def result_tables(title: str, fit: Fit, before: FloatArray, count: int) -> tuple
 
 def enlarge_if_improbable(fit: Fit) -> Fit:
     """Return a fit without prior, its uncertainty enlarged if the residuals exceed the stated uncertainties."""
-    if fit.probability >= IMPROBABLE:
+    if not fit.is_too_large:
         return fit
     covariance, cross_covariance = fit.covariance * fit.spread**2, fit.cross_covariance * fit.spread
     return replace(fit, covariance=covariance, cross_covariance=cross_covariance)
@@ -104,22 +102,25 @@ def describe_residuals(fit: Fit, readings: Sequence[str] = ()) -> tuple[str, ...
 
 def describe_spread(fit: Fit) -> tuple[str, ...]:
     """Return a warning if the residuals exceed the stated uncertainties, or are far below them."""
-    if fit.probability < IMPROBABLE:
-        reason = "too small, or the model is incomplete"
-    elif fit.spread < LEAST_SPREAD and 1.0 - fit.probability < IMPROBABLE:
-        reason = "too large, perhaps in another unit, and so are those of the result"
-    else:
-        return ()
-    explained = f"The residuals are {fit.spread:.2g} times as large as the stated uncertainties explain"
-    return (f"{explained}: these are {reason}.",)
+    if fit.is_too_large:
+        return (f"{_ratio(fit).capitalize()}: these are too small, or the model is incomplete.",)
+    return (f"{_excess(fit).capitalize()}.",) if fit.is_too_small else ()
 
 
 def describe_enlargement(fit: Fit, where: str) -> tuple[str, ...]:
-    """Return a warning that the uncertainties were enlarged because the residuals exceed the stated ones, or none."""
-    if fit.probability >= IMPROBABLE:
-        return ()
-    said = f"the residuals are {fit.spread:.3g} times as large as the stated uncertainties explain"
-    return (f"{where}: {said}; the uncertainties of the result are enlarged by this factor.",)
+    """Return the same warning where the uncertainties are enlarged if the residuals exceed the stated ones."""
+    if fit.is_too_large:
+        return (f"{where}: {_ratio(fit)}; the uncertainties of the result are enlarged by this factor.",)
+    return (f"{where}: {_excess(fit)}.",) if fit.is_too_small else ()
+
+
+def _ratio(fit: Fit) -> str:
+    return f"the residuals are {fit.spread:.3g} times as large as the stated uncertainties explain"
+
+
+def _excess(fit: Fit) -> str:
+    of_result = "the uncertainties of the result are too large as well"
+    return f"{_ratio(fit)}: the stated uncertainties are too large, perhaps in another unit, and {of_result}"
 
 
 def describe_rejected(rejected: BoolArray, names: Sequence[str], where: str) -> tuple[str, ...]:
@@ -143,10 +144,10 @@ def check_spread(fit: Fit, readings: Sequence[str], where: str) -> None:
 
     ``readings``: name of each residual, (n,); empty: the worst is not named.
     """
-    if fit.spread > MOST_SPREAD and fit.probability < IMPROBABLE:
+    if fit.spread > MOST_SPREAD and fit.is_too_large:
         worst = f", the worst is {readings[int(np.argmax(np.abs(fit.residuals)))]}" if readings else ""
         raise FitError(
-            f"the residuals are {fit.spread:.3g} times as large as the stated uncertainties explain{worst}",
+            f"{_ratio(fit)}{worst}",
             where=where,
             expected=f"at most {MOST_SPREAD:g} times; state a larger uncertainty of the reference if it has one",
         )

@@ -18,7 +18,6 @@ from numpy.polynomial import Chebyshev, Polynomial
 from posor.errors import FitError
 
 from posor_calibration.data_checks import check_count
-from posor_calibration.fit_report import IMPROBABLE
 from posor_calibration.gap_probe_data import MIN_DWELLS
 from posor_calibration.least_squares import Fit, Loss, fit_linear
 
@@ -191,7 +190,7 @@ def akaike_criterion(mean_square: float, count: int, order: int) -> float:
 def _fit_order(powers: _Powers, order: int, sigmas: FloatArray, *, stated: bool) -> GapPolynomial:
     basis = _Basis(powers, order)
     found = basis.fit(sigmas, "linear", basis.start(), trust_sigmas=stated)
-    if stated and found.probability < IMPROBABLE:
+    if stated and found.is_too_large:
         found = basis.fit(sigmas, "linear", basis.start(), trust_sigmas=False)
     residuals = basis.residuals(found.values)
     leverages = np.sum(np.square(np.linalg.qr(found.jacobian)[0]), axis=1)

@@ -32,6 +32,8 @@ MAX_EVALUATIONS = 200
 DIFFERENCE_STEP = 1e-4  # step of central differences over the scale of a parameter
 UNDETERMINED = 1e-9  # singular values below this share of the largest one count as zero
 WEAK = 0.5  # a direction is weak if the fit leaves more than this share of its prior standard uncertainty
+IMPROBABLE = 1e-3  # probability of chi-square below which the stated uncertainties count as contradicted
+LEAST_SPREAD = 0.1  # below which they may be in another unit
 FALSE_OUTLIER = 1e-3  # probability of a false outlier among all residuals of a fit (Bonferroni)
 NAMED_SHARE = 0.3  # parameters with at least this component in a direction are named
 
@@ -65,6 +67,16 @@ class Fit:
     def probability(self) -> float:
         """Probability of a chi-square at least this large if model and stated uncertainties are right."""
         return float(chdtrc(self.freedoms, self.spread**2 * self.freedoms)) if self.freedoms else 1.0
+
+    @property
+    def is_too_large(self) -> bool:
+        """Whether the residuals exceed what the stated uncertainties explain."""
+        return self.probability < IMPROBABLE
+
+    @property
+    def is_too_small(self) -> bool:
+        """Whether the residuals are far below what the stated uncertainties predict."""
+        return self.spread < LEAST_SPREAD and 1.0 - self.probability < IMPROBABLE
 
     def value(self, name: str) -> float:
         """Return the estimate of one parameter."""

@@ -14,7 +14,6 @@ from posor.reporting.figure_style import BLUE, GREEN, GREY, LIGHT_BLUE, ORANGE
 from posor.reporting.html_page import Section, bullet_list, paragraph, render_page, table
 from posor.reporting.json_text import json_text
 
-from posor_calibration.fit_report import IMPROBABLE
 from posor_calibration.least_squares import WEAK
 from posor_calibration.outcome_tables import WIDTH, format_cell, name_columns
 
@@ -58,7 +57,7 @@ def _wrap(sentences: Sequence[str]) -> list[str]:
 def judge_outcome(name: str, outcome: Outcome, changes: Comparison | None) -> ProcedureVerdict:
     """Return the verdict on the outcome of the procedure ``name``; ``changes``: of the calibration file, if any."""
     what, worst = max(outcome.fits.items(), key=lambda item: item[1].spread)
-    holds = all(fit.probability >= IMPROBABLE for fit in outcome.fits.values())
+    holds = not any(fit.is_too_large for fit in outcome.fits.values())
     usable = "usable" if holds else "usable with care: the residuals exceed the stated uncertainties"
     outliers = sum(map(_count_outliers, outcome.fits.values()))
     readings = sum(len(fit.residuals) for fit in outcome.fits.values())

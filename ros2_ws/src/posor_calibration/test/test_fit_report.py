@@ -45,6 +45,6 @@ def test_stated_uncertainties_that_the_residuals_contradict_are_reported(
 ) -> None:
     readings = times * rng.normal(size=count)
     found = fit_parameters(lambda values: readings - values[0], np.zeros(1), ("mean",), ("m",), np.ones(1))
-    sentences = describe_spread(found)
-    assert len(sentences) == bool(why)
-    assert why in "".join(sentences)
+    for sentences in (describe_spread(found), describe_enlargement(found, "the mean")):
+        assert len(sentences) == bool(why)
+    assert why in "".join(describe_spread(found))

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 from posor.lazy_program import BLAS_THREADS
+from posor_bringup.arms import load_checked_arm
 
 COUNT = """\
 import os
@@ -32,10 +33,26 @@ def test_garbage_is_collected_again_after_the_import(tmp_path: Path) -> None:
     assert subprocess.run(command, env=environ, capture_output=True, text=True, check=True).stdout == "True True\n"
 
 
-@pytest.mark.parametrize("program", ["posor_node", "chain_node"])
-def test_a_node_loads_neither_scipy_nor_numba(program: str) -> None:
-    code = f"import sys, posor_estimator.{program}; print(*{{'scipy', 'numba'}} & set(sys.modules))"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+OPEN_ARM = """\
+import sys
+from pathlib import Path
+
+import posor_estimator.chain_node, posor_estimator.posor_node
+from posor.chain.arm_file import load_arm_file
+from posor.estimation.posor import Posor
+
+arm = load_arm_file(Path(sys.argv[1]))
+for joint in arm.calibrations:
+    Posor(arm.calibration(joint))
+arm.chain()
+print(*{"scipy", "numba"} & set(sys.modules))
+"""
+
+
+def test_nodes_of_an_arm_load_neither_scipy_nor_numba() -> None:
+    environ = {name: value for name, value in os.environ.items() if name != "POSOR_KERNELS"}
+    command = [sys.executable, "-c", OPEN_ARM, str(load_checked_arm("six_axis").path)]
+    done = subprocess.run(command, env=environ, capture_output=True, text=True, check=True)
     assert done.stdout == "\n"
 
 

@@ -58,6 +58,8 @@ class _Held(local):
     """
 
     parts: list[dict[GroupMember, bytes]] | None = None
+    afterwards: tuple[Callable[[], object], ...] = ()
+    """What runs after the round."""
 
 
 _held = _Held()
@@ -80,6 +82,17 @@ class DeliveryRound:
                 _deliver_held_messages()
             finally:
                 _held.parts = None
+                afterwards, _held.afterwards = _held.afterwards, ()
+            for work in afterwards:
+                work()
+
+
+def run_after_round(work: Callable[[], object]) -> None:
+    """Run something after this thread's round, so that no message waits for it; at once where there is no round."""
+    if _held.parts is None:
+        work()
+    else:
+        _held.afterwards += (work,)
 
 
 def receive_in_round(subscription: GroupMember, data: bytes) -> None:

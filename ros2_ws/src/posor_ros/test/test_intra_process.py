@@ -16,7 +16,7 @@ from posor_lab.harness.in_process_nodes import NodeProcess
 from posor_lab.harness.program import wait_until
 from posor_msgs.msg import JointTransform, RawScan
 from posor_ros import intra_process
-from posor_ros.delivery_round import Delivery, DeliveryGroup, DeliveryRound
+from posor_ros.delivery_round import Delivery, DeliveryGroup, DeliveryRound, run_after_round
 from posor_ros.intra_process import IntraProcessPublisher, IntraProcessSubscription
 from posor_ros.lifecycle_node import LISTENERS_STATUS, PosorNode
 from posor_ros.qos import KEEP_ALL_QOS
@@ -337,6 +337,19 @@ def test_what_a_group_publishes_in_the_end_is_delivered_in_the_same_round(rounds
         rounds.first.publish(MESSAGES[0])
         rounds.second.publish(MESSAGES[1])
     assert rounds.events == ["onward [0]"]
+
+
+def test_work_after_a_round_runs_once_all_messages_of_the_thread_are_delivered(rounds: Rounds) -> None:
+    def work() -> None:
+        rounds.events.append("work")
+
+    with DeliveryRound():
+        run_after_round(work)
+        with DeliveryRound():
+            rounds.first.publish(MESSAGES[0])
+    assert rounds.events == ["group [0]", "onward [0]", "rest", "work"]
+    run_after_round(work)
+    assert rounds.events[-2:] == ["work", "work"]
 
 
 def test_a_round_is_of_one_thread(rounds: Rounds) -> None:

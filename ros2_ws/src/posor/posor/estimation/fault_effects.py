@@ -61,7 +61,7 @@ if TYPE_CHECKING:
 MISSED_DETECTION = 1e-2  # probability that a fault of the smallest detectable size passes the test of one scan
 LINEAR_LIMIT = 0.01  # effects up to this size are linear [m], [rad]; an encoder does not bound larger ones
 MISSED_SIGMAS = math.sqrt(upper_quantile(1, 2.0 * MISSED_DETECTION))
-"""A fault that is missed so rarely exceeds the limit by so many standard deviations of normal noise."""
+"""Standard deviations by which a fault exceeds the limit that passes with the probability MISSED_DETECTION."""
 LEAST_SHOWN_SHARE = 1e-4
 """A direction that the readings show less is not tested: faults of hundreds of standard deviations would pass."""
 LOST, ILL_CONDITIONED = int(State.LOST), int(Fault.ILL_CONDITIONED)

@@ -161,6 +161,11 @@ class Posor:
         return bool(self.settings["bump_angle"] > 0.0)
 
     @property
+    def false_alarm(self) -> float:
+        """Probability that the test of the redundant readings rejects a sound scan; 0: nothing is tested."""
+        return self._false_alarm if math.isfinite(self.residual_limit) else 0.0
+
+    @property
     def residual_limit(self) -> float:
         """Largest chi-square of the redundant readings that passes."""
         return float(self.settings["residual_limit"])

@@ -30,9 +30,9 @@ _MOTION_LIMITS = (  # settings of the largest velocities and accelerations, in t
 
 
 def residual_limit(redundancy: int, false_alarm: float) -> float:
-    """Return the largest chi-square of a scan that is not LOST.
+    """Return the largest chi-square that the test of the redundant readings accepts.
 
-    ``redundancy``: number of redundant readings, at least 1; ``false_alarm``: as of ``Posor``, above 0.
+    ``redundancy``: number of these readings, at least 1; ``false_alarm``: see ``Posor``; above 0.
     """
     return upper_quantile(redundancy, EXCEEDED * false_alarm)
 

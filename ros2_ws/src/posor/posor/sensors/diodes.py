@@ -137,7 +137,7 @@ def slip_angle(diodes: FloatArray, sources: FloatArray, sigma: float) -> float:
     azimuths = np.arctan2(sources[:, 1], sources[:, 0])
     distances = np.linalg.norm(sources[:, None] - sources[None, :], axis=2)
     one, other = np.tril_indices(len(diodes), -1)
-    seen = _sources_seen(diodes, sources)
+    seen = _nearest_sources(diodes, sources)
     seen_distances = distances[seen[:, one], seen[:, other]]
     smallest = math.inf
     for slip in range(1, count):
@@ -149,8 +149,8 @@ def slip_angle(diodes: FloatArray, sources: FloatArray, sigma: float) -> float:
     return smallest if smallest < math.inf else 0.0
 
 
-def _sources_seen(diodes: FloatArray, sources: FloatArray) -> IntArray:
-    """Return the source nearest to each diode around a turn, at 16 thetas for each source, shape (thetas, d)."""
+def _nearest_sources(diodes: FloatArray, sources: FloatArray) -> IntArray:
+    """Return the source nearest to each diode at 16 thetas for each source, around a turn, shape (thetas, d)."""
     thetas = np.linspace(0.0, 2.0 * math.pi, 16 * len(sources), endpoint=False)
     c, s = np.cos(thetas)[:, None], np.sin(thetas)[:, None]
     x, y = c * sources[:, 0] - s * sources[:, 1], s * sources[:, 0] + c * sources[:, 1]  # (thetas, n)

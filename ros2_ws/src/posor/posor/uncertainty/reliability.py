@@ -24,9 +24,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.special import chdtrc
 
-from posor.calibration.causes import EXCEEDED
 from posor.chain.fault_bounds import SMALLEST, largest_of_pair
 from posor.estimation.fault_effects import LEAST_SHOWN_SHARE, MISSED_DETECTION
 from posor.estimation.fault_model import SECOND
@@ -121,10 +119,7 @@ def joint_reliability(posor: Posor, scan: Scan, T_R_T: pin.SE3) -> Reliability:
     check_place(posor, T_R_T, "joint_reliability")
     require_determined(posor.stack, posor.stack.linearise(Scans.of([scan])), T_R_T)
     sensitivity = sensitivity_at(posor, scan, T_R_T)
-    settings = posor.settings
-    false_alarm, root = 0.0, float(settings["noncentrality_root"])
-    if math.isfinite(posor.residual_limit):
-        false_alarm = float(chdtrc(posor.redundancy, posor.residual_limit)) / EXCEEDED
+    root = float(posor.settings["noncentrality_root"])
     gains, biases = sensitivity.gain.T, np.full(len(sensitivity.gain.T), math.inf)
     checked = sensitivity.redundancy_numbers > LEAST_SHOWN_SHARE
     biases[checked] = root / np.sqrt(sensitivity.chi_square[checked])
@@ -138,7 +133,7 @@ def joint_reliability(posor: Posor, scan: Scan, T_R_T: pin.SE3) -> Reliability:
         biases=biases,
         gains=gains,
         shifts=_shifts(gains, biases),
-        false_alarm=false_alarm,
+        false_alarm=posor.false_alarm,
         missed_detection=MISSED_DETECTION,
         hypotheses=posor.hypotheses,
         effects=estimates.fault_effects[0],

@@ -19,7 +19,7 @@ from scipy.linalg import block_diag, solve_triangular
 
 from posor_calibration.arm.arm_model import EXACT, UNITS, Parameter
 from posor_calibration.data_checks import MOST_OUTLIERS, POSE_AXES
-from posor_calibration.fit_report import IMPROBABLE, check_spread, describe_spread
+from posor_calibration.fit_report import check_spread, describe_spread
 from posor_calibration.least_squares import fit_parameters
 
 if TYPE_CHECKING:
@@ -317,7 +317,7 @@ def calibrate_arm(problem: ArmProblem, held_out: Collection[int]) -> ArmCalibrat
     tested = [n for n in every if n not in out and problem.readings[n].pose in held_out]
     _check_count(problem, used)
     mounting, found = problem.fit(used, mounting_only=True), problem.fit(used)
-    if found.probability < IMPROBABLE:
+    if found.is_too_large:
         _check_step(problem, found, used)
     check_spread(found, problem.names_of(used), NAME)
     sigmas = np.sqrt(np.diagonal(problem.prior))

@@ -27,13 +27,7 @@ from scipy.spatial.transform import Rotation
 from posor_calibration.calibration_parameters import FixedParameters, first_parameter, parameter_indices, replace_values
 from posor_calibration.data_checks import PLAUSIBLE_RATIO, check_channels_move, check_count
 from posor_calibration.dwells import DwellMeans, DwellOptions, average_recording
-from posor_calibration.fit_report import (
-    IMPROBABLE,
-    describe_enlargement,
-    describe_rejected,
-    enlarge_if_improbable,
-    result_tables,
-)
+from posor_calibration.fit_report import describe_enlargement, describe_rejected, enlarge_if_improbable, result_tables
 from posor_calibration.gap_probe_data import AXES, SingleProbe, list_probes
 from posor_calibration.least_squares import Fit, Loss, fit_parameters
 from posor_calibration.procedure import ANGLES, Figure, JointCovariance, Outcome, Procedure, Replacement
@@ -174,7 +168,7 @@ class _Problem:
     def check_reference(self, source: str) -> None:
         """Refuse angles that determine too little, have another size or sign, or X and Y exchanged."""
         found = self.fit("linear")
-        if found.probability < IMPROBABLE and self._fit_swapped().spread * SWAP_IMPROVEMENT < found.spread:
+        if found.is_too_large and self._fit_swapped().spread * SWAP_IMPROVEMENT < found.spread:
             raise TrackError(
                 "the readings fit the angles with X and Y exchanged; the axes look swapped",
                 where=source,

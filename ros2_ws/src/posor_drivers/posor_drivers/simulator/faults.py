@@ -109,8 +109,8 @@ class FaultyScans(NamedTuple):
 
     def begin(self, *names: str) -> dict[str, Any]:
         """Return the values of fields, or of the channel, in the scan where the fault begins."""
-        first = self.sound.scans_at(np.array([self.first])).scans
-        return {name: getattr(first, name)[(0, *self.fault.index)] for name in names}
+        first = self.sound.scans_at(np.array([self.first]))
+        return {name: _field(first, name)[(0, *self.fault.index)] for name in names}
 
     def at(self, ticks: IntArray, *names: str) -> dict[str, Any]:
         """Return the values of fields at other ticks, one for each scan."""

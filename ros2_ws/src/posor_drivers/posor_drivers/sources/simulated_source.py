@@ -3,11 +3,13 @@
 """Source ``simulated``: one joint of a simulated arm, in step with the drivers of the other joints.
 
 Every driver computes the same truth from the same files. The driver of the last joint also publishes the truth of the
-endpoint and moves the stage, if there is one. Scans are computed for several ticks together, unless the stage moves.
+endpoint and moves the stage, if there is one. Scans are computed for several ticks together, except at the start of a
+run and while the stage moves.
 """
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
@@ -17,6 +19,7 @@ from posor.errors import ParameterError
 from posor.numerics.stamps import tick_stamp_ns, time_ns
 from posor.parameter_model import ParameterGroup
 from posor.ros_names import RAW_SCAN, RAW_TOPIC
+from posor_ros.delivery_round import run_after_round
 from pydantic import Field
 
 from posor_drivers.message_builder import SimulatedMessages
@@ -36,13 +39,13 @@ if TYPE_CHECKING:
     from posor_drivers.sources.source import SourceMessage
 
 BATCH_TICKS = 16
-"""Ticks that are computed together, which takes little longer than one of them."""
+"""Ticks that are computed together, in about twice the time of a single one."""
 
 
 class _Batch(NamedTuple):
     """Truth and scans of consecutive ticks."""
 
-    first: int  # tick
+    ticks: range
     stage: list[float] | None  # position of the stage [m], axes of the endpoint
     truth: ArmTruth
     scans: SimulatedScans
@@ -155,7 +158,7 @@ class SimulatedSource(LiveSource[SimulatedParameters]):
         joint, stamp_ns = self.parameters.joint, tick_stamp_ns(tick, self.rate)
         position = None if self._stage is None else self._stage.position_at(stamp_ns)
         batch = self._batch_of(tick, position)
-        truth, scans, n = batch.truth, batch.scans, tick - batch.first
+        truth, scans, n = batch.truth, batch.scans, tick - batch.ticks.start
         if self._is_last:  # before the scan, which needs them
             for name, reading in self._simulation.accelerations(tick).items():
                 sigma = self._simulation.accelerometers[name].uncertainty.number
@@ -170,17 +173,21 @@ class SimulatedSource(LiveSource[SimulatedParameters]):
                 yield self._messages.temperature(entry.name, stamp_ns, kelvin, entry.uncertainty.number)
         if position is not None:
             yield self._messages.stage_position(stamp_ns, position)
-        if 1 < len(scans.sent) == n + 1:
-            self._batch_of(tick + 1, position)  # now that this tick is published
+        if len(batch.ticks) > 1 and tick == batch.ticks[-1]:
+            run_after_round(partial(self._batch_of, tick + 1, position))
 
     def _batch_of(self, tick: int, position: FloatArray | None) -> _Batch:
-        """Return a batch with a tick: of this tick alone, where the stage was elsewhere at the tick before."""
+        """Return the batch of a tick.
+
+        A new batch has one tick at the start of a run and where the stage has moved since the tick before; else it ends
+        before the next multiple of BATCH_TICKS.
+        """
         batch, stage = self._batch, None if position is None else position.tolist()
         is_at_rest = batch is not None and batch.stage == stage
-        if batch is None or not is_at_rest or not batch.first <= tick < batch.first + len(batch.scans.sent):
+        if batch is None or not is_at_rest or tick not in batch.ticks:
             count = BATCH_TICKS - (tick + self._batch_offset) % BATCH_TICKS if is_at_rest else 1
             ticks = np.arange(tick, tick + count)
             truth = self._simulation.truth(ticks, None if position is None else np.tile(position, (count, 1)))
             scans = self._simulation.scans(self.parameters.joint, ticks, truth)
-            batch = self._batch = _Batch(tick, stage, truth, scans)
+            batch = self._batch = _Batch(range(tick, tick + count), stage, truth, scans)
         return batch

@@ -15,15 +15,19 @@ from lifecycle_msgs.msg import Transition
 from posor.chain.arm_file import load_arm_file
 from posor.errors import CalibrationError, ParameterError
 from posor.messages.message_definitions import MessageTypes
+from posor.numerics.array_types import IntArray
 from posor.numerics.stamps import NS
 from posor_bringup.arms import load_checked_arm
 from posor_drivers.message_builder import SimulatedMessages
 from posor_drivers.simulator.arm_simulation import ArmSimulation
+from posor_drivers.simulator.pose_array import ArmTruth
+from posor_drivers.simulator.simulated_scans import SimulatedScans
 from posor_drivers.sources.simulated_source import SimulatedParameters, SimulatedSource
 from posor_lab.harness.graph import BEST_EFFORT, Graph, values_of, wait_for_value
 from posor_lab.harness.message_conversion import pose_from_message, stamp_ns
 from posor_lab.harness.program import Program
 from posor_msgs.msg import RawScan
+from posor_ros.delivery_round import DeliveryRound
 from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message
 from rosgraph_msgs.msg import Clock
@@ -318,6 +322,32 @@ def test_scans_computed_together_are_those_of_each_tick(arm: Path) -> None:
     assert seen[40:50] == [[0.0, 0.0, 0.0]] * 10
     assert len({x for x, _, _ in seen}) > 3  # the stage moved for several ticks
     assert seen[-1] == pytest.approx([2e-4, 0.0, 0.0])
+
+
+def test_scans_at_rest_are_computed_together_after_the_round_by_each_joint_at_its_own_tick(
+    arm: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    computed: list[tuple[str, int, bool]] = []  # joint, first tick, whether it was during a round
+
+    def scans(simulation: ArmSimulation, joint: str, ticks: IntArray, truth: ArmTruth) -> SimulatedScans:
+        computed.append((joint, int(ticks[0]), is_in_round))
+        return compute(simulation, joint, ticks, truth)
+
+    compute, is_in_round = ArmSimulation.scans, False
+    monkeypatch.setattr(ArmSimulation, "scans", scans)
+    sources = [opened(arm, joint) for joint in ("base", LAST)]
+    first, _ = sources[0].start_run(100 * PERIOD)
+    assert sources[1].start_run(100 * PERIOD) == (first, None)
+    for tick in range(first, first + 52):
+        with DeliveryRound():
+            is_in_round = True
+            for source in sources:
+                list(source.read_tick(tick))
+            is_in_round = False
+    batches = [{begin for name, begin, _ in computed if name == joint} for joint in ("base", LAST)]
+    assert all(4 <= len(begins) <= 6 for begins in batches)
+    assert not batches[0] & batches[1] - {first, first + 1}
+    assert {begin for _, begin, during in computed if during} == {first, first + 1}
 
 
 def test_the_first_scan_of_each_run_is_dark() -> None:
