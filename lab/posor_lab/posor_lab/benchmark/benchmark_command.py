@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 
 PROGRAM = "make bench"
 DEFAULT_SECTIONS = tuple(name for name in SECTIONS if name != "profile")
-QUICK_SECTIONS = ("graph", "layouts", "tick", "growth", "kernel", "offline")
+QUICK_SECTIONS = ("start", "graph", "layouts", "tick", "growth", "kernel", "offline")
 GROWTH_HZ = 500
 WIDTH = 118
 OPTIONS = (
@@ -78,6 +78,7 @@ def plan_of(options: Namespace) -> BenchmarkPlan:
         layout=options.layout,
         seconds=options.seconds,
         rounds=1 if quick else 6,
+        starts=3 if quick else 10,
         page_rounds=1 if quick else 12,
         point_s=min(options.seconds, 2.0 if quick else 5.0),
         offline_s=20 if quick else SECONDS,

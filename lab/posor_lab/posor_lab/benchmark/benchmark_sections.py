@@ -17,13 +17,17 @@ from posor.bags.block_reader import read_messages
 from posor.estimation.posor import Posor
 from posor.model.scan import Scans
 from posor.ros_names import RAW_TOPIC
+from posor_bringup.arm_programs import arm_programs
+from posor_bringup.supervisor import ProgramCommand
 from posor_msgs.msg import RawScan
 from rclpy.serialization import deserialize_message
 
+from posor_lab.benchmark import empty_node
 from posor_lab.benchmark.generated_arm import generate_arm, record_scans
 from posor_lab.benchmark.graph_load import KINDS, LAYOUTS, PROFILE, SPIN_US, GraphLoad, PageUse
 from posor_lab.benchmark.growth_lines import OVERLOADED, fit_line, select_series
 from posor_lab.benchmark.offline_benchmark import offline_figures
+from posor_lab.benchmark.start_cost import start_cost
 from posor_lab.benchmark.tick_cost import tick_cost
 from posor_lab.benchmark.tick_statistics import NothingReceivedError, paired_p99_ratio, run_figures
 from posor_lab.harness.message_conversion import scan_from_message
@@ -73,7 +77,7 @@ def _estimate(posor: Posor, estimate: Callable[[Any], object], parts: Sequence[A
 
 
 SECTIONS = (
-    *("graph", "faults", "waiting", "page", "layouts", "tick", "growth"),
+    *("start", "graph", "faults", "waiting", "page", "layouts", "tick", "growth"),
     *("highest", "separate", "profile", "kernel", "offline"),
 )
 """Names of the sections; each is a method of ``BenchmarkSections``."""
@@ -97,6 +101,7 @@ class BenchmarkPlan:
     layout: Layout  # layout of the main graph
     seconds: float  # measured time of the main graph, and of the pass-through graph
     rounds: int  # number of parts of this time; the two graphs alternate, so that changes of the host affect both
+    starts: int  # number of starts of a node
     page_rounds: int  # number of times that the graph is measured with and without the live page
     point_s: float  # measured time of all other graphs
     offline_s: int  # length of the bag for offline processing
@@ -179,6 +184,14 @@ class BenchmarkSections:
         if key not in self._measured:
             self._measured[key] = run_figures([self._measure(*key, self._plan.point_s)])
         return self._measured[key]
+
+    def start(self) -> dict[str, Any]:
+        """Measure the start of a ``posor_node`` beside that of a node that does nothing."""
+        self._print_line(f"start of a node: {self._plan.starts} times")
+        nodes = arm_programs(self._arms[self._plan.joints], drivers=False)
+        posor = next(node for node in nodes if node.executable == "posor_node")
+        programs = {"posor_node": posor, "empty_node": ProgramCommand("empty", "", str(empty_node.__file__))}
+        return {"start": {name: start_cost(each.command(), self._plan.starts) for name, each in programs.items()}}
 
     def graph(self) -> dict[str, Any]:
         """Measure the main graph and the pass-through graph alternately, then the empty loop."""

@@ -194,6 +194,11 @@ TABLES: Mapping[str, Callable[[Any], FigureTable]] = {  # tables of single secti
         ("", "least, us", "median, us", "up to the pose: least, us", "median, us"),
         [(TEXTS["tick"][kind], *map(_format_figure, cost.values())) for kind, cost in costs.items()],
     ),
+    "start": lambda costs: FigureTable(
+        "Start of a node, from exec to the line 'ready', medians",
+        ("", "time, s", "processor time, s", "memory, MB", "private dirty memory, MB"),
+        [(TEXTS["start"][name], *map(_format_figure, cost.values())) for name, cost in costs.items()],
+    ),
     "page": _page_table,
     "waiting": partial(_latency_table, "How drivers wait for a tick"),
     "growth": lambda points: _latency_table(

@@ -31,7 +31,7 @@ from posor_lab.benchmark.benchmark_tables import result_tables
         (["--layout", "none"], "argument --layout: invalid choice: 'none'"),
         (
             ["--only", "graph,nothing"],
-            "make bench: --only: unknown section 'nothing'; expected some of graph, faults, waiting, page",
+            "make bench: --only: unknown section 'nothing'; expected some of start, graph, faults, waiting, page",
         ),
         (["--fast"], "unrecognized arguments: --fast"),
     ],
@@ -119,6 +119,8 @@ def check_page(runs: dict[str, Any]) -> None:
 
 def check_rest(results: dict[str, Any]) -> None:
     """Check the profile of a tick and the sections without a graph."""
+    started, empty = results["start"]["posor_node"], results["start"]["empty_node"]
+    assert all(started[name] > empty[name] > 0 for name in started)
     stages = results["profile"]["stages"]
     assert stages["publish RawScan"]["calls"] == pytest.approx(2.0, abs=1.0)
     named = "posor_node: estimate", "chain_node: read the transforms, endpoint", "publish PoseStamped"
