@@ -60,7 +60,7 @@ FORMATS: dict[str, Callable[[dict[str, Any]], object]] = {
 VERSIONS = (1, 2, 3, 4)
 EXTERNAL = {
     *(".", "cd", "done", "echo", "eval", "export", "for", "kill", "sleep", "source", "until", "wait"),
-    *("cat", "cp", "grep", "head", "journalctl", "ls", "mkdir", "sed", "systemctl", "timeout", "true"),
+    *("cat", "cp", "grep", "head", "journalctl", "ls", "mkdir", "rm", "sed", "systemctl", "timeout", "true"),
     *("apt", "docker", "pip", "python", "ros2", "rosdep"),
 }
 """Programs of the shell, the system and ROS."""

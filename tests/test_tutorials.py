@@ -88,5 +88,13 @@ def test_every_block_runs(page: str, tmp_path: Path) -> None:
     assert "Traceback" not in output
 
 
+def test_the_folder_of_every_file_is_made_by_a_command() -> None:
+    first, _ = read_page(FIRST)
+    for page in SAID:
+        commands, files = read_page(page)
+        made = " ".join(re.findall(r"mkdir -p (.*)", first + commands)).split()
+        assert {str(Path(name).parent) for name in files} <= set(made), page
+
+
 def test_every_tutorial_is_run() -> None:
     assert sorted(SAID) == sorted(page.stem for page in PAGES.glob("*.md"))
