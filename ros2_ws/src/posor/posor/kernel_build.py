@@ -5,9 +5,9 @@
 The build needs numba and a C compiler, the library needs neither.
 
 Numba compiles each kernel of PARTS with the types of ``kernel_examples`` and a wrapper that reads the arguments from
-a table (see ``numerics.kernel_library``). LLVM links each part to one module and emits its machine code for any
-processor of this architecture, without contraction to fused operations: the results are those of Python to the last
-bit. Each part has a process, because the compilation takes minutes.
+a table (see ``numerics.kernel_library``). LLVM links each part to one module, optimises it, and emits its machine code
+for any processor of this architecture, without contraction to fused operations: the results are those of Python to the
+last bit. Each part has a process, because the compilation takes minutes.
 ``--texts FOLDER`` keeps the assembler text, from which the C compiler alone makes the same library: a source release
 has it in the folder ``kernels`` beside the package.
 """

@@ -138,6 +138,7 @@ def _summary(checked: CheckedArm) -> Iterator[str]:
     place = f"{x:.4f}, {y:.4f}, {z:.4f} m in {chain.base_frame}"
     yield f"nominal reach: {reach:.4f} m; endpoint with all angles zero: {place}"
     yield from _drivers(checked)
+    yield _gravity(checked)
     yield _levels(checked, angles)
     if arm.commissioning is None or not arm.commissioning.exists():
         yield "commissioning: none; 'posor commission' makes the record"
@@ -161,6 +162,15 @@ def _drivers(checked: CheckedArm) -> Iterator[str]:
         yield f"driver: source {source}, {rate}"
 
 
+def _gravity(checked: CheckedArm) -> str:
+    """Return a line on the direction of gravity, by which beams sag."""
+    components = checked.chain.gravity
+    axis = int(np.argmax(np.abs(components)))
+    sign = "+" if components[axis] > 0.0 else "-"
+    how = {("-", 2): "the arm stands", ("+", 2): "the arm hangs"}.get((sign, axis), "the base is on its side")
+    return f"gravity: along {sign}{'XYZ'[axis]} of {checked.chain.base_frame}, {how}"
+
+
 def _levels(checked: CheckedArm, angles: dict[str, float]) -> str:
     """Return a line on the protection levels of the endpoint."""
     what = "protection level of the endpoint, all angles zero"
@@ -169,6 +179,8 @@ def _levels(checked: CheckedArm, angles: dict[str, float]) -> str:
     except PosorError as error:
         return f"{what}: unknown, {error}"
     level = found.protection_level
+    if np.isnan(level).any():
+        return f"{what}: unknown, no joint has a pose with the calibrations as they are"
     if np.isfinite(level).all():
         return f"{what}: finite, at most {1e6 * max(level[:3]):.3g} um and {1e6 * max(level[3:]):.3g} urad"
     axes = zip(("x", "y", "z", "alpha", "beta", "gamma"), level, found.set_by, strict=True)

@@ -115,11 +115,16 @@ class RunningProgram:
         return self.process.poll() is not None
 
     def last_sentence(self) -> str:
-        """Return the last line of the log without the prefix of ROS log messages; if there is none, the reason."""
+        """Return the last line of the log without the prefix of ROS log messages; if there is none, the reason.
+
+        The note below a traceback, which names the node of an error, is no sentence of its own.
+        """
         lines = self.log.read_text(encoding="utf-8", errors="replace").splitlines()
         is_full = disk_usage(self.log).free < FULL_BYTES
         nothing = f"it wrote nothing{f', the disk of {self.log.parent} is full' if is_full else ''}"
-        last = next((line.strip() for line in reversed(lines) if line.strip()), nothing)
+        written = [line.strip() for line in lines if line.strip()]
+        note = written.pop() if len(written) > 1 and written[-1].startswith("in node ") else ""
+        last = f"{note}{': ' if note else ''}{written[-1]}" if written else nothing
         return _ROS_LOG_PREFIX.sub("", last).rstrip(".")
 
     def check(self, *, after_sigint: bool = False) -> None:

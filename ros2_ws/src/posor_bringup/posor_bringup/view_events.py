@@ -17,6 +17,7 @@ from datetime import UTC, datetime
 from typing import TYPE_CHECKING, NamedTuple
 
 from posor.numerics.stamps import NS
+from posor.reporting.fault_texts import FAULT_TEXTS
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
@@ -32,26 +33,6 @@ SEVERITY = {
 }
 """States from sound to unusable; unknown states are worse."""
 _NUMBER = re.compile(r"\d+(\.\d+)?(e[+-]?\d+)?")
-FAULT_TEXTS = {
-    "BAD_READING": "a reading is missing or invalid",
-    "DARK_DIODE": "a diode is dark",
-    "OUT_OF_RANGE": "a reading is out of its calibrated range",
-    "NOT_CONVERGED": "the estimate did not converge",
-    "ILL_CONDITIONED": "the readings do not determine the pose",
-    "RESIDUAL": "the readings contradict one another",
-    "INNOVATION": "a leap beyond the motion limits",
-    "SOURCE": "the wrong light source, or several",
-    "COUNT": "the count of bumps is in doubt",
-    "ENVIRONMENT": "supply or temperature out of range or not measured",
-    "FLAGGED": "the driver marked a reading as unusable",
-    "FROZEN": "readings repeat to the last bit",
-    "LATCHED": "latched by an earlier fault",
-    "ENCODER": "theta disagrees with the encoder",
-    "TIME": "uncertain times of readings while the joint moves",
-    "ACKNOWLEDGED": "a released latch is not confirmed yet",
-    "AMBIENT": "the ambient light is not known",
-}
-"""What each flag of ``posor_msgs/JointTransform.faults`` means, in a few words."""
 _FAULTS = re.compile(r"(?:is \w+ )?\(?([A-Z_]+(?:\|[A-Z_]+)*)\)?")
 _REASONS = re.compile("; (?!expected )")  # what was expected belongs to the reason before
 _DEGRADED_JOINT = re.compile(r"(\w+)((?: \([^)]*\))?)(?:, |$)")

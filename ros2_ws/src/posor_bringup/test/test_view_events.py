@@ -8,16 +8,8 @@ import io
 import pytest
 from posor.model.fault import Fault
 from posor.numerics.stamps import NS
-from posor_bringup.view_events import (
-    EVENTS,
-    FAULT_TEXTS,
-    MERGE_S,
-    Cause,
-    EventLog,
-    causes_of_state,
-    duration_text,
-    merge_causes,
-)
+from posor.reporting.fault_texts import FAULT_TEXTS
+from posor_bringup.view_events import EVENTS, MERGE_S, Cause, EventLog, causes_of_state, duration_text, merge_causes
 from posor_estimator.endpoint_verdict import JointStatus, degraded_verdict, unusable_verdict
 
 JOINTS = ("base", "elbow", "wrist_roll")

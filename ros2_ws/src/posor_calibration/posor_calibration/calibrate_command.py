@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -45,6 +46,7 @@ if TYPE_CHECKING:
     from posor_calibration.calibration_fit import FitResult
     from posor_calibration.outcome_report import ProcedureVerdict
 
+MOST_SCALE, MOST_THERMOMETER_K = 0.01, 10.0  # standard uncertainties of shared terms: share of a length, and [K]
 NOT_EXPLAINED = 3
 """Exit code of ``check`` for a calibration that does not explain the bag."""
 
@@ -151,8 +153,11 @@ def calibrate(options: argparse.Namespace, report: Callable[[str], object]) -> F
     report(f"{procedure.name}: fitting")
     given = given_options(procedure.options, options)
     terms = [
-        {name: _parse_sigma(option, name, sigma) for name, sigma in _split(option, entries)}
-        for option, entries in (("--length-scale", options.length_scale), ("--thermometer", options.thermometer))
+        {name: _parse_sigma(option, name, sigma, most) for name, sigma in _split(option, entries)}
+        for option, entries, most in (
+            ("--length-scale", options.length_scale, MOST_SCALE),
+            ("--thermometer", options.thermometer, MOST_THERMOMETER_K),
+        )
     ]
     return fit_recording(
         *(procedure, calibration, recording, instruments, settings, given),
@@ -207,6 +212,7 @@ def _read_recording(
     names = dict(_split("--instrument", options.instrument))
     report(f"reading {options.bag}")
     wanted = getattr(options, destination("reference"), None)
+    wanted = wanted if isinstance(wanted, str) else None  # of some procedures it is a number
     return read_recording(
         options.bag, calibration, uncertainties, names, topic=options.topic, reference=wanted, where="option --{}"
     )
@@ -247,11 +253,15 @@ def _split(option: str, given: Sequence[str]) -> list[tuple[str, str]]:
     return pairs
 
 
-def _parse_sigma(option: str, name: str, text: str) -> float:
+def _parse_sigma(option: str, name: str, text: str, most: float) -> float:
     try:
-        return parse_number(text)
+        sigma = parse_number(text)
     except ValueError:
-        raise ParameterError(f"'{text}'", where=f"option {option} {name}", expected="a standard uncertainty") from None
+        sigma = math.nan
+    if not 0.0 < sigma <= most:
+        expected = f"a standard uncertainty above 0 and up to {most:g}"
+        raise ParameterError(f"'{text}'", where=f"option {option} {name}", expected=expected)
+    return sigma
 
 
 def _parse_sigmas(topic: str, text: str) -> list[float]:

@@ -164,6 +164,7 @@ def fit(
         if references is not None:
             raise ParameterError("references beside a bag", where="fit", expected="the references of the bag")
         wanted = options.get("reference")
+        wanted = wanted if isinstance(wanted, str) else None  # of some procedures it is a number
         recording, found = read_recording(Path(data), calibration, sigmas, names, topic=topic, reference=wanted)
     else:
         recording = data if isinstance(data, Recording) else _recording_of(data, references or {})

@@ -110,7 +110,7 @@ def encoder_errors(
         columns["windup"] = own - own.mean()
     own_design = np.column_stack(list(columns.values()))
     gravity = _beyond(gravity, own_design)
-    backlash = _backlash(which, direction, difference, gravity)
+    backlash = _backlash(which, direction, difference, np.column_stack([angles, gravity]))
     alike, design = difference - 0.5 * np.nan_to_num(backlash) * direction, np.column_stack([own_design, gravity])
     values = np.linalg.lstsq(design, alike, rcond=None)[0]
     fitted = dict(zip(columns, map(float, values), strict=False))
@@ -146,9 +146,9 @@ def _table(edges: FloatArray, which: IntArray, direction: IntArray, difference: 
     return rows
 
 
-def _backlash(which: IntArray, direction: IntArray, difference: FloatArray, gravity: FloatArray) -> float:
-    """Return the backlash by least squares within the bins; NaN: no bin has both directions."""
-    design = np.column_stack([difference, 0.5 * direction, gravity])
+def _backlash(which: IntArray, direction: IntArray, difference: FloatArray, others: FloatArray) -> float:
+    """Return the backlash within the bins, beside other columns (n, k); NaN: no bin has both directions."""
+    design = np.column_stack([difference, 0.5 * direction, others])
     sums = np.array([np.bincount(which, column) for column in design.T])
     design -= (sums / np.maximum(np.bincount(which), 1)).T[which]
     if not np.any(design[:, 1]):

@@ -14,7 +14,7 @@ from posor.calibration.quantity import Quantity
 from posor.calibration.shared_terms import check_same_terms
 from posor.chain.beams_file import load_beams
 from posor.chain.kinematic_chain import Chain
-from posor.errors import ChainError
+from posor.errors import ChainError, ParameterError
 from posor.estimation.posor import Posor
 from posor.model.fault import State
 from posor.uncertainty.budget_poses import estimates_at, require_poses
@@ -208,12 +208,19 @@ def calibration_freedoms(calibration: Calibration) -> float:
 def chain_at(arm: ArmFile, deviation: float | None) -> Chain:
     """Return the chain; its beams with a stated temperature deviate by at most ``deviation`` [K]; None: as stated.
 
-    Raises PosorError: the URDF or the beams file is invalid.
+    Raises PosorError: the URDF or the beams file is invalid, or a deviation has no effect.
     """
     chain = arm.chain()
-    if deviation is None or arm.beams is None:
+    if deviation is None:
         return chain
-    beams, stated = load_beams(arm.beams), Quantity(value=deviation, unit="K")
+    beams = None if arm.beams is None else load_beams(arm.beams)
+    if beams is None or not any(beam.temperature for beam in beams.beams):
+        if deviation == 0.0:
+            return chain
+        what, where = "no beam of the arm states how it expands", "option --temperature-deviation"
+        expected = f"'temperature' with a coefficient in {arm.beams or 'a beams file'}"
+        raise ParameterError(what, where=where, expected=expected)
+    stated = Quantity(value=deviation, unit="K")
     given = {"deviation": stated, "spread": None, "thermometer": None}
     entries = [
         beam.model_copy(update={"temperature": beam.temperature and beam.temperature.model_copy(update=given)})

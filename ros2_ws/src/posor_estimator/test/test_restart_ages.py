@@ -217,3 +217,33 @@ def test_clocks_that_drift_apart_while_the_driver_is_away_are_no_step() -> None:
     driver.step_s = 50e-6 * 300.0
     assert driver.receive().state in USABLE_STATES
     assert stated_step(driver) == 0.0
+
+
+@pytest.mark.parametrize("seconds", [0.1, 0.5, 0.9])
+def test_a_host_that_was_paused_with_its_clock_shifts_the_poses(seconds: float) -> None:
+    driver = settled()
+    before = float(driver.posor.tracker["time"])
+    driver.pause(seconds, -seconds)  # no number is missing, and no stamp
+    assert driver.receive().state in USABLE_STATES
+    assert stated_step(driver) == pytest.approx(seconds, abs=1e-3)
+    assert driver.posor.tracker["time"] - before == pytest.approx(seconds + driver.PERIOD_S, abs=1e-3)
+    assert np.all(driver.receive().stamp_shift)
+
+
+@pytest.mark.parametrize(("seconds", "is_usable"), [(0.0, True), (0.5, False), (0.9, False)])
+def test_a_ring_that_may_have_turned_while_its_host_was_paused_is_not_counted(
+    *, seconds: float, is_usable: bool
+) -> None:
+    driver = RestartedDriver("triad_bumpy_ring")
+    driver.posor.confirm_theta(0.05, 1e-3)
+    assert driver.receive_missed().state == State.OK
+    driver.pause(seconds, -seconds)
+    assert (driver.receive().state in USABLE_STATES) == is_usable
+
+
+def test_a_node_that_was_stopped_finds_no_step_once_its_scans_arrive_in_time() -> None:
+    driver = settled()
+    for late in range(25, -1, -1):  # the scans of half a second, one after the other
+        driver.receive(late * driver.PERIOD_S)
+    assert stated_step(driver) == 0.0
+    assert driver.receive().state == State.OK

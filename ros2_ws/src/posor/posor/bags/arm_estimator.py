@@ -22,6 +22,7 @@ from posor.messages.estimate_arrays import ArmEstimates, EndpointEstimates, esti
 from posor.messages.joint_transform import TransformConstants
 from posor.model.fault import USABLE_STATES, Fault, State
 from posor.model.scan import Scans
+from posor.reporting.fault_texts import FAULT_TEXTS
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -106,8 +107,8 @@ class ArmEstimator:
                     f"stamps of {name} that are not after the one before: {joint.backward:,}, as where a recording "
                     "starts over, scans are repeated or a clock was set"
                 )
-            if joint.scans and joint.lost == joint.scans:
-                notes.append(f"no scan of {name} has a pose; the calibration may be that of another POSOR")
+            if joint.scans and not joint.usable:
+                notes.append(f"no scan of {name} has a usable pose: {joint.reason}")
         if (end := self.endpoint) is not None:
             if end.synchroniser.incomplete:
                 missing = ", ".join(f"{n:,} of {name}" for name, n in end.synchroniser.missing.items() if n)
@@ -138,6 +139,7 @@ class _JointEstimator:
 
     Attributes:
         scans: Number of scans.
+        usable: Number of scans with a pose that is OK or DEGRADED.
         lost: Number of scans without a pose.
         faults: Number of scans without a pose, by fault.
         backward: Number of stamps that are not after the one before.
@@ -147,7 +149,7 @@ class _JointEstimator:
     def __init__(self, calibration: Calibration, false_alarm: float) -> None:
         self._posor = Posor(calibration, false_alarm=false_alarm)
         self.transforms = TransformConstants.of(self._posor)
-        self.scans = self.lost = self.backward = 0
+        self.scans = self.usable = self.lost = self.backward = 0
         self.faults: Counter[str] = Counter()
         self._last_ns = np.empty(0, dtype=np.int64)  # the last stamp, if any
 
@@ -156,6 +158,7 @@ class _JointEstimator:
         estimates = Estimates.concatenate(parts) if parts else self._posor.estimate_all(NO_SCANS, fault_effects=True)
         lost = estimates.states == int(State.LOST)
         self.scans += len(estimates)
+        self.usable += int(np.count_nonzero(np.isin(estimates.states, USABLE_STATES)))
         self.lost += int(np.count_nonzero(lost))
         faults = estimates.faults[lost]
         counts = {fault.name: int(np.count_nonzero(faults & fault.value)) for fault in Fault if fault.name}
@@ -165,7 +168,18 @@ class _JointEstimator:
         self._last_ns = stamps_ns[-1:]
         return estimates
 
+    @property
+    def reason(self) -> str:
+        """Why no scan has a usable pose: the most frequent fault, or no home mark."""
+        if self.lost < self.scans:
+            return f"{self.scans - self.lost:,} of {self.scans:,} are UNCOUNTED, because none passes a home mark"
+        fault, count = self.faults.most_common(1)[0] if self.faults else ("", 0)
+        what = f"{FAULT_TEXTS.get(fault, 'another frame or invalid times')} ({count or self.lost:,} of {self.scans:,})"
+        return f"{what}; the calibration may be that of another POSOR" if fault in CONTRADICTIONS else what
 
+
+CONTRADICTIONS = {"OUT_OF_RANGE", "NOT_CONVERGED", "ILL_CONDITIONED", "RESIDUAL", "INNOVATION", "SOURCE"}
+"""Faults of scans whose readings do not fit the calibration."""
 UNREAD = "accelerometers of beams are not read offline: their beams are at rest, with the stated spread"
 
 

@@ -115,6 +115,9 @@ class EnvironmentRange(FrozenModel):
             raise EntryError(f"range {self.range.value}", key=("range",), expected="[lowest, highest], not negative")
         if self.spread.number < 0.0:
             raise EntryError(f"spread {self.spread.value}", key=("spread",), expected="zero or more")
+        if self.spread.number > high - low:
+            expected = f"at most the width of the range, {high - low:g} {self.spread.unit}"
+            raise EntryError(f"spread {self.spread.value}", key=("spread",), expected=expected)
         return self
 
 
@@ -213,6 +216,24 @@ class Calibration(FrozenModel):
             if getattr(sensor, "ambient", None) is not None and self.motion is None:
                 expected = "the key motion, which bounds the pose of a dark scan"
                 raise EntryError("ambient without motion", key=("sensors", i, "ambient"), expected=expected)
+        return self
+
+    @model_validator(mode="after")
+    def _check_references(self) -> Self:
+        """Refuse a probe that was linearised outside of the range in which its calibration is valid."""
+        probes = [
+            (i, j, each) for i, own in enumerate(self.sensors) for j, each in enumerate(getattr(own, "probes", ()))
+        ]
+        for i, j, probe in probes:
+            for name in ("supply", "temperature"):
+                stated, valid = getattr(probe, name, None), getattr(self.environment, name, None)
+                if stated is None or valid is None:
+                    continue
+                (low, high), value = valid.range.array, stated.reference.number
+                if not low <= value <= high:
+                    key = ("sensors", i, "probes", j, name, "reference")
+                    expected = f"{low:g} to {high:g}, the range of 'environment'"
+                    raise EntryError(f"reference {value:g} {stated.reference.unit}", key=key, expected=expected)
         return self
 
     @model_validator(mode="after")

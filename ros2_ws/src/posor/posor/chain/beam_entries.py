@@ -4,18 +4,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Self
+from typing import Annotated, Self
 
-import numpy as np
 from pydantic import Field, model_validator
 
 from posor.calibration.file_model import EntryError, FrozenModel
+from posor.calibration.plausible_range import TEMPERATURE, PlausibleRange
 from posor.calibration.quantity import Quantity, measured
 from posor.ros_names import ROS_NAME_RULE, is_ros_name
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
 
 STANDARD_GRAVITY = 9.80665  # [m/s^2] (ISO 80000-3)
 PERIOD_S, DELAY_S = 1.0, 0.5
@@ -23,46 +19,28 @@ PERIOD_S, DELAY_S = 1.0, 0.5
 LEAST_AGE_S = 2.0 * PERIOD_S + DELAY_S  # that a reading may reach: delay, wait for the next reading, use of this one
 
 
-@dataclass(frozen=True)
-class _Range:
-    """Plausible amounts of a quantity in its SI unit: a value beyond is usually one of another unit."""
-
-    least: float
-    most: float
-    causes: Mapping[str, float]  # likely causes of a value beyond, and by what each multiplies the value to correct it
-    or_zero: bool = False
-
-    def check(self, name: str, quantity: Quantity) -> None:
-        """Raise EntryError if a number of a quantity, whose key is its name, is out of range."""
-        for value in np.ravel(quantity.array):
-            if not (self.least <= value <= self.most or (self.or_zero and value == 0.0)):
-                fitting = [cause for cause, factor in self.causes.items() if self.least < value * factor <= self.most]
-                question = f" ({' or '.join(fitting)}?)" if fitting else ""
-                expected = f"{'0 or ' if self.or_zero else ''}{self.least:g} to {self.most:g} {quantity.unit}{question}"
-                raise EntryError(f"{name} {value:g} {quantity.unit}", key=(name,), expected=expected)
-
-
-_DIAMETER = _Range(1e-3, 1.0, {"in mm": 1e-3, "in inches": 0.0254})
-_MODULUS = _Range(1e8, 1.5e12, {"in GPa": 1e9, "in MPa": 1e6, "in psi": 6894.76})  # of plastics to that of diamond
-_DENSITY = _Range(10.0, 23e3, {"in g/cm^3": 1e3})  # of foams to that of osmium
-_MASS = _Range(0.0, 200.0, {"in g": 1e-3})
-_EXPANSION = _Range(1e-10, 1e-3, {"in um/m/K": 1e-6}, or_zero=True)
-_DEVIATION = _Range(0.0, 150.0, {"the temperature itself": 0.1})
-_TEMPERATURE = _Range(100.0, 600.0, {"in degrees Celsius": 15.0})
-_KELVINS = _Range(1e-4, 50.0, {"in mK": 1e-3}, or_zero=True)
-_RATE = _Range(1e-6, 10.0, {"in K/min": 1.0 / 60.0, "in K/h": 1.0 / 3600.0})
-_AGE = _Range(LEAST_AGE_S, 3600.0, {"in ms": 1e-3})
-_POSITION = _Range(0.0, 0.1, {"in um": 1e-6, "in mm": 1e-3})
-_ORIENTATION = _Range(0.0, 0.2, {"in urad": 1e-6, "in arcseconds": 4.848e-6, "in degrees": 0.01745})
-_SHARE = _Range(0.0, 1.0, {"in percent": 0.01})
-_FREQUENCY = _Range(1.0, 1e5, {"in kHz": 1e3, "in rad/s": 0.159155})
-_DAMPING = _Range(1e-5, 0.3, {"in percent": 0.01})
-_ACCELERATION = _Range(1e-4, 1e3, {"in mm/s^2": 1e-3, "in standard gravities": STANDARD_GRAVITY})
-_LARGEST_ACCELERATION = _Range(15.0, 1e5, {"in standard gravities": STANDARD_GRAVITY})
-_SAMPLE_AGE = _Range(1e-4, 0.1, {"in ms": 1e-3})
-_DELAY = _Range(1e-7, 0.02, {"in ms": 1e-3, "in us": 1e-6})
-_LIMIT = _Range(0.05, 0.9, {"in percent": 0.01})
-GRAVITY = _Range(1.5, 25.0, {"in mm/s^2": 1e-3, "in standard gravities": STANDARD_GRAVITY}, or_zero=True)
+_DIAMETER = PlausibleRange(1e-3, 1.0, {"in mm": 1e-3, "in inches": 0.0254})
+_MODULUS = PlausibleRange(
+    1e8, 1.5e12, {"in GPa": 1e9, "in MPa": 1e6, "in psi": 6894.76}
+)  # of plastics to that of diamond
+_DENSITY = PlausibleRange(10.0, 23e3, {"in g/cm^3": 1e3})  # of foams to that of osmium
+_MASS = PlausibleRange(0.0, 200.0, {"in g": 1e-3})
+_EXPANSION = PlausibleRange(1e-10, 1e-3, {"in um/m/K": 1e-6}, or_zero=True)
+_DEVIATION = PlausibleRange(0.0, 150.0, {"the temperature itself": 0.1})
+_KELVINS = PlausibleRange(1e-4, 50.0, {"in mK": 1e-3}, or_zero=True)
+_RATE = PlausibleRange(1e-6, 10.0, {"in K/min": 1.0 / 60.0, "in K/h": 1.0 / 3600.0})
+_AGE = PlausibleRange(LEAST_AGE_S, 3600.0, {"in ms": 1e-3})
+_POSITION = PlausibleRange(0.0, 0.1, {"in um": 1e-6, "in mm": 1e-3})
+_ORIENTATION = PlausibleRange(0.0, 0.2, {"in urad": 1e-6, "in arcseconds": 4.848e-6, "in degrees": 0.01745})
+_SHARE = PlausibleRange(0.0, 1.0, {"in percent": 0.01})
+_FREQUENCY = PlausibleRange(1.0, 1e5, {"in kHz": 1e3, "in rad/s": 0.159155})
+_DAMPING = PlausibleRange(1e-5, 0.3, {"in percent": 0.01})
+_ACCELERATION = PlausibleRange(1e-4, 1e3, {"in mm/s^2": 1e-3, "in standard gravities": STANDARD_GRAVITY})
+_LARGEST_ACCELERATION = PlausibleRange(15.0, 1e5, {"in standard gravities": STANDARD_GRAVITY})
+_SAMPLE_AGE = PlausibleRange(1e-4, 0.1, {"in ms": 1e-3})
+_DELAY = PlausibleRange(1e-7, 0.02, {"in ms": 1e-3, "in us": 1e-6})
+_LIMIT = PlausibleRange(0.05, 0.9, {"in percent": 0.01})
+GRAVITY = PlausibleRange(1.5, 25.0, {"in mm/s^2": 1e-3, "in standard gravities": STANDARD_GRAVITY}, or_zero=True)
 
 
 class TubeFile(FrozenModel):
@@ -179,7 +157,7 @@ class ThermometerFile(FrozenModel):
     def _check_values(self) -> Self:
         if not is_ros_name(self.name):
             raise EntryError(f"name '{self.name}'", key=("name",), expected=ROS_NAME_RULE)
-        for name, limits in (("range", _TEMPERATURE), ("rate", _RATE), ("age", _AGE), ("uncertainty", _KELVINS)):
+        for name, limits in (("range", TEMPERATURE), ("rate", _RATE), ("age", _AGE), ("uncertainty", _KELVINS)):
             limits.check(name, getattr(self, name))
         least, most = self.range.array
         if not least < most:
@@ -195,7 +173,7 @@ class BeamThermometerFile(ThermometerFile):
 
     @model_validator(mode="after")
     def _check_reference(self) -> Self:
-        _TEMPERATURE.check("reference", self.reference)
+        TEMPERATURE.check("reference", self.reference)
         least, most = self.range.array
         if not least < self.reference.number < most:
             what, expected = f"range {self.range.value} K", "two temperatures, the reference between them"

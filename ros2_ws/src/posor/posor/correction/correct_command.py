@@ -66,7 +66,7 @@ def parse_options(arguments: Sequence[str] | None) -> argparse.Namespace:
     text = "time between the rows of the result [s] (default: the rows of PROGRAM)"
     parser.add_argument("--period", type=number_from(1e-4, unit="s"), metavar="S", help=text)
     text = "standard deviation of the smoothing [s]; 0: none (default: %(default)g)"
-    parser.add_argument("--smoothing", type=number_from(0.0, unit="s"), default=0.01, metavar="S", help=text)
+    parser.add_argument("--smoothing", type=number_from(0.0, 1.0, unit="s"), default=0.01, metavar="S", help=text)
     for model, settings in ((CorrectionLimits, PROGRAM_LIMITS), (LeastSquares, LeastSquares())):
         for spec in parameter_specs(model):
             if spec.name in FROM_PARAMETERS:

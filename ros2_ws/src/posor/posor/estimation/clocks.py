@@ -72,7 +72,7 @@ RESTART_NUMBERS = 64
 SHARE_MEMORY = 64.0  # scans, of the share of scans off the line
 SCATTER_SHARE = 0.2  # above this share the stamps scatter; NEW_RATE_RUN scans in a row stay below it
 LEAST_DEVIATION, GREATEST_DEVIATION = 0.5, 8.0  # limits of the deviation that contradicts the line, in periods
-AWAY_S = 0.25  # without a scan [s], after which older scans show a step as well
+AWAY_S = 0.1  # without a scan on arrival [s], after which older scans show a step as well
 WATCH_S = 1.0  # least time for which ages are compared [s]
 CLOCK_DRIFT = 1e-4  # largest change of the ratio of two clocks while no scan comes
 LEAST_AGE_STEP_S = 5e-3  # smallest change of the least age that counts as a step [s]; at least half an interval
@@ -163,7 +163,7 @@ def _begin_line(clocks: Any, scan: Any, stamp: float) -> None:
 
 @in_place
 def _accept(clocks: Any, scan: Any, stamp: float) -> None:
-    clocks.number, clocks.stamp, clocks.content = scan.number, stamp, _content_of(scan)
+    clocks.number, clocks.stamp, clocks.content, clocks.last_age = scan.number, stamp, _content_of(scan), clocks.age
     clocks.refused, clocks.late, clocks.agreeing = 0, 0, 0
     clocks.least_age += CLOCK_DRIFT * clocks.period
     if not clocks.age > clocks.least_age:
@@ -266,8 +266,8 @@ def follow_clocks(model: Model, scan: Any) -> int:
         tracker.time += elapsed
         _begin_again(model, scan, stamp, abs(deviation))
         return IN_ORDER
-    missing = _missing_time(clocks, elapsed)
-    ahead = _watch_ages(clocks, elapsed) if steps > 1.0 else 0.0
+    missing, unseen = _missing_time(clocks, elapsed), _unseen_time(clocks, elapsed)
+    ahead = _watch_ages(clocks, elapsed + unseen) if steps > 1.0 or unseen > 0.0 else 0.0
     clocks.step += missing
     if clocks.fitted > 1 and abs(deviation) > _tolerance(clocks, 1.0):
         clocks.line = stamp  # the clocks drifted while no scan came
@@ -276,7 +276,7 @@ def follow_clocks(model: Model, scan: Any) -> int:
         _hold(tracker)
     by_numbers = _uses_numbers(tracker, scan) or elapsed <= 0.0
     passed = steps * clocks.period if by_numbers else elapsed
-    tracker.time += max(passed - ahead, min(passed, clocks.period)) + missing
+    tracker.time += max(passed - ahead, min(passed, clocks.period)) + missing + unseen
     _accept(clocks, scan, stamp)
     return IN_ORDER
 
@@ -290,6 +290,17 @@ def _missing_time(clocks: Any, elapsed: float) -> float:
     if clocks.late > 1 and clocks.refused_number == clocks.number:  # both clocks were set back, and came here again
         missing = max(missing, clocks.late * clocks.period)
     return missing
+
+
+@in_place
+def _unseen_time(clocks: Any, elapsed: float) -> float:
+    """Return how much older on arrival a scan is than the last one, where none has arrived for AWAY_S [s]; else 0.
+
+    The clock of numbers and stamps stood still or was set back meanwhile, as on a host that was paused. A scan that is
+    late shows the same; the next ones are younger again.
+    """
+    older = clocks.age - clocks.last_age
+    return float(older) if older > _least_age_step(clocks) and elapsed + older >= AWAY_S else 0.0
 
 
 @in_place

@@ -68,6 +68,7 @@ CLOCKS = np.dtype(  # the line between scan numbers and stamps (``estimation.clo
         ("deviation", "f8"),  # of the present stamp from the line [s]
         ("step", "f8"),  # sum of the steps of the stamps that were accepted: they were or are wrong by as much [s]
         ("age", "f8"),  # of the present scan when it arrived [s]; NaN, or the same for all: unknown, as in a recording
+        ("last_age", "f8"),  # of the last scan in order [s]
         ("least_age", "f8"),  # of the last scans in order [s]
         ("run_age", "f8"),  # of the scans in a row that are late or contradict the line and agree with one another [s]
         ("former_age", "f8"),  # ``least_age`` before a restart or a gap, to be compared with; NaN: nothing is

@@ -11,6 +11,7 @@ from numpy.polynomial import polynomial
 from pydantic import model_validator
 
 from posor.calibration.file_model import EntryError, FrozenModel
+from posor.calibration.plausible_range import TEMPERATURE, PlausibleRange
 from posor.calibration.quantity import ANY, Quantity, check_unit_vector, measured
 from posor.errors import ScanError
 from posor.model.fault import Fault
@@ -35,11 +36,20 @@ if TYPE_CHECKING:
     from posor.sensors.base import Sensor
 
 
+_BY_SUPPLY = PlausibleRange(-1e-3, 1e-3, {"in um/V": 1e-6, "in mm/V": 1e-3})
+_BY_TEMPERATURE = PlausibleRange(-1e-4, 1e-4, {"in um/K": 1e-6, "in mm/K": 1e-3})
+
+
 class SupplyCalibration(FrozenModel):
     """How the gap read changes with the supply voltage, and the supply at which the probe was linearised."""
 
     sensitivity: Annotated[Quantity, measured("m/V")]
     reference: Annotated[Quantity, measured("V")]
+
+    @model_validator(mode="after")
+    def _check_sensitivity(self) -> Self:
+        _BY_SUPPLY.check("sensitivity", self.sensitivity)
+        return self
 
 
 class TemperatureCalibration(FrozenModel):
@@ -47,6 +57,12 @@ class TemperatureCalibration(FrozenModel):
 
     sensitivity: Annotated[Quantity, measured("m/K")]
     reference: Annotated[Quantity, measured("K")]
+
+    @model_validator(mode="after")
+    def _check_both(self) -> Self:
+        _BY_TEMPERATURE.check("sensitivity", self.sensitivity)
+        TEMPERATURE.check("reference", self.reference)
+        return self
 
 
 class ProbeCalibration(FrozenModel):

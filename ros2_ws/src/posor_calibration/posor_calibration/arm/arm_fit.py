@@ -375,6 +375,8 @@ def _check_step(problem: ArmProblem, found: Fit, used: Sequence[int]) -> None:
     """Refuse residuals that are mostly one step of all points: the tracker or the base has moved between two poses."""
     differences = problem.evaluate(problem.whole(found))[0]
     points = [n for n in used if problem.readings[n].kind != "distance"]
+    if not points:
+        return
     poses = np.array([problem.readings[n].pose for n in points])
     rest = np.array([differences[problem.rows_of([n])][:POINT] for n in points])
     steps = []

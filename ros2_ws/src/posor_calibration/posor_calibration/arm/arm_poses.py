@@ -39,6 +39,7 @@ def recorded_poses(
     no usable scan there, or moves, or the bag holds a recording twice.
     """
     arm.check_one_run(where)
+    _check_windows(stamps_ns, rows, window_s, where)
     names = [joint.name for joint in chain.path_joints]
     shape = len(stamps_ns), len(names)
     transforms, random, systematic = np.empty((*shape, 7)), np.empty((*shape, 6, 6)), np.empty((*shape, 6, 6))
@@ -65,6 +66,17 @@ def recorded_poses(
             nominal = chain.nominal_joint(name, 0.0).rotation.T @ mean.rotation
             angles[n, j] = np.arctan2(nominal[1, 0] - nominal[0, 1], nominal[0, 0] + nominal[1, 1])
     return ArmPoses(tuple(f"row {row}" for row in rows), angles, transforms, random, systematic)
+
+
+def _check_windows(stamps_ns: IntArray, rows: IntArray, window_s: float, where: str) -> None:
+    """Raise BagError: two rows would use the same scans, whose noise would count as that of different ones."""
+    order = np.argsort(stamps_ns)
+    apart_s = np.diff(stamps_ns[order]) / NS
+    if apart_s.size and apart_s.min() < 2.0 * window_s:
+        first = int(apart_s.argmin())
+        one, other = sorted(rows[order[first : first + 2]].tolist())
+        what = f"rows {one} and {other} are {apart_s[first]:.3g} s apart and use the same scans"
+        raise BagError(what, where=where, expected=f"one row for each dwell, more than {2.0 * window_s:g} s apart")
 
 
 def poses_at(chain: Chain, calibrations: Mapping[str, Calibration], angles: FloatArray) -> ArmPoses:

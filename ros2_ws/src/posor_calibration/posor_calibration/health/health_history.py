@@ -16,6 +16,7 @@ import numpy as np
 import pinocchio as pin
 from posor.chain.identity import ArmIdentity
 from posor.errors import DataFileError, OutputError
+from posor.numerics.vector import wrapped_angles
 from posor.optional_library import optional_library
 from posor.output_files import write_files, writing
 
@@ -66,7 +67,7 @@ class HealthHistory:
                 pose, part, quantity = other or missing or test.keys[0]
                 what = f"{quantity} of {part} at dwell {pose} is {'new' if other else 'missing'}"
                 raise DataFileError(what, where=where, expected="dwells, balls and readings of the first test")
-            shift = np.abs(test.angles - first.angles)
+            shift = np.abs(wrapped_angles(test.angles - first.angles))
             if shift.max() > SAME_POSTURE:
                 dwell, joint = divmod(int(shift.argmax()), shift.shape[1])
                 name = list(self.identity.calibrations)[joint]

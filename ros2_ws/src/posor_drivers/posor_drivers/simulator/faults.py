@@ -64,6 +64,11 @@ class SimulatedFault(TimedEntry):
         if bool(kind.unit) != (size is not None) or (size is not None and (size.unit not in units or size.array.shape)):
             expected = f"one number, unit '{' or '.join(units)}'" if kind.unit else f"none for '{self.kind}'"
             raise EntryError(f"size {size}", key=("size",), expected=expected)
+        if size is not None:
+            (least, most), is_whole = kind.sizes, kind.unit == "1" and self.kind != "gain"
+            if not least <= size.number <= most or (is_whole and size.number % 1.0):
+                expected = f"{'a whole number of ' if is_whole else ''}{least:g} to {most:g}"
+                raise EntryError(f"size {size.number:g} {size.unit}", key=("size",), expected=expected)
         return self
 
 
@@ -176,8 +181,13 @@ def _burst(scans: FaultyScans) -> dict[str, Any]:
 
 def _late_scan(scans: FaultyScans) -> dict[str, Any]:
     since = scans.ticks - scans.first
-    published = np.where(since < scans.size, scans.ticks + 1, np.where(since == scans.size, scans.first, scans.ticks))
-    return scans.at(published, *CONTENT, "numbers", "stamps_ns")
+    published = np.where(since < scans.size, scans.ticks + 1, scans.first)
+    is_exchanged = since <= scans.size
+    values = {}
+    for name, other in scans.at(published, *CONTENT, "numbers", "stamps_ns").items():
+        values[name] = scans.now(name).copy()
+        values[name][is_exchanged] = other[is_exchanged]
+    return values
 
 
 def _restart(scans: FaultyScans) -> dict[str, Any]:
@@ -194,6 +204,7 @@ class FaultKind(NamedTuple):
 
     values: Callable[[FaultyScans], Mapping[str, Any]]  # returns what is published instead, by field
     unit: str = ""  # of the size; empty: it has no size
+    sizes: tuple[float, float] = (-1e6, 1e6)  # least and greatest size
     of_channel: bool = False  # whether it concerns one channel
     whole_diode: bool = False  # whether a diode without ``contact`` is all of its contacts
     states_exposures: bool = False  # whether scans with the fault have offsets, so that those without it have zeros
@@ -201,11 +212,11 @@ class FaultKind(NamedTuple):
 
 KINDS: dict[str, FaultKind] = {
     "off": FaultKind(lambda _: {"sent": False}),
-    "late": FaultKind(lambda scans: {"latencies_ns": scans.now("latencies_ns") + scans.size_ns}, "s"),
+    "late": FaultKind(lambda scans: {"latencies_ns": scans.now("latencies_ns") + scans.size_ns}, "s", (0.0, 3600.0)),
     "stuck": FaultKind(lambda scans: scans.begin(scans.fault.field), of_channel=True, whole_diode=True),
     "frozen": FaultKind(lambda scans: scans.begin(*READING_FIELDS)),
     "frozen_diodes": FaultKind(lambda scans: scans.begin(DIODE_FIELD, "lit_sources")),
-    "garbage": FaultKind(_garbage, READING, of_channel=True, whole_diode=True),
+    "garbage": FaultKind(_garbage, READING, (0.0, 1e3), of_channel=True, whole_diode=True),
     "nan": FaultKind(lambda scans: scans.channel(np.nan), of_channel=True, whole_diode=True),
     "offset": FaultKind(
         lambda scans: scans.channel(scans.now(scans.fault.field) + scans.fault.size), READING, of_channel=True
@@ -213,22 +224,26 @@ KINDS: dict[str, FaultKind] = {
     "value": FaultKind(lambda scans: scans.channel(scans.fault.size), READING, of_channel=True),
     "dark": FaultKind(lambda scans: scans.channel(0.0), of_channel=True, whole_diode=True),
     "slip": FaultKind(_slip, "1"),
-    "supply": FaultKind(lambda scans: {"supply_voltages": scans.fault.size}, "V"),
-    "temperature": FaultKind(lambda scans: {"temperatures": scans.fault.size}, "K"),
+    "supply": FaultKind(lambda scans: {"supply_voltages": scans.fault.size}, "V", (0.0, 1e3)),
+    "temperature": FaultKind(lambda scans: {"temperatures": scans.fault.size}, "K", (0.0, 1e3)),
     "ambient": FaultKind(lambda scans: {DIODE_FIELD: scans.now(DIODE_FIELD) + scans.fault.size}, "A"),
-    "gain": FaultKind(_gain, "1"),
-    "status": FaultKind(lambda scans: {"statuses": scans.now("statuses") | scans.size}, "1"),
+    "gain": FaultKind(_gain, "1", (-1.0, 10.0)),
+    "status": FaultKind(lambda scans: {"statuses": scans.now("statuses") | scans.size}, "1", (0.0, 2**32 - 1)),
     "home": FaultKind(lambda scans: {"statuses": scans.now("statuses") | HOME_BUMP, "at_home": 1}),
-    "clock": FaultKind(lambda scans: {"stamps_ns": scans.now("stamps_ns") + scans.size_ns}, "s"),
-    "arrival": FaultKind(_arrival, "s"),
-    "burst": FaultKind(_burst, "1"),
-    "late_scan": FaultKind(_late_scan, "1"),
-    "restart": FaultKind(_restart, "s"),
-    "aged": FaultKind(_aged, "s"),
-    "multiplexed": FaultKind(lambda scans: _multiplexed(scans, "stated"), "s", states_exposures=True),
-    "multiplexed_unknown": FaultKind(lambda scans: _multiplexed(scans, "unknown"), "s", states_exposures=True),
-    "multiplexed_unstated": FaultKind(lambda scans: _multiplexed(scans, "unstated"), "s"),
-    "number": FaultKind(lambda scans: {"numbers": scans.now("numbers").astype(np.int64) + scans.size}, "1"),
+    "clock": FaultKind(lambda scans: {"stamps_ns": scans.now("stamps_ns") + scans.size_ns}, "s", (-1e8, 1e8)),
+    "arrival": FaultKind(_arrival, "s", (0.0, 10.0)),
+    "burst": FaultKind(_burst, "1", (1.0, 1e3)),
+    "late_scan": FaultKind(_late_scan, "1", (1.0, 1e3)),
+    "restart": FaultKind(_restart, "s", (-1e6, 1e6)),
+    "aged": FaultKind(_aged, "s", (0.0, 3600.0)),
+    "multiplexed": FaultKind(lambda scans: _multiplexed(scans, "stated"), "s", (0.0, 0.1), states_exposures=True),
+    "multiplexed_unknown": FaultKind(
+        lambda scans: _multiplexed(scans, "unknown"), "s", (0.0, 0.1), states_exposures=True
+    ),
+    "multiplexed_unstated": FaultKind(lambda scans: _multiplexed(scans, "unstated"), "s", (0.0, 0.1)),
+    "number": FaultKind(
+        lambda scans: {"numbers": scans.now("numbers").astype(np.int64) + scans.size}, "1", (-1e9, 1e9)
+    ),
     "repeat": FaultKind(lambda scans: scans.begin(*CONTENT, "numbers", "stamps_ns")),
 }
 """All kinds: what is published instead of the scan."""

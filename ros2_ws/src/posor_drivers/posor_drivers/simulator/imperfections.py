@@ -62,7 +62,7 @@ class RandomStream:
     def generator(self, tick: int = 0) -> np.random.Generator:
         """Return the generator of a tick; the default is for values drawn once."""
         # The lowest counter word counts the draws, so the tick uses a word that draws never reach.
-        counter = np.array([0, 0, tick, 0], dtype=np.uint64)
+        counter = np.array([0, 0, tick % 2**64, 0], dtype=np.uint64)  # ticks before time zero are negative
         return np.random.Generator(np.random.Philox(key=self._key, counter=counter))
 
 

@@ -18,6 +18,7 @@ from posor_drivers.simulator.faults import KINDS, SimulatedFault
 from posor_drivers.simulator.imperfections import Imperfections
 from posor_drivers.simulator.simulated_scans import PROBE_FIELDS, SimulatedScans
 from posor_lab.harness.beams import quantity
+from pydantic import ValidationError
 
 from ..three_joint_arm import TICKS, N, refused, scenario, simulation
 
@@ -178,6 +179,41 @@ def test_sizes_of_faults(tmp_path: Path, sound: tuple[ArmSimulation, SimulatedSc
     assert np.array_equal(scans.scans.lit_sources[part], (expected.scans.lit_sources[part] + 2) % count)
     assert np.all(expected.scans.stamps_ns[part] - scans.scans.stamps_ns[part] == 2 * NS)
     assert np.all(scans.statuses[part] & HOME_BUMP)
+
+
+@pytest.mark.parametrize("order", [1, -1])
+def test_an_exchanged_scan_leaves_other_faults_of_the_joint(
+    sound: tuple[ArmSimulation, SimulatedScans], order: int
+) -> None:
+    arm, expected = sound
+    offset = fault("offset", channel=channels(arm)[0], size=quantity(0.5, "V"))
+    both = [offset, fault("late_scan", size=quantity(2, "1"))][::order]
+    scans = arm.with_faults([SimulatedFault.model_validate(each) for each in both]).scans("shoulder", TICKS)
+    change = scans.scans.gap_voltages[FIRST + 3 : END, 0] - expected.scans.gap_voltages[FIRST + 3 : END, 0]
+    assert np.allclose(change, 0.5, rtol=0.0, atol=1e-12)
+
+
+def test_a_scan_from_before_time_zero(sound: tuple[ArmSimulation, SimulatedScans]) -> None:
+    aged = fault("aged", size=quantity(0.5, "s")) | {"from": quantity(0.0, "s")}
+    faulty = sound[0].with_faults([SimulatedFault.model_validate(aged)])
+    assert np.isfinite(faulty.scans("shoulder", np.arange(3)).scans.gap_voltages).all()
+
+
+@pytest.mark.parametrize(
+    ("kind", "size", "unit", "expected"),
+    [
+        ("status", -1, "1", "a whole number of 0 to 4.29497e+09"),
+        ("status", 1e10, "1", "a whole number of 0 to 4.29497e+09"),
+        ("slip", 0.5, "1", "a whole number of -1e+06 to 1e+06"),
+        ("late", -0.5, "s", "0 to 3600"),
+        ("clock", 1e300, "s", "-1e+08 to 1e+08"),
+        ("burst", 0, "1", "a whole number of 1 to 1000"),
+    ],
+)
+def test_a_size_that_no_scan_can_have_is_refused(kind: str, size: float, unit: str, expected: str) -> None:
+    with pytest.raises(ValidationError) as caught:
+        SimulatedFault.model_validate(fault(kind, size=quantity(size, unit)))
+    assert expected in str(caught.value)
 
 
 def test_faults_of_time(sound: tuple[ArmSimulation, SimulatedScans]) -> None:

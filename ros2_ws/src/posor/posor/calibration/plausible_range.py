@@ -1,0 +1,39 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Plausible amounts of the quantities of files, which show a value in another unit."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from posor.calibration.file_model import EntryError
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from posor.calibration.quantity import Quantity
+
+
+@dataclass(frozen=True)
+class PlausibleRange:
+    """Plausible amounts of a quantity in its SI unit: a value beyond is usually one of another unit."""
+
+    least: float
+    most: float
+    causes: Mapping[str, float]  # likely causes of a value beyond, and by what each multiplies the value to correct it
+    or_zero: bool = False
+
+    def check(self, name: str, quantity: Quantity) -> None:
+        """Raise EntryError if a number of a quantity, whose key is its name, is out of range."""
+        for value in np.ravel(quantity.array):
+            if not (self.least <= value <= self.most or (self.or_zero and value == 0.0)):
+                fitting = [cause for cause, factor in self.causes.items() if self.least < value * factor <= self.most]
+                question = f" ({' or '.join(fitting)}?)" if fitting else ""
+                expected = f"{'0 or ' if self.or_zero else ''}{self.least:g} to {self.most:g} {quantity.unit}{question}"
+                raise EntryError(f"{name} {value:g} {quantity.unit}", key=(name,), expected=expected)
+
+
+TEMPERATURE = PlausibleRange(100.0, 600.0, {"in degrees Celsius": 15.0})
