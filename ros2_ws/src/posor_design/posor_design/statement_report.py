@@ -132,22 +132,24 @@ def tables(statement: Statement) -> list[StatementTable]:
 
 def _uncertainty(statement: Statement) -> StatementTable:
     worst = statement.worst
-    values = [*worst.T_base_endpoint.translation, *pin.rpy.matrixToRpy(worst.T_base_endpoint.rotation)]
+    position = [rounded(*each) for each in zip(worst.T_base_endpoint.translation, worst.expanded, strict=False)]
     rows = [
         [
             axis,
-            rounded(value, worst.expanded[n]),
+            value,
             micro(worst.standard[n]),
             _freedoms(worst.freedoms[n]),
             f"{worst.factors[n]:.2f}",
             micro(worst.expanded[n]),
         ]
-        for n, (axis, value) in enumerate(zip(AXES, values, strict=True))
+        for n, (axis, value) in enumerate(zip(AXES, [*position, "0", "0", "0"], strict=True))
     ]
     header = ("axis", "value [m, rad]", "u [µm, µrad]", "degrees of freedom", "k", "U = k u [µm, µrad]")
     files = [statement.records.origin(role) for role in (URDF, BEAMS) if role in statement.records]
+    quaternion = ", ".join(f"{each:.9f}" for each in pin.SE3ToXYZQUAT(worst.T_base_endpoint)[3:])
     note = (
-        "Axes of the base; orientation as roll, pitch, yaw. Value: the joint angles (conditions) through ",
+        f"Axes of the base. Rotations: deviation from the orientation {quaternion} (quaternion x, y, z, w). ",
+        "Value: the joint angles (conditions) through ",
         *_listed(files),
         ". u: root of the sum of the squared components. k: t distribution, 95 % (JCGM 100, G.4).",
     )
