@@ -27,7 +27,7 @@ ROOT = Path(__file__).resolve().parents[1]
 BAG = ROOT / "bags" / "five_axis"  # simulated
 
 
-def write_bag(path: Path, hashes: Mapping[str, str]) -> Path:
+def write_bag(path: Path, hashes: Mapping[str, str], elbow_later_ns: int = 0) -> Path:
     """Write the first raw scans of the five-axis arm as the recorder would."""
     definition = MessageTypes().definition(RAW_SCAN)
     with BagWriter(path, hashes) as writer, Reader(BAG) as reader:
@@ -35,7 +35,7 @@ def write_bag(path: Path, hashes: Mapping[str, str]) -> Path:
         for topic in topics:
             writer.add_topic(topic.topic, RAW_SCAN, definition, [])
         for number, (topic, time_ns, data) in enumerate(islice(reader.messages(topics), 100)):
-            writer.write(topic.topic, time_ns, data)
+            writer.write(topic.topic, time_ns + (elbow_later_ns if "elbow" in topic.topic else 0), data)
             if number % 20 == 19:
                 writer.flush()
     return path
@@ -89,7 +89,20 @@ def test_a_joint_without_any_pose_is_named(tmp_path: Path, capsys: pytest.Captur
     arm = load_arm_file(find_arm("five_axis"))
     bag = write_bag(tmp_path / "bag", {})
     other = [str(bag), "--calibration", f"elbow={arm.calibrations['shoulder']}"]
-    assert warnings(capsys, *other) == ["no scan of elbow has a pose; the calibration may be that of another POSOR"]
+    (note,) = warnings(capsys, *other)
+    assert note.startswith("no scan of elbow has a usable pose: ")
+    assert note.endswith("; the calibration may be that of another POSOR")
+
+
+def test_a_joint_that_is_recorded_at_another_time_after_its_stamps_is_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arm = str(find_arm("five_axis"))
+    for later_ns, count in ((0, 0), (3_000_000, 0), (20_000_000, 1), (-20_000_000, 1)):
+        found = warnings(capsys, str(write_bag(tmp_path / str(later_ns), {}, later_ns)), "--arm", arm)
+        assert len(found) == count
+        assert all("elbow were recorded" in note for note in found)
+        assert all(note.endswith("the stamps of one of them may be wrong by 20 ms") for note in found)
 
 
 def test_results_name_files_that_differ(tmp_path: Path) -> None:

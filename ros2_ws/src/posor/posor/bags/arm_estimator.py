@@ -22,6 +22,7 @@ from posor.messages.estimate_arrays import ArmEstimates, EndpointEstimates, esti
 from posor.messages.joint_transform import TransformConstants
 from posor.model.fault import USABLE_STATES, Fault, State
 from posor.model.scan import Scans
+from posor.numerics.stamps import NS
 from posor.reporting.fault_texts import FAULT_TEXTS
 
 if TYPE_CHECKING:
@@ -37,6 +38,7 @@ if TYPE_CHECKING:
     from posor.node_parameters import ChainParameters
     from posor.numerics.array_types import BoolArray, FloatArray, IntArray
 
+NO_TIMES = np.empty(0, dtype=np.int64)
 NO_SCANS = Scans.from_fields(stamps_ns=np.empty(0, dtype=np.int64))
 
 
@@ -110,6 +112,7 @@ class ArmEstimator:
             if joint.scans and not joint.usable:
                 notes.append(f"no scan of {name} has a usable pose: {joint.reason}")
         if (end := self.endpoint) is not None:
+            notes += _different_ages({name: self._joints[name] for name in end.joints})
             if end.synchroniser.incomplete:
                 missing = ", ".join(f"{n:,} of {name}" for name, n in end.synchroniser.missing.items() if n)
                 notes.append(
@@ -143,6 +146,8 @@ class _JointEstimator:
         lost: Number of scans without a pose.
         faults: Number of scans without a pose, by fault.
         backward: Number of stamps that are not after the one before.
+        ages_s: Times from stamp to log, the median of each part that was read [s].
+        intervals_s: Intervals of the stamps, likewise [s].
 
     """
 
@@ -151,6 +156,7 @@ class _JointEstimator:
         self.transforms = TransformConstants.of(self._posor)
         self.scans = self.usable = self.lost = self.backward = 0
         self.faults: Counter[str] = Counter()
+        self.ages_s, self.intervals_s = list[float](), list[float]()
         self._last_ns = np.empty(0, dtype=np.int64)  # the last stamp, if any
 
     def estimate(self, scans: Sequence[RecordedScans]) -> Estimates:
@@ -163,7 +169,12 @@ class _JointEstimator:
         faults = estimates.faults[lost]
         counts = {fault.name: int(np.count_nonzero(faults & fault.value)) for fault in Fault if fault.name}
         self.faults.update({name: count for name, count in counts.items() if count})
-        stamps_ns = np.concatenate([self._last_ns, estimates.stamps_ns[estimates.stamps_ns != 0]])
+        log_times_ns = np.concatenate([NO_TIMES, *(each.log_times_ns for each in scans)])
+        stamps_ns = estimates.stamps_ns[estimates.stamps_ns != 0]
+        if len(stamps_ns) == len(log_times_ns) > 1:
+            self.ages_s.append(float(np.median(log_times_ns - stamps_ns)) / NS)
+            self.intervals_s.append(float(np.median(np.diff(stamps_ns))) / NS)
+        stamps_ns = np.concatenate([self._last_ns, stamps_ns])
         self.backward += int(np.count_nonzero(np.diff(stamps_ns) <= 0))
         self._last_ns = stamps_ns[-1:]
         return estimates
@@ -178,8 +189,30 @@ class _JointEstimator:
         return f"{what}; the calibration may be that of another POSOR" if fault in CONTRADICTIONS else what
 
 
-CONTRADICTIONS = {"OUT_OF_RANGE", "NOT_CONVERGED", "ILL_CONDITIONED", "RESIDUAL", "INNOVATION", "SOURCE"}
-"""Faults of scans whose readings do not fit the calibration."""
+CONTRADICTIONS = {"BAD_READING", "OUT_OF_RANGE", "NOT_CONVERGED", "ILL_CONDITIONED", "RESIDUAL", "INNOVATION", "SOURCE"}
+"""Faults of scans whose readings or frame do not fit the calibration."""
+
+
+def _different_ages(joints: Mapping[str, _JointEstimator]) -> list[str]:
+    """Return a sentence where joints were recorded at different times after their stamps: a stamp may be wrong."""
+    ages_s = {name: float(np.median(joint.ages_s)) for name, joint in joints.items() if joint.ages_s}
+    intervals_s = [interval_s for joint in joints.values() for interval_s in joint.intervals_s]
+    if not ages_s:
+        return []
+    oldest, youngest = max(ages_s, key=ages_s.__getitem__), min(ages_s, key=ages_s.__getitem__)
+    difference_s = ages_s[oldest] - ages_s[youngest]
+    if difference_s <= max(LEAST_AGE_DIFFERENCE_S, LEAST_INTERVALS * float(np.median(intervals_s))):
+        return []
+    first, second = (
+        f"{name} were recorded {abs(1e3 * ages_s[name]):.3g} ms {'after' if ages_s[name] >= 0.0 else 'before'}"
+        for name in (youngest, oldest)
+    )
+    wrong = f"the stamps of one of them may be wrong by {1e3 * difference_s:.3g} ms"
+    return [f"scans of {first} their stamps, and those of {second} theirs: {wrong}"]
+
+
+LEAST_AGE_DIFFERENCE_S, LEAST_INTERVALS = 5e-3, 1.0
+"""Difference of the joints' ages that is reported: at least this time, and this number of intervals."""
 UNREAD = "accelerometers of beams are not read offline: their beams are at rest, with the stated spread"
 
 

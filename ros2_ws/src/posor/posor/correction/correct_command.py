@@ -129,6 +129,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     planned = read_path(options.program).of_joints(robot.joints)
     ran = planned if options.ran is None else read_path(options.ran).of_joints(robot.joints)
     path = planned if options.period is None else planned.at_period(options.period)
+    leaves = float(np.max(np.abs(path.sampler()(planned.times_s) - planned.angles)))
+    if leaves > limits.max_offset:
+        what = f"{options.period:g} s: straight lines between the rows leave the program by {leaves:.3g} rad"
+        raise ParameterError(what, where="option --period", expected=f"at most {limits.max_offset:g} rad, --max-offset")
     if path.velocities is not None and not as_yaml:
         what, expected = f"has velocities, which {options.output} cannot hold", "an --output in YAML, or --period"
         raise ParameterError(what, where=str(options.program), expected=expected)
