@@ -245,6 +245,18 @@ def test_rows_without_an_arm_at_rest_are_refused(
     assert re.search(sentence, capsys.readouterr().err)
 
 
+def test_rows_that_use_the_same_scans_are_refused(
+    recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lines = (recorded / "tracker.csv").read_text(encoding="utf-8").splitlines()
+    time, *others = lines[1].split(";")
+    lines.insert(2, ";".join([f"{float(time) + 1e-3:.3f}", *others]))
+    table = recorded / "twice.csv"
+    table.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    assert calibrate([*options(recorded, table.name), "--output", str(tmp_path / "new")]) == 1
+    assert "rows 1 and 2 are 0.001 s apart and use the same scans; expected one row" in capsys.readouterr().err
+
+
 def test_the_program_selects_poses_that_determine_more(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     names = "base_swivel,shoulder,elbow,wrist_roll,wrist_yaw"
     rows = ["0.1,0.1,0.1,0.1,0.1"] * 3 + ["0.5,-0.6,0.7,-0.4,0.6", "-0.5,0.3,0.9,0.6,-0.7"]

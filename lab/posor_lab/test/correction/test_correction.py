@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -77,6 +78,10 @@ def test_a_recorded_program_is_corrected_by_the_errors_of_the_true_arm(
     assert capsys.readouterr().err == f"{output}: cannot be written, File too large.\n"
     assert main([*arguments, "--force", "--max-offset", "1e-5"]) == 1
     assert "expected at most 1e-05 rad" in capsys.readouterr().err
+    assert main([*arguments, "--force", "--period", "4"]) == 2  # in ms
+    assert re.match(r"option --period: 4 s: .* leave the program by 0\.\d+ rad; expected", capsys.readouterr().err)
+    assert main([*arguments, "--force", "--smoothing", "10"]) == 2
+    assert "--smoothing: '10' is not" in capsys.readouterr().err
     assert main([*arguments, "--force", "--max-rate", "-1"]) == 2
     assert "'-1' is wrong; expected a number greater than 0" in capsys.readouterr().err
     program.write_text(planned.at_period(0.1).text(as_yaml=False).replace("elbow", "knee"), encoding="utf-8")

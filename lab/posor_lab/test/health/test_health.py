@@ -164,6 +164,15 @@ def test_a_test_that_does_not_belong_to_the_history_is_refused(creeping: HealthH
         first.with_test(mistake(creeping.tests[0]), "bag")
 
 
+def test_a_posture_near_half_a_turn_is_the_same_on_both_sides(creeping: HealthHistory) -> None:
+    def at(test: HealthTest, angle: float) -> HealthTest:
+        numbers = [each._replace(value=angle) if each.quantity == ANGLE else each for each in test.numbers]
+        return replace(test, numbers=tuple(numbers))
+
+    first = replace(creeping, tests=(at(creeping.tests[0], np.pi - 1e-4),))
+    assert len(first.with_test(at(creeping.tests[1], 1e-4 - np.pi), "bag").tests) == 2
+
+
 def test_the_program_judges_a_history_and_writes_its_page(
     creeping: HealthHistory, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -81,7 +81,19 @@ def test_the_urdf_of_a_robot_takes_the_place_of_the_made_one(
     assert main(["check", str(folder)]) == 0
     printed = capsys.readouterr().out
     assert "endpoint with all angles zero: 0.2000, 0.0000, 0.2270 m in base_link" in printed
+    assert "gravity: along -Z of base_link, the arm stands" in printed
     assert "protection level of the endpoint, all angles zero: finite" in printed  # so all readings are in their range
+
+
+def test_the_direction_of_gravity_is_printed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = make_arm(tmp_path / "own", "light_ring", 2)
+    directions = {"[0.0, 0.0, 9.8]": "+Z of base, the arm hangs", "[0.0, -9.8, 0.0]": "-Y of base, the base is on"}
+    for value, line in directions.items():
+        text = (folder / "beams.yaml").read_text(encoding="utf-8")
+        text = "".join(each for each in text.splitlines(keepends=True) if not each.startswith("gravity"))
+        (folder / "beams.yaml").write_text(f"{text}gravity: {{value: {value}, unit: m/s^2}}\n", encoding="utf-8")
+        assert main(["check", str(folder)]) == 0
+        assert f"gravity: along {line}" in capsys.readouterr().out
 
 
 def test_options_choose_axes_lengths_sensors_and_names(

@@ -6,12 +6,14 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import shlex
 import shutil
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
 import numpy as np
+import pinocchio as pin
 import pytest
 import yaml
 from posor.chain.arm_file import load_arm_file
@@ -93,6 +95,33 @@ def test_page_and_pdf_hold_the_sentences(made: Path) -> None:
     for record in content["records"]:
         assert record["sha256"] in page
     assert (made / "statement.pdf").read_bytes().startswith(b"%PDF")
+
+
+def test_rotations_are_stated_as_deviations_from_the_orientation(tmp_path: Path) -> None:
+    options = ["five_axis", "--angles=0,-1.5,0,0,0"]  # roll and yaw of this pose are uncertain by more than an axis
+    assert main([*options, "--output", str(tmp_path)]) == 0
+    page = ReportPage((tmp_path / "statement.html").read_text(encoding="utf-8"))
+    quaternion = pin.SE3ToXYZQUAT(compute_statement(parse_options(options)).worst.T_base_endpoint)[3:]
+    text = (tmp_path / "statement.html").read_text(encoding="utf-8")
+    assert ", ".join(f"{each:.9f}" for each in quaternion) in text
+    assert re.search(r"about X</t[dh]>\s*<td[^>]*>\s*0\s*</td>", text)
+    assert page.problems == []
+
+
+def test_a_temperature_deviation_without_a_beam_that_expands_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shutil.copytree(ARMS / "test_rig", tmp_path / "rig")
+    content = yaml.safe_load((tmp_path / "rig/beams.yaml").read_text(encoding="utf-8"))
+    for beam in content["beams"]:
+        beam.pop("temperature", None)
+    (tmp_path / "rig/beams.yaml").write_text(yaml.safe_dump(content), encoding="utf-8")
+    options = [str(tmp_path / "rig/arm.yaml"), "--angles=0", "--output", str(tmp_path / "out")]
+    assert main([*options, "--temperature-deviation", "5"]) == 2
+    assert capsys.readouterr().err.startswith(
+        "option --temperature-deviation: no beam of the arm states how it expands;"
+    )
+    assert main([*options, "--temperature-deviation", "0"]) == 0
 
 
 def test_a_full_disk_keeps_all_former_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -27,6 +27,7 @@ SCRIPTS = {
     "ends": "echo done",
     "fails": 'echo working; echo "[ERROR] [1795235842.1] [some.node]: the sky is green; expected blue." >&2; exit 4',
     "crashes": "kill -SEGV $$",
+    "raises": 'printf "Traceback:\\nValueError: the sky is green\\nin node /arm/driver_node\\n"; exit 1',
     "ends_by_36": "kill -36 $$",
     "prints_arguments": 'printf "%s\\n" "$@"',
 }
@@ -86,6 +87,7 @@ def test_leaving_the_block_ends_all(folder: Path) -> None:
         (program("ends", ends=True), ""),
         (program("ends"), "ends: ended with exit code 0: done."),
         (program("fails", ends=True), "fails: ended with exit code 4: the sky is green; expected blue."),
+        (program("raises"), "raises: ended with exit code 1: in node /arm/driver_node: ValueError: the sky is green."),
         (program("crashes"), "crashes: was ended by SIGSEGV; log: it wrote nothing."),
         (program("ends_by_36"), "ends_by_36: was ended by signal 36; log: it wrote nothing."),
     ],

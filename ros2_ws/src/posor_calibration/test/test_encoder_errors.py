@@ -33,6 +33,15 @@ def test_backlash_slope_eccentricity_and_windup_are_found_in_noise() -> None:
     assert forward[middle] - backward[middle] == pytest.approx(BACKLASH, abs=2e-6)
 
 
+@pytest.mark.parametrize("slope", [5e-3, 5e-2])
+def test_a_scale_of_the_encoder_is_no_backlash(slope: float) -> None:
+    angles = 0.5 * np.sin(np.linspace(0.0, 5.0 * math.pi, 700))  # unequal angles of both directions within a bin
+    side = np.where(np.gradient(angles) > 0.0, 0.5, -0.5)
+    found = encoder_errors(angles, angles + BACKLASH * side + slope * angles)
+    assert found.backlash == pytest.approx(BACKLASH, abs=0.05 * BACKLASH)
+    assert found.slope == pytest.approx(slope, rel=1e-3)
+
+
 def test_what_the_motion_does_not_determine_is_not_stated() -> None:
     angles = np.linspace(0.0, 0.05, 200)
     found = encoder_errors(angles, angles + 1e-4)
