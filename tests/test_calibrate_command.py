@@ -313,6 +313,13 @@ def test_options_that_are_missing_are_named(bench: Bench) -> None:
     assert done.stderr == "option --second, option --reference, option --beam: are missing.\n"
 
 
+def test_a_reference_that_is_a_number_is_no_topic(bench: Bench) -> None:
+    options = [str(bench.bag), "--calibration", str(bench.file), "--reference", "293.15"]
+    done = calibrate("temperature_sensitivity", *options)
+    assert done.returncode == 1
+    assert done.stderr.startswith(f"{bench.bag}: the temperature of the plate was not measured; expected ")
+
+
 def test_a_reference_that_is_not_in_the_bag_is_named(bench: Bench, tmp_path: Path) -> None:
     output = tmp_path / "never.yaml"
     options = ("--calibration", str(bench.file), "--reference", "/laser", "--output", str(output))

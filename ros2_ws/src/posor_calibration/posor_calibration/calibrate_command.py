@@ -111,7 +111,9 @@ def _run_action(options: argparse.Namespace, console: Console) -> int:
         calibration = load_calibration(options.calibration)
         with progress_display() as progress:
             report = progress.begin
-            recording, _ = _read_recording(options, calibration, report)
+            recording, _ = _read_recording(
+                options, calibration, getattr(options, destination("reference"), None), report
+            )
             given = [topic for topic, _ in _split("--uncertainty", options.uncertainty)]
             recording = _with_recorded_uncertainty(recording, calibration, settings.reference, given)
             report("fitting")
@@ -149,7 +151,7 @@ def calibrate(options: argparse.Namespace, report: Callable[[str], object]) -> F
                 raise OutputError("exists already", where=str(page), expected="another --output, or --force")
     text, source = read_text(options.calibration, FILE_KIND), str(options.calibration)
     calibration = parse_calibration(text, source)
-    recording, instruments = _read_recording(options, calibration, report)
+    recording, instruments = _read_recording(options, calibration, getattr(settings, "reference", None), report)
     report(f"{procedure.name}: fitting")
     given = given_options(procedure.options, options)
     terms = [
@@ -205,16 +207,14 @@ def _report_files(output: Path) -> tuple[Path, Path]:
 
 
 def _read_recording(
-    options: argparse.Namespace, calibration: Calibration, report: Callable[[str], object]
+    options: argparse.Namespace, calibration: Calibration, reference: object, report: Callable[[str], object]
 ) -> tuple[Recording, list[Instrument]]:
     """Read the bag; return it with the given uncertainties, and the instruments of its references."""
     uncertainties = {topic: _parse_sigmas(topic, text) for topic, text in _split("--uncertainty", options.uncertainty)}
     names = dict(_split("--instrument", options.instrument))
     report(f"reading {options.bag}")
-    wanted = getattr(options, destination("reference"), None)
-    wanted = wanted if isinstance(wanted, str) else None  # of some procedures it is a number
     return read_recording(
-        options.bag, calibration, uncertainties, names, topic=options.topic, reference=wanted, where="option --{}"
+        options.bag, calibration, uncertainties, names, topic=options.topic, reference=reference, where="option --{}"
     )
 
 

@@ -163,8 +163,7 @@ def fit(
     if isinstance(data, str | Path):
         if references is not None:
             raise ParameterError("references beside a bag", where="fit", expected="the references of the bag")
-        wanted = options.get("reference")
-        wanted = wanted if isinstance(wanted, str) else None  # of some procedures it is a number
+        wanted = getattr(settings, "reference", None)
         recording, found = read_recording(Path(data), calibration, sigmas, names, topic=topic, reference=wanted)
     else:
         recording = data if isinstance(data, Recording) else _recording_of(data, references or {})
@@ -269,7 +268,7 @@ def read_recording(
     names: Mapping[str, str],
     *,
     topic: str = "",
-    reference: str | None = None,
+    reference: object = None,
     where: str = "fit, {}",
 ) -> tuple[Recording, list[Instrument]]:
     """Read a bag; return it with the given uncertainties, and the instruments of its references.
@@ -280,11 +279,11 @@ def read_recording(
         uncertainties: Standard uncertainties by topic.
         names: Instruments by topic.
         topic: Of the scans; empty: the only one.
-        reference: Topic of the reference that the procedure names.
+        reference: The procedure's option ``reference``, where it is the name of a topic; a number is none.
         where: Place of ``uncertainties`` and ``instruments`` in errors.
 
     """
-    topics = sorted({reference, *uncertainties, *names}) if reference else []
+    topics = sorted({reference, *uncertainties, *names}) if isinstance(reference, str) and reference else []
     recorded = {instrument.topic for each in calibration.fits for instrument in each.instruments}
     known = {*uncertainties, *names, *recorded}
     found = load_recording(bag, topic=topic, references=[Reference(each) for each in topics], named=known)

@@ -65,9 +65,9 @@ class SimulatedFault(TimedEntry):
             expected = f"one number, unit '{' or '.join(units)}'" if kind.unit else f"none for '{self.kind}'"
             raise EntryError(f"size {size}", key=("size",), expected=expected)
         if size is not None:
-            (least, most), is_whole = kind.sizes, kind.unit == "1" and self.kind != "gain"
-            if not least <= size.number <= most or (is_whole and size.number % 1.0):
-                expected = f"{'a whole number of ' if is_whole else ''}{least:g} to {most:g}"
+            least, most = kind.sizes
+            if not least <= size.number <= most or (kind.is_whole and size.number % 1.0):
+                expected = f"{'a whole number of ' if kind.is_whole else ''}{least:g} to {most:g}"
                 raise EntryError(f"size {size.number:g} {size.unit}", key=("size",), expected=expected)
         return self
 
@@ -205,6 +205,7 @@ class FaultKind(NamedTuple):
     values: Callable[[FaultyScans], Mapping[str, Any]]  # returns what is published instead, by field
     unit: str = ""  # of the size; empty: it has no size
     sizes: tuple[float, float] = (-1e6, 1e6)  # least and greatest size
+    is_whole: bool = False  # whether the size is a whole number
     of_channel: bool = False  # whether it concerns one channel
     whole_diode: bool = False  # whether a diode without ``contact`` is all of its contacts
     states_exposures: bool = False  # whether scans with the fault have offsets, so that those without it have zeros
@@ -223,17 +224,19 @@ KINDS: dict[str, FaultKind] = {
     ),
     "value": FaultKind(lambda scans: scans.channel(scans.fault.size), READING, of_channel=True),
     "dark": FaultKind(lambda scans: scans.channel(0.0), of_channel=True, whole_diode=True),
-    "slip": FaultKind(_slip, "1"),
+    "slip": FaultKind(_slip, "1", is_whole=True),
     "supply": FaultKind(lambda scans: {"supply_voltages": scans.fault.size}, "V", (0.0, 1e3)),
     "temperature": FaultKind(lambda scans: {"temperatures": scans.fault.size}, "K", (0.0, 1e3)),
     "ambient": FaultKind(lambda scans: {DIODE_FIELD: scans.now(DIODE_FIELD) + scans.fault.size}, "A"),
     "gain": FaultKind(_gain, "1", (-1.0, 10.0)),
-    "status": FaultKind(lambda scans: {"statuses": scans.now("statuses") | scans.size}, "1", (0.0, 2**32 - 1)),
+    "status": FaultKind(
+        lambda scans: {"statuses": scans.now("statuses") | scans.size}, "1", (0.0, 2**32 - 1), is_whole=True
+    ),
     "home": FaultKind(lambda scans: {"statuses": scans.now("statuses") | HOME_BUMP, "at_home": 1}),
     "clock": FaultKind(lambda scans: {"stamps_ns": scans.now("stamps_ns") + scans.size_ns}, "s", (-1e8, 1e8)),
     "arrival": FaultKind(_arrival, "s", (0.0, 10.0)),
-    "burst": FaultKind(_burst, "1", (1.0, 1e3)),
-    "late_scan": FaultKind(_late_scan, "1", (1.0, 1e3)),
+    "burst": FaultKind(_burst, "1", (1.0, 1e3), is_whole=True),
+    "late_scan": FaultKind(_late_scan, "1", (1.0, 1e3), is_whole=True),
     "restart": FaultKind(_restart, "s", (-1e6, 1e6)),
     "aged": FaultKind(_aged, "s", (0.0, 3600.0)),
     "multiplexed": FaultKind(lambda scans: _multiplexed(scans, "stated"), "s", (0.0, 0.1), states_exposures=True),
@@ -242,7 +245,7 @@ KINDS: dict[str, FaultKind] = {
     ),
     "multiplexed_unstated": FaultKind(lambda scans: _multiplexed(scans, "unstated"), "s", (0.0, 0.1)),
     "number": FaultKind(
-        lambda scans: {"numbers": scans.now("numbers").astype(np.int64) + scans.size}, "1", (-1e9, 1e9)
+        lambda scans: {"numbers": scans.now("numbers").astype(np.int64) + scans.size}, "1", (-1e9, 1e9), is_whole=True
     ),
     "repeat": FaultKind(lambda scans: scans.begin(*CONTENT, "numbers", "stamps_ns")),
 }
