@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 import pytest
 from posor.calibration.designs import DesignName, design
@@ -18,6 +20,9 @@ from posor_lab.harness.graph import scan_message
 from posor_msgs.msg import JointTransform, RawScan
 from posor_ros.message_classes import schema_of_class
 from rclpy.serialization import deserialize_message
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 RAW_SCAN = schema_of_class(RawScan)
 
@@ -167,6 +172,13 @@ def settled() -> RestartedDriver:
     return driver
 
 
+def young() -> RestartedDriver:
+    """Return a driver with fewer scans than show its least age."""
+    driver = RestartedDriver()
+    assert not np.any(driver.receive_missed().stamp_shift)
+    return driver
+
+
 def stated_step(driver: RestartedDriver) -> float:
     return float(driver.posor.tracker["clocks"]["step"])
 
@@ -219,9 +231,12 @@ def test_clocks_that_drift_apart_while_the_driver_is_away_are_no_step() -> None:
     assert stated_step(driver) == 0.0
 
 
+@pytest.mark.parametrize("start", [settled, young])
 @pytest.mark.parametrize("seconds", [0.1, 0.5, 0.9])
-def test_a_host_that_was_paused_with_its_clock_shifts_the_poses(seconds: float) -> None:
-    driver = settled()
+def test_a_host_that_was_paused_with_its_clock_shifts_the_poses(
+    seconds: float, start: Callable[[], RestartedDriver]
+) -> None:
+    driver = start()
     before = float(driver.posor.tracker["time"])
     driver.pause(seconds, -seconds)  # no number is missing, and no stamp
     assert driver.receive().state in USABLE_STATES
@@ -241,8 +256,11 @@ def test_a_ring_that_may_have_turned_while_its_host_was_paused_is_not_counted(
     assert (driver.receive().state in USABLE_STATES) == is_usable
 
 
-def test_a_node_that_was_stopped_finds_no_step_once_its_scans_arrive_in_time() -> None:
-    driver = settled()
+@pytest.mark.parametrize("start", [settled, young])
+def test_a_node_that_was_stopped_finds_no_step_once_its_scans_arrive_in_time(
+    start: Callable[[], RestartedDriver],
+) -> None:
+    driver = start()
     for late in range(25, -1, -1):  # the scans of half a second, one after the other
         driver.receive(late * driver.PERIOD_S)
     assert stated_step(driver) == 0.0

@@ -25,7 +25,8 @@ stamps is taken as at least the sum of these steps. After a restart neither the 
 the restart has lasted longer than the step, the stamps go on forward. The ages of live scans show it: their least,
 which depends little on the load of the host, is then another one. It is compared while the next MEMORY_SCANS come, and
 for WATCH_S. So it is behind a gap in the scan numbers, because a clock that numbers the scans as well may have been
-set there. Behind a short gap only younger scans count, a step forward: a loaded host makes them older.
+set there. Behind a short gap only younger scans count, a step forward: a loaded host makes them older. Within the first
+MEMORY_SCANS only older ones behind a long gap do: the scans of a queue that was full at the start become younger.
 
 A stamp with the standard uncertainty s displaces the pose along its motion: the random covariance grows by
 ``s^2 (xi xi' + diag(sigma_xi^2))``.
@@ -178,9 +179,9 @@ def _watch_ages(clocks: Any, elapsed: float) -> float:
 
     Return how far the first scan shows that the clock of numbers and stamps was set forward in the gap [s].
     """
-    if clocks.fitted < MEMORY_SCANS:
-        return 0.0
     younger, is_away = clocks.least_age - clocks.age, elapsed >= AWAY_S
+    if clocks.fitted < MEMORY_SCANS and not (is_away and -younger > _least_age_step(clocks)):
+        return 0.0
     if is_away or math.isnan(clocks.former_age):
         clocks.former_age, clocks.age_step, clocks.compared = clocks.least_age, 0.0, 0
         clocks.age_tolerance = CLOCK_DRIFT * elapsed
