@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import csv
+import math
 import shutil
 from collections.abc import Callable
 from itertools import islice
@@ -14,6 +15,7 @@ import numpy as np
 import pytest
 from posor.bags.recorded_encoders import RecordedEncoders, read_encoders
 from posor.chain.arm_file import load_arm_file
+from posor.correction import encoder_errors
 from posor.errors import BagError, ParameterError
 from posor.numerics.array_types import FloatArray, IntArray
 from posor_bringup.encoders_command import HEADER, find_errors, main, parse_options
@@ -102,13 +104,36 @@ def test_an_encoder_with_another_sign_scale_or_tooth_is_refused(
     assert caught.value.what.startswith(f"the encoder of joint shoulder {clause}")
 
 
-def test_late_readings_are_no_backlash(monkeypatch: pytest.MonkeyPatch) -> None:
+def read_late(monkeypatch: pytest.MonkeyPatch, lateness_ms: int) -> None:
+    """Let all readings have the angles of a time before."""
+
     def late(self: RecordedEncoders, joint: int, stamps_ns: IntArray) -> FloatArray:
-        return sound(self, joint, stamps_ns - 20_000_000)
+        return sound(self, joint, stamps_ns - lateness_ms * 1_000_000)
 
     sound = RecordedEncoders.at
     monkeypatch.setattr(RecordedEncoders, "at", late)
-    with pytest.raises(ParameterError, match=r"the backlash of base_swivel would be -\d+ µrad: its readings are late"):
+
+
+@pytest.mark.parametrize("lateness_ms", [-2, 2])
+def test_late_readings_are_no_backlash(lateness_ms: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    sound = find_errors(parse_options(OPTIONS))
+    read_late(monkeypatch, lateness_ms)
+    for joint, found in find_errors(parse_options(OPTIONS)).items():
+        assert found.lateness - sound[joint].lateness == pytest.approx(1e-3 * lateness_ms, abs=1e-5)
+        assert found.backlash == pytest.approx(sound[joint].backlash, abs=2e-6)
+
+
+@pytest.mark.parametrize(("lateness_ms", "word"), [(-20, "early"), (20, "late")])
+def test_readings_that_are_too_late_are_refused(lateness_ms: int, word: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    read_late(monkeypatch, lateness_ms)
+    with pytest.raises(ParameterError, match=rf"the encoder of joint base_swivel: its readings are \S+ ms {word}"):
+        find_errors(parse_options(OPTIONS))
+
+
+def test_late_readings_at_one_speed_are_refused_by_their_negative_backlash(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(encoder_errors, "LEAST_CHANGE", math.inf)
+    read_late(monkeypatch, 20)
+    with pytest.raises(ParameterError, match=r"base_swivel: the backlash would be -\d+ µrad: its readings are late"):
         find_errors(parse_options(OPTIONS))
 
 

@@ -4,12 +4,15 @@
 
 from __future__ import annotations
 
+import math
 import re
+import struct
 from pathlib import Path
 
 import numpy as np
 import pytest
 from posor.chain.arm_file import load_arm_file
+from posor.correction import encoder_errors
 from posor.correction.correct_command import main
 from posor.correction.joint_path import JointPath, read_path
 from posor.correction.nominal_robot import LeastSquares, NominalRobot
@@ -18,6 +21,7 @@ from posor_lab.correction.correction_command import STOP_S, findings, least_gain
 from posor_lab.correction.correction_study import PathErrors
 from posor_lab.correction.simulated_robot import SimulatedRobot
 from posor_lab.harness.full_disk import full_disk_changes_nothing
+from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 
 BAG = Path(__file__).resolve().parents[4] / "bags" / "five_axis"
 ROWS, ROWS_OF_STOPS = 750, 550
@@ -50,6 +54,41 @@ def planned() -> JointPath:
     """Return the motion of the bag."""
     robot = SimulatedRobot(load_arm_file("five_axis"), 200, 1985)
     return JointPath(tuple(joint.name for joint in robot.chain.joints), np.arange(2000) / 200.0, robot.planned)
+
+
+@pytest.mark.parametrize(("lateness_ms", "word"), [(-2, "early"), (2, "late")])
+def test_encoders_whose_stamps_are_wrong_correct_nothing(
+    planned: JointPath,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    lateness_ms: int,
+    word: str,
+) -> None:
+    topic, late, program = "/five_axis/encoders", tmp_path / "late", tmp_path / "program.csv"
+    program.write_text(planned.text(as_yaml=False), encoding="utf-8")
+    with Reader(BAG) as reader, Writer(late, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        to = {
+            each.topic: writer.add_connection(each.topic, each.msgtype, msgdef=each.msgdef.data, rihs01=each.digest)
+            for each in reader.connections
+        }
+        for connection, time_ns, data in reader.messages():
+            own = bytes(data)
+            if connection.topic == topic:  # CDR begins with four bytes of encoding; then come seconds and nanoseconds
+                seconds, rest = struct.unpack_from("<iI", own, 4)
+                stamp_ns = seconds * 10**9 + rest + lateness_ms * 10**6
+                own = own[:4] + struct.pack("<iI", *divmod(stamp_ns, 10**9)) + own[12:]
+            writer.write(to[connection.topic], time_ns, own)
+    output = tmp_path / "corrected.yaml"
+    arguments = ["five_axis", str(program), "--bag", str(late), "--output", str(output)]
+    assert main([*arguments, "--encoders", topic]) == 1
+    assert re.search(rf"the encoder of joint \w+: its readings are \S+ ms {word}", capsys.readouterr().err)
+    assert not output.exists()
+    assert main(arguments) == 0
+    capsys.readouterr()
+    monkeypatch.setattr(encoder_errors, "LEAST_CHANGE", math.inf)
+    assert main([*arguments, "--encoders", topic, "--force"]) == 0
+    assert capsys.readouterr().out.startswith("not known how late the encoder is")
 
 
 def test_a_recorded_program_is_corrected_by_the_errors_of_the_true_arm(

@@ -16,25 +16,27 @@ from posor.bags.offline_pipeline import load_arm
 from posor.bags.recorded_encoders import read_encoders
 from posor.bags.result_folder import name_of_bag
 from posor.chain.endpoint_predictor import describe_disagreement, describe_jump, is_same_motion
+from posor.correction.encoder_errors import SETTLED_TURN, describe_lateness, encoder_errors
 from posor.errors import OutputError, ParameterError
+from posor.numerics.stamps import NS
 from posor.numerics.vector import wrapped_angles
 from posor.output_files import make_folder, write_files
 from posor.reporting.command_line_parser import CommandLineParser, whole_number_from
 from posor.reporting.program_errors import reports_errors
 from posor.reporting.report_console import report_console
 from posor.reporting.report_table import ReportTable
-from posor_calibration.encoder_errors import SETTLED_TURN, encoder_errors
 
 if TYPE_CHECKING:
     import argparse
     from collections.abc import Mapping, Sequence
 
     from posor.chain.kinematic_chain import Chain
+    from posor.correction.encoder_errors import EncoderErrors
     from posor.numerics.array_types import FloatArray
-    from posor_calibration.encoder_errors import EncoderErrors
 
 PARTS = 64  # of a recording, between which the motions of encoder and POSOR are compared
 LEAST_ERROR = 1e-3  # largest error of an encoder's motion that is not taken for another encoder, sign or scale [rad]
+LARGEST_LATENESS_S = 0.01  # whose effect the rate explains to some µrad
 BACKLASH_NOISE = 1e-4  # largest amount of a negative backlash that is no late reading [rad]
 HEADER = ("joint", "direction", "angle_rad", "encoder_minus_posor_rad", "standard_deviation_rad", "readings")
 
@@ -82,21 +84,25 @@ def find_errors(options: argparse.Namespace) -> dict[str, EncoderErrors]:
         raise ParameterError(what, where="posor encoders, --names", expected=expected)
     encoders = read_encoders(options.bag, options.topic, names)
     end = arm.estimate(options.bag).endpoint_of_one_run(str(options.bag))
+    where = f"{options.bag}, topic {options.topic}"
+    times_s = (end.stamps_ns - end.stamps_ns[:1]) / NS
     gravity, found = _gravity_in_plates(chain, end.angles), {}
     for j, joint in enumerate(joints):
         readings, efforts = encoders.at(j, end.stamps_ns).T
         if wrong := _disagreement(readings, end.angles, j, joints):
             what, expected = f"the encoder of joint {joint} {wrong}", "its own readings, in rad"
-            raise ParameterError(what, where=f"{options.bag}, topic {options.topic}", expected=expected)
+            raise ParameterError(what, where=where, expected=expected)
         around = np.hstack(gravity[j : j + 3]) if gravity else None  # before and after the joint, after the next one
-        found[joint] = encoder_errors(end.angles[:, j], readings, efforts, options.bins, around)
-        if (backlash := found[joint].backlash) < -BACKLASH_NOISE:
-            what = f"the backlash of {joint} would be {1e6 * backlash:.0f} µrad: its readings are late or held"
+        found[joint] = encoder_errors(end.angles[:, j], readings, times_s, efforts, options.bins, around)
+        lateness = describe_lateness(found[joint], LARGEST_LATENESS_S)
+        if (backlash := found[joint].backlash) < -BACKLASH_NOISE and not lateness:
+            lateness = f"the backlash would be {1e6 * backlash:.0f} µrad: its readings are late or held"
+        if lateness:
             expected = "new readings in each message, with the stamps of the scans' clock"
-            raise ParameterError(what, where=f"{options.bag}, topic {options.topic}", expected=expected)
+            raise ParameterError(f"the encoder of joint {joint}: {lateness}", where=where, expected=expected)
     if not any(each.readings for each in found.values()):
         what, expected = "no joint moves while its encoder is read", "scans and readings of one motion and one clock"
-        raise ParameterError(what, where=f"{options.bag}, topic {options.topic}", expected=expected)
+        raise ParameterError(what, where=where, expected=expected)
     return found
 
 
@@ -150,8 +156,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     found = find_errors(options)
     write_table(options.output, found)
     header = (
-        *("joint", "readings", "range [rad]", "offset [µrad]", "backlash [µrad]", "slope [µrad/rad]"),
-        *("once per turn [µrad]", "windup [µrad/(N m)]", "gravity, rms [µrad]", "rest, rms [µrad]"),
+        *("joint", "readings", "range [rad]", "offset [µrad]", "backlash [µrad]", "late [µs]"),
+        *("slope [µrad/rad]", "once per turn [µrad]", "windup [µrad/(N m)]", "gravity, rms [µrad]", "rest, rms [µrad]"),
     )
     rows = [
         [joint, str(each.readings), _cell(each.range_rad, 1.0), *map(_cell, each[2:-1])]

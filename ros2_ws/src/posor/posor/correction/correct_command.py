@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,6 +15,7 @@ from posor.arm_names import describe_argument
 from posor.bags.offline_pipeline import load_arm
 from posor.bags.recorded_encoders import read_encoders
 from posor.bags.result_folder import check_outside_of_bags
+from posor.correction.encoder_errors import describe_lateness, encoder_errors
 from posor.correction.joint_correction import CorrectionLimits
 from posor.correction.joint_path import CSV_SUFFIX, YAML_SUFFIXES, read_path
 from posor.correction.nominal_robot import LeastSquares, NominalRobot
@@ -30,8 +32,10 @@ if TYPE_CHECKING:
 
     from posor.bags.offline_pipeline import Arm
     from posor.correction.joint_path import JointPath
+    from posor.numerics.array_types import FloatArray
     from posor.parameter_model import ParameterGroup, ParameterSpec
 
+LARGEST_LATENESS_S = 5e-4  # of encoders; the windup of a drive grows with the rate, too
 PROGRAM_LIMITS = CorrectionLimits(max_rate=0.1)
 """A program may cross the backlash of a gear faster than an outer loop, whose noise its limit of the rate bounds."""
 FROM_PARAMETERS = {"max_offset": "RAD", "max_rate": "RAD/S", "rotation_length": "M", "least_lever": "M"}
@@ -91,7 +95,11 @@ def measured_run(
     stamps_ns, poses, angles = end.stamps_ns[usable], end.poses[usable], end.angles[usable][:, columns]
     if options.encoders:
         readings = read_encoders(options.bag, options.encoders, robot.joints)
-        angles = np.column_stack([readings.at(joint, stamps_ns)[:, 0] for joint in range(len(robot.joints))])
+        seen, angles = (
+            angles,
+            np.column_stack([readings.at(joint, stamps_ns)[:, 0] for joint in range(len(robot.joints))]),
+        )
+        _check_lateness(robot, readings.source, (stamps_ns - stamps_ns[0]) / NS, seen, angles)
         known = np.isfinite(angles).all(axis=1)
         stamps_ns, poses, angles = stamps_ns[known], poses[known], angles[known]
     if len(stamps_ns) < 2:  # noqa: PLR2004  a time between two
@@ -105,6 +113,22 @@ def measured_run(
         times_s, poses = times_s[during], poses[during]
         angles = ran.sampler()(times_s)
     return MeasuredRun(times_s, angles, poses, where), len(end), len(stamps_ns)
+
+
+def _check_lateness(
+    robot: NominalRobot, source: str, times_s: FloatArray, angles: FloatArray, readings: FloatArray
+) -> None:
+    """Refuse encoders whose stamps are wrong by what their POSORs show; angles and readings in rad, (n, j)."""
+    unknown = []
+    for name, seen, read in zip(robot.joints, angles.T, readings.T, strict=True):
+        errors = encoder_errors(seen, read, times_s)
+        if math.isnan(errors.lateness):
+            unknown.append(name)
+        if lateness := describe_lateness(errors, LARGEST_LATENESS_S):
+            what, expected = f"the encoder of joint {name}: {lateness}", "the stamps of the scans' clock"
+            raise BagError(what, where=source, expected=f"{expected}, or no --encoders")
+    if unknown:
+        print(f"not known how late the encoder is, because its joint hardly changes its speed: {', '.join(unknown)}")
 
 
 @reports_errors

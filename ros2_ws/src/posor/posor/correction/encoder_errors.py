@@ -17,6 +17,11 @@ is fitted then, with the part of gravity that the other columns do not explain. 
 determine is NaN: backlash without a bin of both directions, a slope over less than LEAST_RANGE, an eccentricity (c, s)
 over less than half a turn, windup without efforts that change. Gravity that follows the own angle, as in an arm whose
 other joints stand still, counts as slope and eccentricity.
+
+Late readings, the angles of a time d before their stamps, lag by d times the rate. Where the speed changes by more than
+LEAST_CHANGE, d is found within the bins too; its effect is taken off if it exceeds LATE_SIGMAS of its standard
+uncertainty, whose errors are alike within a bin (K.-Y. Liang, S. L. Zeger, Biometrika 73(1), 1986, with the bins as
+clusters). At one speed it counts as backlash.
 """
 
 from __future__ import annotations
@@ -31,6 +36,9 @@ if TYPE_CHECKING:
 
 LEAST_RANGE = 0.1  # of angles that determine a slope [rad]
 SETTLED_TURN = 1e-3  # from a reversal, from which on a direction is known [rad]
+LEAST_CHANGE = 0.1  # of the rate beside its direction, as a share of the rate, root mean squares
+LATE_SIGMAS = 5.0
+LONGEST_GAP_S = 0.05  # between two scans, for a rate
 LEAST_GRAVITY = 0.01  # root mean square of a change of the direction of gravity beyond that by the own angle
 FORWARD, BACKWARD = 1, -1
 
@@ -52,12 +60,20 @@ class EncoderErrors(NamedTuple):
     range_rad: float  # from the least angle to the largest
     offset: float  # [rad]
     backlash: float  # [rad]
+    lateness: float  # time before their stamps at which the joint was where the readings say [s]
     slope: float  # [rad/rad]
     eccentricity: float  # amplitude of the error once per turn [rad]
     windup: float  # [rad/(N m)], or [rad/N]
     gravity: float  # root mean square of the part by gravity in changing postures [rad]
     rest: float  # root mean square of what the fit leaves [rad]
     table: list[Row]
+
+
+def describe_lateness(errors: EncoderErrors, largest: float) -> str:
+    """Return how late or early the readings are, if by more than ``largest`` [s]; else empty."""
+    if not abs(errors.lateness) > largest:
+        return ""
+    return f"its readings are {1e3 * abs(errors.lateness):.3g} ms {'late' if errors.lateness > 0.0 else 'early'}"
 
 
 def directions(readings: FloatArray, settled: float = SETTLED_TURN) -> IntArray:
@@ -79,25 +95,29 @@ def directions(readings: FloatArray, settled: float = SETTLED_TURN) -> IntArray:
 def encoder_errors(
     angles: FloatArray,
     readings: FloatArray,
+    times_s: FloatArray,
     efforts: FloatArray | None = None,
     bins: int = 36,
     gravity: FloatArray | None = None,
 ) -> EncoderErrors:
-    """Return the errors of an encoder whose joint has been at ``angles`` of its POSOR [rad], (n,), in order of time.
+    """Return the errors of an encoder whose joint has been at ``angles`` of its POSOR [rad], (n,).
 
-    ``readings``: [rad], (n,); ``efforts``: of the drive [N m] or [N], (n,); ``bins``: of each direction; ``gravity``:
-    components of the unit vector along gravity in plates of the arm, (n, k).
+    ``readings``: [rad], (n,); ``times_s``: of both, increasing [s], (n,); ``efforts``: of the drive [N m] or [N], (n,);
+    ``bins``: of each direction; ``gravity``: components of the unit vector along gravity in plates of the arm, (n, k).
     """
     gravity = np.empty((len(angles), 0)) if gravity is None else gravity
     known = np.isfinite(angles) & np.isfinite(readings) & np.isfinite(gravity).all(axis=1)
-    angles, readings, gravity = angles[known], readings[known], gravity[known]
+    angles, readings, gravity, times_s = angles[known], readings[known], gravity[known], times_s[known]
     direction = directions(readings)
     difference = readings - angles
     difference -= 2.0 * math.pi * np.round(np.median(difference) / (2.0 * math.pi)) if len(difference) else 0.0
-    moving = direction != 0
-    angles, direction, difference, gravity = (each[moving] for each in (angles, direction, difference, gravity))
+    rates = _rates(times_s, angles)
+    moving = (direction != 0) & np.isfinite(rates)
+    angles, direction, difference, gravity, rates = (
+        each[moving] for each in (angles, direction, difference, gravity, rates)
+    )
     if not len(angles):
-        return EncoderErrors(0, 0.0, *(math.nan,) * 7, [])
+        return EncoderErrors(0, 0.0, *(math.nan,) * 8, [])
     span, edges = float(np.ptp(angles)), np.linspace(angles.min(), angles.max(), bins + 1)
     which = np.clip(np.searchsorted(edges, angles, side="right") - 1, 0, bins - 1)
     table = _table(edges, which, direction, difference)
@@ -110,8 +130,9 @@ def encoder_errors(
         columns["windup"] = own - own.mean()
     own_design = np.column_stack(list(columns.values()))
     gravity = _beyond(gravity, own_design)
-    backlash = _backlash(which, direction, difference, np.column_stack([angles, gravity]))
-    alike, design = difference - 0.5 * np.nan_to_num(backlash) * direction, np.column_stack([own_design, gravity])
+    lag = _lag(which, direction, difference, rates, np.column_stack([angles, gravity]))
+    alike = difference - 0.5 * np.nan_to_num(lag.backlash) * direction + (lag.lateness if lag.is_late else 0.0) * rates
+    design = np.column_stack([own_design, gravity])
     values = np.linalg.lstsq(design, alike, rcond=None)[0]
     fitted = dict(zip(columns, map(float, values), strict=False))
     bent = gravity @ values[len(columns) :]
@@ -119,7 +140,8 @@ def encoder_errors(
         len(angles),
         span,
         fitted["offset"],
-        backlash,
+        lag.backlash,
+        lag.lateness,
         fitted.get("slope", math.nan),
         math.hypot(fitted["c"], fitted["s"]) if "c" in fitted else math.nan,
         fitted.get("windup", math.nan),
@@ -146,11 +168,40 @@ def _table(edges: FloatArray, which: IntArray, direction: IntArray, difference: 
     return rows
 
 
-def _backlash(which: IntArray, direction: IntArray, difference: FloatArray, others: FloatArray) -> float:
-    """Return the backlash within the bins, beside other columns (n, k); NaN: no bin has both directions."""
-    design = np.column_stack([difference, 0.5 * direction, others])
-    sums = np.array([np.bincount(which, column) for column in design.T])
-    design -= (sums / np.maximum(np.bincount(which), 1)).T[which]
-    if not np.any(design[:, 1]):
-        return math.nan
-    return float(np.linalg.lstsq(design[:, 1:], design[:, 0], rcond=None)[0][0])
+def _rates(times_s: FloatArray, angles: FloatArray) -> FloatArray:
+    """Return the rates of increasing times [rad/s], (n,); NaN beside a gap."""
+    if len(angles) < 2:  # noqa: PLR2004  a rate lies between two
+        return np.full(len(angles), math.nan)
+    rates, is_gap = np.gradient(np.unwrap(angles), times_s), np.diff(times_s) > LONGEST_GAP_S
+    return np.where(np.append(is_gap, False) | np.insert(is_gap, 0, False), math.nan, rates)
+
+
+class _Lag(NamedTuple):
+    """What differs between the directions within the bins."""
+
+    backlash: float  # [rad]
+    lateness: float  # [s]
+    is_late: bool  # whether the backlash is that of a fit with the lateness
+
+
+def _lag(which: IntArray, direction: IntArray, difference: FloatArray, rates: FloatArray, others: FloatArray) -> _Lag:
+    """Return backlash and lateness within the bins, beside other columns (n, k).
+
+    Both are NaN where no bin has both directions, the lateness also where the rate does not change enough.
+    """
+    columns = np.column_stack([difference, -rates, 0.5 * direction, others])
+    sums = np.array([np.bincount(which, column) for column in columns.T])
+    columns -= (sums / np.maximum(np.bincount(which), 1)).T[which]
+    within, lag, design = columns[:, 0], columns[:, 1], columns[:, 2:]
+    if not np.any(design[:, 0]):
+        return _Lag(math.nan, math.nan, is_late=False)
+    backlash = float(np.linalg.lstsq(design, within, rcond=None)[0][0])
+    alone = lag - design @ np.linalg.lstsq(design, lag, rcond=None)[0]
+    if np.linalg.norm(alone) < LEAST_CHANGE * np.linalg.norm(rates):
+        return _Lag(backlash, math.nan, is_late=False)
+    both = np.column_stack([lag, design])
+    lateness, beside, *_ = values = np.linalg.lstsq(both, within, rcond=None)[0]
+    of_bins = np.bincount(which, alone * (within - both @ values))
+    sigma = float(np.linalg.norm(of_bins) / np.sum(np.square(alone)))
+    is_late = abs(lateness) > LATE_SIGMAS * sigma
+    return _Lag(float(beside) if is_late else backlash, float(lateness), bool(is_late))

@@ -5,12 +5,21 @@
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from posor_calibration.encoder_errors import directions, encoder_errors
+from posor.correction.encoder_errors import directions, encoder_errors
+
+if TYPE_CHECKING:
+    from posor.numerics.array_types import FloatArray
 
 BACKLASH, ECCENTRICITY, SLOPE, WINDUP = 4e-5, 2e-5, 3e-6, 5e-7
+PERIOD_S = 5e-3
+
+
+def even_times(angles: FloatArray) -> FloatArray:
+    return np.linspace(0.0, PERIOD_S * (len(angles) - 1), len(angles))
 
 
 def test_backlash_slope_eccentricity_and_windup_are_found_in_noise() -> None:
@@ -20,7 +29,7 @@ def test_backlash_slope_eccentricity_and_windup_are_found_in_noise() -> None:
     side = np.where(np.gradient(angles) > 0.0, 0.5, -0.5)
     readings = angles + 1e-3 + 2.0 * math.pi + BACKLASH * side + ECCENTRICITY * np.cos(angles - 0.7) + SLOPE * angles
     readings += WINDUP * efforts + 1e-6 * random.normal(size=len(angles))
-    found = encoder_errors(angles, readings, efforts)
+    found = encoder_errors(angles, readings, even_times(angles), efforts)
     assert found.offset == pytest.approx(1e-3, abs=2e-6)  # at the mean angle
     assert found.backlash == pytest.approx(BACKLASH, abs=3e-7)
     assert found.eccentricity == pytest.approx(ECCENTRICITY, abs=3e-7)
@@ -37,17 +46,47 @@ def test_backlash_slope_eccentricity_and_windup_are_found_in_noise() -> None:
 def test_a_scale_of_the_encoder_is_no_backlash(slope: float) -> None:
     angles = 0.5 * np.sin(np.linspace(0.0, 5.0 * math.pi, 700))  # unequal angles of both directions within a bin
     side = np.where(np.gradient(angles) > 0.0, 0.5, -0.5)
-    found = encoder_errors(angles, angles + BACKLASH * side + slope * angles)
+    found = encoder_errors(angles, angles + BACKLASH * side + slope * angles, even_times(angles))
     assert found.backlash == pytest.approx(BACKLASH, abs=0.05 * BACKLASH)
     assert found.slope == pytest.approx(slope, rel=1e-3)
 
 
+@pytest.mark.parametrize("lateness", [-2e-3, 0.0, 2e-3])
+def test_late_readings_are_no_backlash_where_the_speed_changes(lateness: float) -> None:
+    random, times = np.random.default_rng(4), even_times(np.empty(4000))
+    side = np.where(np.cos(0.9 * times) > 0.0, 0.5, -0.5)
+    angles = 0.8 * np.sin(0.9 * times) + 1e-6 * random.normal(size=len(times))
+    readings = 0.8 * np.sin(0.9 * (times - lateness)) + BACKLASH * side
+    found = encoder_errors(angles, readings, times)
+    assert found.lateness == pytest.approx(lateness, abs=2e-6)
+    assert found.backlash == pytest.approx(BACKLASH, abs=0.05 * BACKLASH)
+    assert found.rest < 3e-6
+
+
+def test_late_readings_at_one_speed_are_not_told_from_backlash() -> None:
+    times = even_times(np.empty(4000))
+    angles, side = np.abs(np.mod(0.3 * times, 2.0) - 1.0), np.where(np.mod(0.3 * times, 2.0) > 1.0, 0.5, -0.5)
+    found = encoder_errors(angles, angles + BACKLASH * side - 2e-3 * 0.6 * side, times)
+    assert math.isnan(found.lateness)
+    assert found.backlash == pytest.approx(BACKLASH - 2e-3 * 0.6, rel=5e-3)
+
+
+def test_a_gap_in_the_scans_has_no_rate() -> None:
+    times = even_times(np.empty(4000))
+    kept = np.mod(times, 2.0) < 1.7  # some without their reversals
+    times = times[kept]
+    angles, late = 0.8 * np.sin(0.9 * times), 0.8 * np.sin(0.9 * (times - 2e-3))
+    found = encoder_errors(angles, late, times)
+    assert found.lateness == pytest.approx(2e-3, abs=1e-5)
+    assert found.readings < len(times)
+
+
 def test_what_the_motion_does_not_determine_is_not_stated() -> None:
     angles = np.linspace(0.0, 0.05, 200)
-    found = encoder_errors(angles, angles + 1e-4)
+    found = encoder_errors(angles, angles + 1e-4, even_times(angles))
     assert found.offset == pytest.approx(1e-4)
-    assert np.isnan([found.backlash, found.slope, found.eccentricity, found.windup]).all()
-    still = encoder_errors(np.zeros(50), 1e-6 * np.ones(50))
+    assert np.isnan([found.backlash, found.slope, found.eccentricity, found.windup, found.lateness]).all()
+    still = encoder_errors(np.zeros(50), 1e-6 * np.ones(50), even_times(np.zeros(50)))
     assert (still.readings, still.table) == (0, [])
     assert math.isnan(still.offset)
 
@@ -67,13 +106,13 @@ def test_gravity_in_changing_postures_is_no_backlash(*, others_move: bool) -> No
     side = np.where(np.gradient(angles) > 0.0, 0.5, -0.5)
     bent = 6e-5 * before[:, 0] + 3e-5 * after[:, 0]
     readings = angles + BACKLASH * side + bent + 1e-6 * random.normal(size=len(angles))
-    found = encoder_errors(angles, readings, gravity=np.hstack([before, after]))
+    found = encoder_errors(angles, readings, even_times(angles), gravity=np.hstack([before, after]))
     assert found.backlash == pytest.approx(BACKLASH, abs=3e-7)
     assert found.rest == pytest.approx(1e-6, rel=0.1)
     if others_move:
         assert found.gravity > 2e-5
-        without = encoder_errors(angles, readings)
-        assert without.backlash > BACKLASH + 2e-5
+        without = encoder_errors(angles, readings, even_times(angles))
+        assert without.lateness < -1e-4  # in step with the rate
         assert math.isnan(without.gravity)
     else:  # then gravity is a matter of the own angle
         assert math.isnan(found.gravity)
