@@ -24,7 +24,7 @@ from posor.calibration.file_model import first_problem
 from posor.calibration.fit_record import Instrument
 from posor.calibration.save import save_calibration
 from posor.calibration.yaml_document import read_text
-from posor.errors import BagError, ParameterError, ShapeError, check_type, checked_path, similar_name
+from posor.errors import BagError, FitError, ParameterError, ShapeError, check_type, checked_path, similar_name
 from posor.estimation.corrected_scans import corrected_scans
 from posor.model.scan import Scans
 from posor.numerics.array_types import freeze_arrays
@@ -206,6 +206,7 @@ def fit_recording(
         PosorError: The data or the new values are invalid.
 
     """
+    _check_environment(recording, calibration)
     recording, repeated = without_repeated_values(recording)
     outcome = procedure.identify(recording, calibration, settings)
     untested = f"Drift of the reference is not tested by {procedure.name}: compare visits of one place."
@@ -227,6 +228,19 @@ def fit_recording(
     else:
         text = ""
     return FitResult(procedure.name, new, calibration, outcome, recording.source, text)
+
+
+def _check_environment(recording: Recording, calibration: Calibration) -> None:
+    """Raise FitError if scans have their supply or temperature in another unit."""
+    scans, (supply, temperature) = recording.scans, calibration.plausible_environment()
+    parts = (
+        ("supply voltage", scans.supply_voltages, supply, "V"),
+        ("temperature", scans.temperatures, temperature, "K"),
+    )
+    for name, values, plausible, unit in parts:
+        for n in np.flatnonzero((values < plausible.least) | (values > plausible.most))[:1]:
+            what = f"{name} {values[n]:g} {unit} of scan {scans.numbers[n]}"
+            raise FitError(what, where=recording.source, expected=plausible.expected(float(values[n]), unit))
 
 
 def check_options(model: type[Options], given: Mapping[str, Any], describe: Callable[[str], str]) -> Options:

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import math
 import textwrap
 from dataclasses import asdict, dataclass
 from itertools import cycle
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
 
 MAX_LINES = 15  # lines of a verdict on a terminal of ``WIDTH`` columns, with the names of the written files
 NAMED = 3
+FAR = 30.0  # former standard uncertainties, beyond which a number is more likely one of a wrong reference
 COLOURS = (BLUE, ORANGE, GREEN, LIGHT_BLUE, GREY)
 
 
@@ -35,7 +37,7 @@ COLOURS = (BLUE, ORANGE, GREEN, LIGHT_BLUE, GREY)
 class ProcedureVerdict:
     """Summary of an outcome for a user."""
 
-    holds: bool  # whether the residuals agree with the stated uncertainties
+    holds: bool  # whether residuals, references and changes agree with the stated uncertainties
     headline: str
     findings: tuple[str, ...]  # one sentence each
     notes: tuple[str, ...]  # warnings of the procedure
@@ -67,10 +69,12 @@ def judge_outcome(name: str, outcome: Outcome, changes: Comparison | None) -> Pr
         f"{outliers} of {readings} readings are outliers."
     )
     of_file = _describe_changes(changes) if changes else ["The calibration file is not changed."]
-    drifting = any(test.is_found for test in outcome.drifts)
-    usable = usable if not drifting else "usable with care: a reference drifts"
+    if any(test.is_found for test in outcome.drifts):
+        holds, usable = False, "usable with care: a reference drifts"
+    if changes and any(FAR < abs(each.sigmas) < math.inf for each in changes.differences):
+        holds, usable = False, f"usable with care: changes by more than {FAR:g} former standard uncertainties"
     findings = (residuals, *_describe_drifts(outcome), *of_file)
-    return ProcedureVerdict(holds and not drifting, f"{name}: {usable}.", findings, outcome.warnings)
+    return ProcedureVerdict(holds, f"{name}: {usable}.", findings, outcome.warnings)
 
 
 def _describe_drifts(outcome: Outcome) -> list[str]:

@@ -185,3 +185,17 @@ def test_sound_recordings_raise_no_alarm(count: int) -> None:
         else:
             alarms["drift"] += any(test.is_found for test in found)
     assert not +alarms
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "sentence"),
+    [
+        ("temperatures", 20.0, r"temperature 20 K of scan 0; expected 100 to 600 K \(in degrees Celsius\?\)"),
+        ("supply_voltages", 15000.0, r"supply voltage 15000 V of scan 0; expected .* V \(in mV\?\)"),
+    ],
+)
+def test_scans_in_another_unit_calibrate_nothing(field: str, value: float, sentence: str) -> None:
+    recording = recorded("one way")
+    scans = recording.scans.with_fields({field: np.full(len(recording.scans), value)})
+    with pytest.raises(FitError, match=sentence):
+        fit("gap_linearisation", diode_calibration(), replace(recording, scans=scans), **ORDER)

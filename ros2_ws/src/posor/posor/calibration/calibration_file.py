@@ -25,6 +25,7 @@ from posor.calibration.causes import Cause, check_causes
 from posor.calibration.file_model import EntryError, FrozenModel, select_model_by_key
 from posor.calibration.fit_record import FitRecord
 from posor.calibration.parameter_entries import parameter_entries
+from posor.calibration.plausible_range import ANY_FINITE, TEMPERATURE, PlausibleRange
 from posor.calibration.quantity import Quantity, measured
 from posor.calibration.session import Session
 from posor.calibration.shared_terms import SharedQuantity, SharedTerm, check_shared_terms
@@ -133,6 +134,11 @@ class TemperatureRange(EnvironmentRange):
 
     range: Annotated[Quantity, measured("K", 2)]
     spread: Annotated[Quantity, measured("K")]
+
+    @model_validator(mode="after")
+    def _check_unit(self) -> Self:
+        TEMPERATURE.check("range", self.range)
+        return self
 
 
 class Environment(FrozenModel):
@@ -271,6 +277,18 @@ class Calibration(FrozenModel):
                 del part[key]
         text = json.dumps(content, sort_keys=True, separators=(",", ":"))
         return hashlib.sha256(text.encode()).hexdigest()
+
+    def plausible_environment(self) -> tuple[PlausibleRange, PlausibleRange]:
+        """Return the supplies [V] and the temperatures [K] beyond which a scan has them in another unit.
+
+        A supply is known by ``environment`` and the references of probes; without them it is not limited.
+        """
+        stated = None if self.environment is None else self.environment.supply
+        volts = [] if stated is None else stated.range.array.tolist()
+        probes = [probe for sensor in self.sensors for probe in getattr(sensor, "probes", ())]
+        volts += [probe.supply.reference.number for probe in probes if getattr(probe, "supply", None) is not None]
+        limits = [factor * each for each in volts for factor in (0.5, 2.0)] or ANY_FINITE
+        return PlausibleRange(min(limits), max(limits), {"in mV": 1e-3}), TEMPERATURE
 
     @property
     def session(self) -> str:

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -29,11 +30,17 @@ class PlausibleRange:
     def check(self, name: str, quantity: Quantity) -> None:
         """Raise EntryError if a number of a quantity, whose key is its name, is out of range."""
         for value in np.ravel(quantity.array):
-            if not (self.least <= value <= self.most or (self.or_zero and value == 0.0)):
-                fitting = [cause for cause, factor in self.causes.items() if self.least < value * factor <= self.most]
-                question = f" ({' or '.join(fitting)}?)" if fitting else ""
-                expected = f"{'0 or ' if self.or_zero else ''}{self.least:g} to {self.most:g} {quantity.unit}{question}"
+            if expected := self.expected(float(value), quantity.unit):
                 raise EntryError(f"{name} {value:g} {quantity.unit}", key=(name,), expected=expected)
 
+    def expected(self, value: float, unit: str) -> str:
+        """Return what is plausible instead of a value, and the likely causes; empty: the value is."""
+        if self.least <= value <= self.most or (self.or_zero and value == 0.0):
+            return ""
+        fitting = [cause for cause, factor in self.causes.items() if self.least < value * factor <= self.most]
+        question = f" ({' or '.join(fitting)}?)" if fitting else ""
+        return f"{'0 or ' if self.or_zero else ''}{self.least:g} to {self.most:g} {unit}{question}"
 
+
+ANY_FINITE = (-sys.float_info.max, sys.float_info.max)
 TEMPERATURE = PlausibleRange(100.0, 600.0, {"in degrees Celsius": 15.0})

@@ -7,12 +7,13 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any
 
+from posor.calibration.plausible_range import ANY_FINITE
 from posor.estimation.ambient import NO_DARK_SCAN, NO_POSE
 from posor.estimation.clocks import CONTRADICTORY, LATE, SCATTER_LIMIT
 from posor.estimation.estimate import NO_STAMP, OTHER_FRAME
 from posor.estimation.exposure import LONGEST_OFFSET_S
 from posor.estimation.frozen import ALL
-from posor.estimation.linearise import ANY_FINITE, INVALID_TIME, REFERENCE_MEASURED
+from posor.estimation.linearise import INVALID_TIME, REFERENCE_MEASURED
 from posor.model.fault import Fault
 from posor.model.scan import NO_SOURCE
 from posor.numerics.stamps import NO_TIME

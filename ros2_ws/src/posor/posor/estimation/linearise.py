@@ -11,7 +11,6 @@ readings and the spread u of the deviation this adds ``u^2 s s'`` to the systema
 from __future__ import annotations
 
 import math
-import sys
 from typing import TYPE_CHECKING, Any
 
 from posor.estimation.ambient import check_dark_currents, is_dark, subtract_ambient, write_ambient_effects
@@ -47,7 +46,6 @@ BAD_READING = int(Fault.BAD_READING)
 INVALID_TIME = -105  # code of the estimate: offsets, span, or uncertainty or limit of the stamp are invalid
 SUPPLY, TEMPERATURE = 0, 1
 REFERENCE_MEASURED = 4  # of ``missing``: the known voltage of the converter
-ANY_FINITE = (-sys.float_info.max, sys.float_info.max)  # range of a calibration that states none
 
 
 @in_place

@@ -13,7 +13,6 @@ from posor.calibration.calibration_file import Environment, TiltAngle
 from posor.calibration.causes import EXCEEDED
 from posor.estimation.fault_effects import MISSED_DETECTION
 from posor.estimation.frozen import evidence_of_repetition
-from posor.estimation.linearise import ANY_FINITE
 from posor.model.readings import DIODE_CURRENTS, PYTHON
 from posor.numerics.chi_square import noncentrality, upper_quantile
 from posor.sensors.diodes import DiodesCalibration
@@ -48,7 +47,7 @@ def write_settings(model: Model, calibration: Calibration, redundancy: int, fals
         settings["residual_limit"] = largest = residual_limit(redundancy, false_alarm)
         settings["noncentrality_root"] = math.sqrt(noncentrality(redundancy, largest, MISSED_DETECTION))
     _write_motion(settings, calibration)
-    _write_environment(model, settings, calibration.environment or Environment())
+    _write_environment(model, settings, calibration)
     _write_evidence(model, settings, calibration)
     _write_common_effects(model, settings, calibration)
     settings["tilt_lags"] = calibration.tilt_angle is TiltAngle.PREVIOUS_SCAN
@@ -68,9 +67,10 @@ def _write_motion(settings: Any, calibration: Calibration) -> None:
     settings["period"] = settings["bump_angle"] or max(sensor.slip_angle for sensor in calibration.sensors)
 
 
-def _write_environment(model: Model, settings: Any, environment: Environment) -> None:
-    for k, part in enumerate((environment.supply, environment.temperature)):
-        settings["environment"][k] = ANY_FINITE if part is None else part.range.array
+def _write_environment(model: Model, settings: Any, calibration: Calibration) -> None:
+    stated, plausible = calibration.environment or Environment(), calibration.plausible_environment()
+    for k, part in enumerate((stated.supply, stated.temperature)):
+        settings["environment"][k] = (plausible[k].least, plausible[k].most) if part is None else part.range.array
         settings["spreads"][k] = 0.0 if part is None else part.spread.number
     workspace, channels = model.workspace[0], model.channels
     for sensor in model.sensors:

@@ -20,6 +20,7 @@ MISTAKES: list[tuple[tuple[Any, ...], Any, str]] = [
     ((*PROBE, "supply", "reference", "value"), 15000.0, "expected 14.5 to 15.5, the range of 'environment'"),
     ((*PROBE, "supply", "sensitivity", "value"), 20.0, "in um/V"),
     ((*PROBE, "temperature", "sensitivity", "value"), 0.2, "in um/K"),
+    (("environment", "temperature", "range", "value"), [10.0, 30.0], "in degrees Celsius"),
     (("environment", "temperature", "spread", "value"), 293.15, "expected at most the width of the range, 20 K"),
 ]
 

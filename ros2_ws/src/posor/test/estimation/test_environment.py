@@ -16,6 +16,7 @@ from posor.estimation.frozen import FROZEN_EVIDENCE, evidence_of_repetition
 from posor.estimation.posor import Posor
 from posor.model.fault import Fault, State
 from posor.model.scan import DIODES_ESTIMATED, HOME_BUMP, PROBES_ESTIMATED, SATURATED, Scans
+from posor.sensors.gap_probes import GapProbesCalibration
 from posor_lab.harness.random_poses import STACKS, turning_scans
 
 
@@ -53,13 +54,33 @@ def test_outside_the_environment_a_scan_is_lost_and_says_so(stack: DesignName, n
     assert posor.estimate(scans[2]).state is State.OK
 
 
-def test_without_the_section_only_finite_or_unmeasured_values_are_accepted() -> None:
+def test_without_the_section_only_plausible_or_unmeasured_values_are_accepted() -> None:
     posor = Posor(design("triad_diodes").model_copy(update={"environment": None}))
     scan = resting(posor, 1)[0]
-    for value in (math.nan, 0.0, 16.0):
+    for value in (math.nan, 10.0, 16.0):
         assert posor.estimate(replace(scan, supply_voltage=value)).state is State.OK
         posor.reset()
-    lost = posor.estimate(replace(scan, temperature=math.inf))
+    for name, value, limits in (
+        ("temperature", 20.0, "100 to 600 K"),
+        ("temperature", math.inf, "100 to 600 K"),
+        ("supply_voltage", 15000.0, "7.5 to 30 V"),
+        ("supply_voltage", 0.0, "7.5 to 30 V"),
+    ):
+        lost = posor.estimate(replace(scan, **{name: value}))  # type: ignore[arg-type]
+        assert lost.faults == Fault.ENVIRONMENT
+        assert limits in lost.reason
+
+
+def test_without_the_section_and_references_a_supply_is_any_finite_number() -> None:
+    calibration = design("triad_diodes").model_copy(update={"environment": None})
+    triad, *others = calibration.sensors
+    assert isinstance(triad, GapProbesCalibration)
+    bare = [probe.model_copy(update={"supply": None}) for probe in triad.probes]
+    sensors = [triad.model_copy(update={"probes": bare}), *others]
+    posor = Posor(calibration.model_copy(update={"sensors": sensors}))
+    scan = resting(posor, 1)[0]
+    assert posor.estimate(replace(scan, supply_voltage=15000.0)).state is State.OK
+    lost = posor.estimate(replace(scan, supply_voltage=math.inf))
     assert lost.faults == Fault.ENVIRONMENT
     assert "finite" in lost.reason
 

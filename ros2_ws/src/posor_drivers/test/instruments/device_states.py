@@ -29,8 +29,8 @@ def wait_for(condition: Callable[[], object], what: str) -> None:
 
 
 def wait_for_frames(reader: DeviceReader) -> None:
-    """Wait until frames come, whose time is known."""
-    wait_for(lambda: not reader.state.fault, "frames")
+    """Wait until frames come, whose time is known; faults before are past."""
+    wait_for(lambda: not reader.take_state().fault, "frames")
 
 
 def wait_for_values(reader: DeviceReader) -> int:
@@ -41,4 +41,5 @@ def wait_for_values(reader: DeviceReader) -> int:
 
 
 def wait_for_fault(reader: DeviceReader, words: str = "") -> None:
-    wait_for(lambda: reader.state.fault and words in reader.state.fault, f"fault with '{words}'")
+    """Wait for a fault, which may have passed meanwhile."""
+    wait_for(lambda: (fault := reader.take_state().fault) and words in fault, f"fault with '{words}'")
