@@ -29,8 +29,8 @@ def wait_for(condition: Callable[[], object], what: str) -> None:
 
 
 def wait_for_frames(reader: DeviceReader) -> None:
-    """Wait until frames come, whose time is known; faults before are past."""
-    wait_for(lambda: not reader.take_state().fault, "frames")
+    """Wait until frames come, whose time is known."""
+    wait_for(lambda: not reader.state.fault, "frames")
 
 
 def wait_for_values(reader: DeviceReader) -> int:
@@ -40,6 +40,11 @@ def wait_for_values(reader: DeviceReader) -> int:
     return now_ns
 
 
-def wait_for_fault(reader: DeviceReader, words: str = "") -> None:
-    """Wait for a fault, which may have passed meanwhile."""
-    wait_for(lambda: (fault := reader.take_state().fault) and words in fault, f"fault with '{words}'")
+def wait_for_fault(reader: DeviceReader) -> None:
+    """Wait for a fault that stays."""
+    wait_for(lambda: reader.state.fault, "a fault")
+
+
+def wait_for_reported_fault(reader: DeviceReader, words: str) -> None:
+    """Wait for a fault with these words, which may have passed meanwhile; it is then no longer reported."""
+    wait_for(lambda: words in reader.take_state().fault, f"fault with '{words}'")

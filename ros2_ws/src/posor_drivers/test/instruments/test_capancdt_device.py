@@ -19,7 +19,7 @@ from posor_drivers.instruments.device import DeviceError, Frames
 from posor_lab.device_servers.capancdt_server import FULL_SCALE, HEADER_BYTES, CapaNcdtServer
 from pydantic import ValidationError
 
-from .device_states import running, wait_for_fault, wait_for_frames
+from .device_states import running, wait_for_frames, wait_for_reported_fault
 
 TIMEOUT_S = 5.0
 RANGES = {1: 0.5e-3, 3: 2e-3, 4: 1e-3}
@@ -211,7 +211,7 @@ def test_counter_goes_back(server: CapaNcdtServer, first: int) -> None:
     with running(CapaNcdtDevice("probes", settings(server))) as reader:
         wait_for_frames(reader)
         server.restart_counter()
-        wait_for_fault(reader, "probes: the frame counter went back from ")
+        wait_for_reported_fault(reader, "probes: the frame counter went back from ")
         wait_for_frames(reader)
 
 
@@ -315,7 +315,7 @@ def test_no_answer_within_the_time(server: CapaNcdtServer) -> None:
 def test_a_packet_that_is_never_whole_is_named(server: CapaNcdtServer) -> None:
     server.split_at = 9
     with running(CapaNcdtDevice("probes", settings(server))) as reader:
-        wait_for_fault(reader, ", but 9 bytes of an incomplete packet; expected ")
+        wait_for_reported_fault(reader, ", but 9 bytes of an incomplete packet; expected ")
         server.released.set()
 
 

@@ -23,7 +23,7 @@ from posor_drivers.instruments.labjack_stream_device import (
 )
 from posor_lab.device_servers.labjack_server import LabJackStreamServer
 
-from .device_states import running, wait_for, wait_for_fault, wait_for_frames
+from .device_states import running, wait_for, wait_for_frames, wait_for_reported_fault
 
 STEP_V = 3.2e-4  # a little more than a step of the converter at 10 V
 
@@ -112,7 +112,7 @@ def test_a_fault_is_named_and_the_stream_read_again(
     wait_for_frames(reader)
     begin, sentence = FAULTS[name]
     begin(server)
-    wait_for_fault(reader, sentence)
+    wait_for_reported_fault(reader, sentence)
     server.stalled.clear()
     server.registers.product = 7.0
     wait_for_frames(reader)

@@ -30,7 +30,7 @@ from posor_msgs.msg import RawScan
 from pydantic import ValidationError
 from rclpy.serialization import deserialize_message
 
-from .device_states import running, wait_for, wait_for_fault, wait_for_frames
+from .device_states import running, wait_for, wait_for_fault, wait_for_frames, wait_for_reported_fault
 from .stream_rig import stream_rig, write_rig
 
 OVERLOAD = 9.9e37
@@ -171,13 +171,15 @@ def test_a_stall_and_a_restart_of_the_device_are_named_and_end(
 ) -> None:
     wait_for_frames(reader)
     server.stalled.set()
-    wait_for_fault(reader, "expected an answer in time")
+    wait_for_reported_fault(reader, "expected an answer in time")
     assert reader.values_at(time.time_ns() - 1_000_000) is None
     server.stalled.clear()
     wait_for_frames(reader)
     server.stop()
     wait_for_fault(reader)
-    wait_for_fault(reader, "box: no connection to " if isinstance(server, LabJackServer) else "Connection refused")
+    wait_for_reported_fault(
+        reader, "box: no connection to " if isinstance(server, LabJackServer) else "Connection refused"
+    )
     server.start()
     wait_for_frames(reader)
 
@@ -222,9 +224,11 @@ def test_another_product_and_an_input_that_does_not_exist_are_refused(labjack: L
     channels = {"none": {"input": 60}}
     with running(LabJackDevice("box", labjack_settings(labjack.port, channels=channels))) as reader:
         sentence = "Modbus exception 2 for register 120; expected registers of a LabJack; the input may not exist."
-        wait_for_fault(reader, f"box: {sentence}")
+        wait_for_reported_fault(reader, f"box: {sentence}")
         labjack.registers.product = 6.0
-        wait_for_fault(reader, "box: the product is 6; expected 4 (LabJack T4), 7 (LabJack T7), 8 (LabJack T8).")
+        wait_for_reported_fault(
+            reader, "box: the product is 6; expected 4 (LabJack T4), 7 (LabJack T7), 8 (LabJack T8)."
+        )
 
 
 def test_neighbouring_inputs_are_one_question() -> None:
@@ -243,17 +247,19 @@ def test_faults_of_a_scanner_are_named(scanner: ScpiServer) -> None:
         assert reader.state.text == "Keysight Technologies,DAQ970A,MY12345678,A.02.04"
         scanner.errors = [(-222, "Data out of range"), *[(-410, "Query INTERRUPTED")] * 3]
         texts = '-222,"Data out of range"; -410,"Query INTERRUPTED" (3 times)'
-        wait_for_fault(reader, f"meter: the instrument reports {texts}; expected an empty error queue.")
+        wait_for_reported_fault(reader, f"meter: the instrument reports {texts}; expected an empty error queue.")
         wait_for_frames(reader)
         scanner.answer = "1.0,2.0,3.0"
-        wait_for_fault(reader, "meter: the answer to 'READ?' is '1.0,2.0,3.0'; expected 2 numbers, separated by ','.")
+        wait_for_reported_fault(
+            reader, "meter: the answer to 'READ?' is '1.0,2.0,3.0'; expected 2 numbers, separated by ','."
+        )
         scanner.answer = "1_0,2.0"  # a number for Python alone
-        wait_for_fault(reader, "meter: the answer to 'READ?' is '1_0,2.0'")
+        wait_for_reported_fault(reader, "meter: the answer to 'READ?' is '1_0,2.0'")
         scanner.answer = f"1.5,{OVERLOAD:E}"
         wait_for_frames(reader)
         np.testing.assert_array_equal(reader.newest_values(), [np.nan, 1.5])
         scanner.answer, scanner.model = "no number", "34401A"
-        wait_for_fault(reader, "expected a model that matches 'DAQ97[03]A'.")
+        wait_for_reported_fault(reader, "expected a model that matches 'DAQ97[03]A'.")
 
 
 def test_an_unsolicited_line_is_named_before_it_is_taken_for_an_answer(scanner: ScpiServer) -> None:
@@ -343,16 +349,20 @@ def test_settings_that_another_user_changes_are_named(scanner: ScpiServer, labja
         wait_for_frames(reader)
         scanner.functions[103] = "RES"
         answer = 'the answer to \'CONF? (@101,103)\' has changed from "VOLT:DC","VOLT:DC" to "VOLT:DC","RES"'
-        wait_for_fault(reader, f"meter: {answer}; expected nobody else who sets up the device while the driver runs.")
+        wait_for_reported_fault(
+            reader, f"meter: {answer}; expected nobody else who sets up the device while the driver runs."
+        )
         wait_for_frames(reader)  # of the next connection, which sets the function up
         assert scanner.functions == {101: "VOLT:DC", 103: "VOLT:DC"}
     with running(LabJackDevice("box", labjack_settings(labjack.port))) as reader:
         wait_for_frames(reader)
         labjack.registers.written[41_000] = 199
-        wait_for_fault(reader, "box: negative_input of input 0 has changed from 1 to 199; expected nobody else")
+        wait_for_reported_fault(
+            reader, "box: negative_input of input 0 has changed from 1 to 199; expected nobody else"
+        )
         wait_for_frames(reader)
         labjack.registers.written[40_000 + 2 * 5] = 0
-        wait_for_fault(reader, "box: range of input 5 has changed from 10.0 to ")
+        wait_for_reported_fault(reader, "box: range of input 5 has changed from 10.0 to ")
 
 
 LIGHT = {"output": 204, "interval": {"value": 0.5, "unit": "s"}}
@@ -464,7 +474,7 @@ def test_a_meter_that_is_switched_to_another_function_is_named(scanner: ScpiServ
     with running(ScpiDevice("meter", settings)) as reader:
         wait_for_frames(reader)
         scanner.function = '"CURR:AC"'
-        wait_for_fault(reader, 'the instrument measures "CURR:AC"; expected voltage')
+        wait_for_reported_fault(reader, 'the instrument measures "CURR:AC"; expected voltage')
 
 
 def test_the_end_of_one_instrument_leaves_the_others(scanner: ScpiServer) -> None:

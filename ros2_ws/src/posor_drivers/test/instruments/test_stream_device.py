@@ -23,7 +23,7 @@ from posor_drivers.instruments.stream_device import StreamDevice, StreamSettings
 from posor_lab.device_servers.stream_server import LEAD, StreamServer
 from pydantic import ValidationError
 
-from .device_states import running, wait_for, wait_for_fault, wait_for_frames, wait_for_values
+from .device_states import running, wait_for, wait_for_fault, wait_for_frames, wait_for_reported_fault, wait_for_values
 
 
 def settings(port: int, **changes: Any) -> StreamSettings:
@@ -178,7 +178,7 @@ def test_absent_device_is_named_and_read_when_it_comes() -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
     with running(StreamDevice("box", settings(port))) as reader:
-        wait_for_fault(reader, f"box: no connection to 127.0.0.1:{port}")
+        wait_for_reported_fault(reader, f"box: no connection to 127.0.0.1:{port}")
         assert reader.values_at(time.time_ns()) is None
 
 

@@ -18,7 +18,7 @@ from posor_drivers.instruments.device_reader import DeviceReader
 from posor_drivers.instruments.stream_device import StreamDevice, StreamSettings
 from pydantic import ValidationError
 
-from .device_states import running, wait_for, wait_for_fault, wait_for_frames
+from .device_states import running, wait_for, wait_for_frames, wait_for_reported_fault
 
 RATE, MORE_FRAMES = 200.0, 300
 
@@ -126,7 +126,7 @@ def test_a_number_out_of_range_is_invalid(frame: bytes, form: str) -> None:
 def test_only_a_line_feed_ends_a_frame(control: str) -> None:
     frame = f"0.5,-1.25{control}0.5,-1.25\n".encode()
     with serving(lambda _: frame) as port, running(StreamDevice("box", settings(port))) as reader:
-        wait_for_fault(reader, " has 3 values")
+        wait_for_reported_fault(reader, " has 3 values")
         assert reader.state.fault.isprintable()
 
 
@@ -137,7 +137,7 @@ def test_a_counter_that_does_not_rise_is_named(step: int) -> None:
 
     fields = ["counter", "gap1", "gap2"]
     with serving(frame) as port, running(StreamDevice("box", settings(port, fields=fields))) as reader:
-        wait_for_fault(reader, "box: the frame counter has not risen above ")
+        wait_for_reported_fault(reader, "box: the frame counter has not risen above ")
 
 
 @pytest.mark.parametrize(
@@ -150,7 +150,7 @@ def test_a_counter_that_does_not_rise_is_named(step: int) -> None:
 )
 def test_bytes_that_are_no_frame_are_named(frame: Callable[[int], bytes], form: str, words: str) -> None:
     with serving(frame) as port, running(StreamDevice("box", settings(port, format=form))) as reader:
-        wait_for_fault(reader, words)
+        wait_for_reported_fault(reader, words)
         assert reader.state.fault.startswith("box: no frame for 0.3")
 
 
@@ -172,7 +172,7 @@ def test_bytes_that_are_no_frame_are_named(frame: Callable[[int], bytes], form: 
 )
 def test_lines_of_another_layout_are_named(frame: bytes, changes: dict[str, Any], sentence: str) -> None:
     with serving(lambda _: frame) as port, running(StreamDevice("box", settings(port, **changes))) as reader:
-        wait_for_fault(reader, sentence)
+        wait_for_reported_fault(reader, sentence)
 
 
 @pytest.mark.parametrize(
