@@ -80,7 +80,7 @@ def parse_options(arguments: Sequence[str] | None) -> argparse.Namespace:
 
 def _poses(options: argparse.Namespace, model: ArmUncertainty, arm: ArmFile) -> StatementPoses:
     if options.bag is not None:
-        return bag_poses(model, arm, options.bag, options.angles)
+        return bag_poses(model, arm, options.bag, options.angles, options.average)
     if options.path is not None:
         return path_poses(model, options.path)
     return given_pose(model, options.angles) if options.grid is None else grid_poses(model, options.grid)

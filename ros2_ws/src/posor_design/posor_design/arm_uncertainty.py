@@ -168,11 +168,11 @@ class ArmUncertainty:
     ) -> list[EndpointUncertainty]:
         """Return the uncertainty at n poses of the arm.
 
-        ``angles``: of ``joints`` [rad], (n, j). ``scans``: number of scans whose mean is the result; their noise is
+        ``angles``: of ``joints`` [rad], (n, j). ``scans``: number of scans whose mean is the result; the stated noise is
         independent. ``observed``: by joint, in place of the noise that the calibration states: observed covariance of
-        the transform in one scan, (6, 6), and its degrees of freedom; None: as stated. ``stamp_shifts``: largest errors
-        by errors of the stamps, (n, 6), of an arm in motion; None: at rest. Raises ChainError: a POSOR has no valid
-        pose at its angle.
+        the result, (6, 6), and its degrees of freedom; None: as stated. ``stamp_shifts``: largest errors by errors of
+        the stamps, (n, 6), of an arm in motion; None: at rest. Raises ChainError: a POSOR has no valid pose at its
+        angle.
         """
         estimates = self._estimates(angles)
         for name, each in estimates.items():
@@ -184,9 +184,9 @@ class ArmUncertainty:
             measured = {}
             for name, joint in estimates.items():
                 own, k = joint.estimates, int(joint.places[n])
-                random, of_random = (observed or {}).get(name, (own.covariances_random[k], math.inf))
+                random, of_random = (observed or {}).get(name, (own.covariances_random[k] / scans, math.inf))
                 shared = dict(zip(self.calibrations[name].shared, own.shared_effects[k], strict=False))
-                parts = random / scans, own.covariances_systematic[k], shared
+                parts = random, own.covariances_systematic[k], shared
                 measured[name] = JointCovariance(*parts, of_random, freedoms[name])
             arm = ArmPropagation(
                 self.chain, {name: self.chain.nominal_joint(name, given[name]) for name in self.joints}

@@ -13,14 +13,15 @@ from posor.bags.offline_pipeline import Arm
 from posor.errors import BagError, ChainError, DataFileError, ParameterError
 from posor.tables.named_rows import read_named_rows
 from posor.tables.number_text import parse_number
-from scipy.spatial.transform import Rotation
+
+from posor_design.dwell_scatter import dwell_scatter
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
     from posor.chain.arm_file import ArmFile
-    from posor.numerics.array_types import FloatArray, IntArray
+    from posor.numerics.array_types import FloatArray
 
     from posor_design.arm_uncertainty import ArmUncertainty
 
@@ -40,7 +41,7 @@ class StatementPoses:
     angles: FloatArray  # of the joints between base and endpoint [rad], (n, j)
     names: Sequence[str]  # what each pose is, such as ``line 3 of path.csv``
     notes: Sequence[str] = ()  # sentences on poses and scans that are left out
-    # Observed covariance of each joint's transform in one scan, (6, 6), and its degrees of freedom; empty: as stated
+    # Observed covariance of the result of each joint, (6, 6), and its degrees of freedom; empty: noise as stated
     observed: Mapping[str, tuple[FloatArray, float]] = field(default_factory=dict)
     stamp_shifts: FloatArray | None = None  # largest errors of the endpoint by errors of the stamps, (n, 6)
     lines: Sequence[int] = ()  # of the table that states the poses; empty: no table
@@ -117,11 +118,13 @@ def _grid_axis(model: ArmUncertainty, joint: int, count: int) -> FloatArray:
     return np.linspace(valid[0], math.pi if whole else valid[-1], count, endpoint=not whole)
 
 
-def bag_poses(model: ArmUncertainty, arm: ArmFile, bag: Path, angles: Sequence[float] | None) -> StatementPoses:
+def bag_poses(
+    model: ArmUncertainty, arm: ArmFile, bag: Path, angles: Sequence[float] | None, scans: int
+) -> StatementPoses:
     """Return the poses of a recorded bag.
 
-    With ``angles`` the pose is that of the scans during which the arm stood there; their scatter is the noise.
-    Without, the poses are spread evenly over the bag.
+    With ``angles`` the pose is that of the scans during which the arm stood there; the scatter of the means of
+    ``scans`` of them is the noise. Without, the poses are spread evenly over the bag.
 
     Raises BagError: no scan has a pose, or the arm does not stand at the angles. Raises PosorError: the bag or a file
     cannot be used.
@@ -150,7 +153,11 @@ def bag_poses(model: ArmUncertainty, arm: ArmFile, bag: Path, angles: Sequence[f
     for joint in model.joints:
         own = estimates.joints[joint]
         during = np.isin(own.stamps_ns, stamps)
-        observed[joint] = _scatter(own.poses[during], own.stamps_ns[during])
+        scatter = dwell_scatter(own.poses[during], own.stamps_ns[during], scans, str(bag))
+        observed[joint] = scatter.covariance, scatter.freedoms
+        if scatter.slow.any():
+            size = f"{1e6 * scatter.slow[:3].max():.2g} µm and {1e6 * scatter.slow[3:].max():.2g} µrad"
+            notes.append(f"{joint} moved slowly or its noise lasts for many scans: {size}, which are not in U.")
     largest = end.stamp_shifts[there].max(axis=0, keepdims=True)
     return StatementPoses(
         recorded[there].mean(axis=0, keepdims=True),
@@ -159,16 +166,3 @@ def bag_poses(model: ArmUncertainty, arm: ArmFile, bag: Path, angles: Sequence[f
         observed,
         largest if largest.any() else None,
     )
-
-
-def _scatter(poses: FloatArray, stamps_ns: IntArray) -> tuple[FloatArray, float]:
-    """Return covariance, (6, 6), and degrees of freedom of the scatter of poses, (n, 7): ROS order, axes of the parent.
-
-    From the differences of successive scans, so that a slow motion is no scatter. Source: J. von Neumann et al., *The
-    mean square successive difference*, Annals of Mathematical Statistics 12(2), 1941.
-    """
-    steps = np.diff(stamps_ns)
-    successive = steps <= 1.5 * np.median(steps)
-    turns = Rotation.from_quat(poses[:, 3:])
-    moved = np.hstack([np.diff(poses[:, :3], axis=0), (turns[1:] * turns[:-1].inv()).as_rotvec()])[successive]
-    return 0.5 * moved.T @ moved / len(moved), 2.0 * len(moved) ** 2 / (3.0 * len(moved) - 1.0)
