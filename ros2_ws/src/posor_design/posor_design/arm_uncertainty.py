@@ -168,7 +168,7 @@ class ArmUncertainty:
     ) -> list[EndpointUncertainty]:
         """Return the uncertainty at n poses of the arm.
 
-        ``angles``: of ``joints`` [rad], (n, j). ``scans``: number of scans whose mean is the result; the stated noise is
+        ``angles``: of ``joints`` [rad], (n, j). ``scans``: number of scans whose mean is the result; stated noise is
         independent. ``observed``: by joint, in place of the noise that the calibration states: observed covariance of
         the result, (6, 6), and its degrees of freedom; None: as stated. ``stamp_shifts``: largest errors by errors of
         the stamps, (n, 6), of an arm in motion; None: at rest. Raises ChainError: a POSOR has no valid pose at its
