@@ -17,6 +17,7 @@ from pathlib import Path
 from urllib.request import urlopen
 
 import pytest
+import viser
 from environment import THIS
 from make_screenshots import (
     KILLED,
@@ -136,6 +137,11 @@ def test_replay_says_what_is_wrong_where_and_since_when_on_the_time_axis_of_the_
 
 
 WITHOUT_REQUEST = (b"", b"\0\n", b"GET / HTTP/1.1\r\n")  # of a browser that connects ahead, of a scanner of ports
+HANDSHAKE = (
+    "GET / HTTP/1.1\r\nHost: page\r\nUpgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\n"
+    f"Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\nSec-WebSocket-Protocol: viser-v{viser.__version__}\r\n\r\n"
+).encode()
+UNREADABLE = (b"\x81\x80\0\0\0\0", b"\x82\x81\0\0\0\0\xc0")  # masked frames: an empty text, and nil of MessagePack
 FAILED_HANDSHAKE = b"GET / HTTP/1.1\r\nUpgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 1\r\n\r\n"
 
 
@@ -153,6 +159,19 @@ def test_a_failed_handshake_is_printed_and_a_connection_without_a_request_is_not
             assert page.status == HTTPStatus.OK
         assert view.end(signal.SIGTERM) == 0
         assert sum("handshake failed" in line for line in view.errors) == 1
+
+
+def test_a_message_of_another_program_is_one_line_in_the_terminal() -> None:
+    command = ["-m", "posor_bringup.view_command", STATES_BAG.name, "--port", "0", "--bag", str(STATES_BAG)]
+    with Program([sys.executable, *command]) as view:
+        port = int(re.findall(rf"http://{HOST}:(\d+)", view.wait_for_line("page at"))[0])
+        for frame in UNREADABLE:
+            with socket.create_connection((HOST, port)) as connection:
+                connection.sendall(HANDSHAKE + frame)
+                while connection.recv(4096):  # until the server closes it
+                    pass
+        assert view.end(signal.SIGTERM) == 0
+        assert ["is disconnected" in line for line in view.errors] == [True] * len(UNREADABLE)
 
 
 def test_page_that_is_opened_again_finds_the_history_and_the_events_of_a_night(tmp_path: Path) -> None:

@@ -43,6 +43,7 @@ if TYPE_CHECKING:
     from posor_bringup.view_record import ArmRecord
 
 HOST = "127.0.0.1"
+HANDLER_FAILED = "connection handler failed"  # record of websockets, where viser cannot read a message
 NO_REQUEST = "InvalidMessage"  # error of websockets, on a connection that sends no HTTP request
 CHART_PERIOD_S, TEXT_PERIOD_S = 0.5, 0.2
 """Time between two updates of the charts and of the numbers; a change of state is shown at once."""
@@ -136,9 +137,12 @@ class _LocalServer(viser.ViserServer):
         return None
 
 
-def _has_other_cause(record: logging.LogRecord) -> bool:
-    """Return whether a record has another cause than a connection without a request, as of a scanner of ports."""
-    return record.exc_info is None or type(record.exc_info[1]).__name__ != NO_REQUEST
+def _report_connection(record: logging.LogRecord) -> bool:
+    """Let a record be printed: one sentence about an unreadable message, nothing of a connection without a request."""
+    error = type(record.exc_info[1]).__name__ if record.exc_info else ""
+    if record.msg == HANDLER_FAILED:
+        record.msg, record.exc_info = f"view: a client sent no message of the page, and is disconnected: {error}", None
+    return error != NO_REQUEST
 
 
 def _check_port(port: int) -> None:
@@ -169,7 +173,7 @@ class ViewPage:
         """
         self._name, self._geometry, self._record, self._span_ns = name, geometry, record, span_ns
         _check_port(port)
-        logging.getLogger("websockets.server").addFilter(_has_other_cause)
+        logging.getLogger("websockets.server").addFilter(_report_connection)
         self._server = _LocalServer(host=HOST, port=port, label=name, verbose=False)
         self._wake = Wake()
         self._server.on_client_connect(lambda _client: self._wake.set())
