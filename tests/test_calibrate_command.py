@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 import subprocess
 from contextlib import redirect_stderr, redirect_stdout
@@ -12,15 +13,18 @@ from io import StringIO
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
 import pytest
 import yaml
 from posor.bags.calibration_recording import bag_sha256
 from posor.calibration.calibration_file import Calibration, load_calibration
 from posor.calibration.fit_record import FitRecord
+from posor.calibration.parameter_covariance import is_part
 from posor.certificates.dcc_check import check_dcc
 from posor.ros_names import POSE_STAMPED, TRANSFORM_STAMPED
 from posor_calibration.calibrate_command import main
 from posor_calibration.calibration_comparison import compare_calibrations
+from posor_calibration.calibration_update import find_quantity
 from posor_calibration.outcome_report import MAX_LINES
 from posor_calibration.outcome_tables import WIDTH
 from posor_calibration.procedure_registry import PROCEDURES
@@ -139,17 +143,40 @@ def test_a_fit_becomes_a_file_with_its_record(bench: Bench, fitted: Path) -> Non
     assert str(bench.folder) not in text
 
 
-def test_the_certificate_holds_the_numbers_of_the_report(bench: Bench, fitted: Path) -> None:
-    document = read_dcc(bench.folder / "dcc.xml")
+def test_the_certificate_holds_the_numbers_of_the_calibration_file(bench: Bench, fitted: Path) -> None:
+    document, calibration = read_dcc(bench.folder / "dcc.xml"), load_calibration(fitted)
     found = quantities(document)
-    fits = json.loads(fitted.with_suffix(".json").read_text(encoding="utf-8"))["fits"]
-    for what, fit in fits.items():
-        assert len(fit["parameters"]) > 5
-        for name, value, sigma in zip(fit["parameters"], fit["values"], fit["sigmas"], strict=True):
-            assert numbers(found.pop(f"{what}: {name}")) == [value, 2.0 * sigma, 2.0, 0.9545]
+    [record] = calibration.fits
+    for key in record.replaced:
+        stated = find_quantity(calibration, key)
+        for index in np.ndindex(stated.array.shape):
+            name = key + "".join(f"[{i}]" for i in index)
+            value, sigma = float(stated.array[index]), float(stated.sigmas[index])
+            own = found.pop(name)
+            if sigma > 0.0:
+                assert numbers(own) == pytest.approx([value, 2.0 * sigma, 2.0, 0.9545], rel=1e-9)
+            else:
+                assert texts(own, "si:value") == [repr(value)]
     assert not found
-    assert load_calibration(fitted).content_hash in texts(document, "dcc:value")
+    assert calibration.content_hash in texts(document, "dcc:value")
     assert {r"\metre", r"\metre\volt\tothe{-1}", r"\radian", r"\volt"} <= set(texts(document, "si:unit"))
+
+
+def test_the_certificate_contains_the_scale_of_the_reference(bench: Bench, fitted: Path) -> None:
+    scaled, dcc = bench.folder / "scaled.yaml", bench.folder / "scaled.xml"
+    options = ("--dcc", str(dcc), "--certificate", str(bench.folder / "lab.yaml"), "--length-scale", "scale=1e-3")
+    assert bench.fit(scaled, "--loss", "linear", *options).returncode == 0
+    found, without = quantities(read_dcc(dcc)), quantities(read_dcc(fitted.with_name("dcc.xml")))
+    keys = load_calibration(scaled).shared["scale"].relative
+    scaled_numbers = 0
+    for name, own in without.items():
+        if not texts(own, "si:uncertainty"):
+            continue
+        (value, expanded, *_), (_, total, *_) = numbers(own), numbers(found[name])
+        is_scaled = any(is_part(name, key) for key in keys)
+        scaled_numbers += is_scaled
+        assert total == pytest.approx(math.hypot(expanded, 2e-3 * value if is_scaled else 0.0), rel=1e-6)
+    assert scaled_numbers > 5
 
 
 @needs_schema

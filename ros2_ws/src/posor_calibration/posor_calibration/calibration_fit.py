@@ -170,6 +170,7 @@ def fit(
         if len(recording.scans) == 0:
             raise ParameterError("no scans", where="fit, data", expected="at least one")
         recording, found = _with_uncertainties(recording, sigmas, names, list(recording.tracks), "fit, {}")
+        recording = _corrected(recording, calibration)
     return fit_recording(selected, calibration, recording, found, settings, options, text=text, source=source)
 
 
@@ -308,8 +309,13 @@ def read_recording(
             where=found.source,
             expected=f"'{calibration.frames.parent}', that of calibration '{calibration.name}': see the option --topic",
         )
+    return _corrected(recording, calibration), instruments
+
+
+def _corrected(recording: Recording, calibration: Calibration) -> Recording:
+    """Return a recording whose scans are free of ambient light and of the converter's gain; again, it is the same."""
     scans = corrected_scans(recording.scans, calibration)
-    return replace(recording, scans=scans, statuses=scans.statuses), instruments
+    return replace(recording, scans=scans, statuses=scans.statuses)
 
 
 def _with_uncertainties(

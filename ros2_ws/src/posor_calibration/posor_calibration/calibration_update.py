@@ -15,6 +15,7 @@ from posor.calibration.edit import edit_document, parse_key_path
 from posor.calibration.file_model import first_problem
 from posor.calibration.fit_record import CovarianceRecord, FitRecord, Instrument, RecordedData, Residuals
 from posor.calibration.parameter_covariance import is_part
+from posor.calibration.parameter_entries import parameter_entries
 from posor.calibration.quantity import Quantity
 from posor.errors import CalibrationError
 from pydantic import ValidationError
@@ -50,8 +51,15 @@ def update_text(text: str, source: str, outcome: Outcome, recording: Recording, 
     Everything that is not replaced in ``text`` stays, comments too; ``source`` names the file in errors. Raises
     CalibrationError: the file has no such key, or the new values are invalid.
     """
-    result = edit_document(text, source, _list_changes(parse_calibration(text, source), outcome, recording, context))
-    parse_calibration(result, f"{source} with the result of {context.procedure}")
+    former, where = parse_calibration(text, source), f"{source} with the result of {context.procedure}"
+    changes = _list_changes(former, outcome, recording, context)
+    if former.shared:
+        changes["shared"] = _kept_terms(former, outcome)
+    result = edit_document(text, source, changes)
+    if context.scales or context.thermometers:
+        terms = _shared_terms(parse_calibration(result, where), outcome, recording, context)
+        result = edit_document(result, where, {"shared": terms})
+    parse_calibration(result, where)
     return result
 
 
@@ -60,7 +68,7 @@ def _list_changes(
 ) -> dict[str, Any]:
     changes: dict[str, Any] = {"version": VERSION}
     for new in outcome.replacements:
-        unit = _find_quantity(calibration, new.key).unit
+        unit = find_quantity(calibration, new.key).unit
         quantity = {"value": _to_yaml(new.value), "sigma": _to_yaml(new.sigma), "unit": unit}
         try:
             Quantity.model_validate(quantity)
@@ -71,39 +79,59 @@ def _list_changes(
         changes[part.key] = _to_yaml(part.content)
     fits = [*calibration.fits, _make_record(calibration, outcome, recording, context)]
     changes["fits"] = [fit.model_dump(mode="json", exclude_defaults=True) for fit in fits]
-    if calibration.shared or context.scales or context.thermometers:
-        changes["shared"] = _shared_terms(calibration, outcome, context)
     return changes
 
 
-def _shared_terms(calibration: Calibration, outcome: Outcome, context: FitContext) -> dict[str, Any]:
-    """Return the shared terms of the new file: former ones no longer hold for replaced values, new ones do.
+def _replaced(outcome: Outcome) -> list[str]:
+    return [*(new.key for new in outcome.replacements), *(part.key for part in outcome.parts)]
 
-    Raises CalibrationError: the file states another uncertainty of a scale or a thermometer.
-    """
-    replaced = [*(new.key for new in outcome.replacements), *(part.key for part in outcome.parts)]
-    terms: dict[str, Any] = {}
+
+def _kept_terms(calibration: Calibration, outcome: Outcome) -> dict[str, Any]:
+    """Return the shared terms that still hold: not those of replaced values."""
+    replaced, terms = _replaced(outcome), dict[str, Any]()
     for name, term in calibration.shared.items():
         content = term.model_dump(mode="json", exclude_defaults=True)
         for kind in content.keys() & {"relative", "change"}:
-            content[kind] = {k: e for k, e in content[kind].items() if not any(is_part(k, key) for key in replaced)}
+            content[kind] = {k: e for k, e in content[kind].items() if not _is_replaced(k, replaced)}
         if content.get("relative") or content.get("change"):
             terms[name] = {kind: part for kind, part in content.items() if part}
-    units = {new.key: _find_quantity(calibration, new.key).unit for new in outcome.replacements}
-    lengths = {key: {"value": 1.0, "unit": "1"} for key, unit in units.items() if unit == "m" or unit.startswith("m/")}
+    return terms
+
+
+def _shared_terms(
+    calibration: Calibration, outcome: Outcome, recording: Recording, context: FitContext
+) -> dict[str, Any]:
+    """Return the shared terms of a calibration with the new values: those that it has, and the given ones.
+
+    Raises CalibrationError: a term changes no new value, or the file states another uncertainty of it.
+    """
+    terms = {name: term.model_dump(mode="json", exclude_defaults=True) for name, term in calibration.shared.items()}
+    replaced = _replaced(outcome)
+    entries = [entry for name in ("", *calibration.sessions) for entry in parameter_entries(calibration, name)]
+    new = {entry.key: entry.quantity.unit for entry in entries if entry and _is_replaced(entry.key, replaced)}
+    lengths = {key: {"value": 1.0, "unit": "1"} for key, unit in new.items() if unit == "m" or unit.startswith("m/")}
+    no_length = "no length by a reference", "a procedure that replaces lengths by those of a reference"
+    no_gap = "no linearisation of a probe with 'temperature'", "gap_linearisation of probes with 'temperature'"
     kinds = (
-        ("relative", "1", lengths, context.scales),
-        ("change", "K", _gaps_per_kelvin(calibration, units), context.thermometers),
+        ("relative", "1", lengths if recording.tracks else {}, context.scales, no_length),
+        ("change", "K", _gaps_per_kelvin(calibration, new), context.thermometers, no_gap),
     )
-    for kind, unit, effects, sigmas in kinds:
-        for name, sigma in sigmas.items() if effects else ():
-            new = {"uncertainty": {"value": sigma, "unit": unit}}
-            known = terms.setdefault(name, new)
-            if known["uncertainty"] != new["uncertainty"]:
+    for kind, unit, effects, sigmas, (missing, expected) in kinds:
+        for name, sigma in sigmas.items():
+            if not effects:
+                where = f"shared term '{name}' of {context.procedure}"
+                raise CalibrationError(f"{missing} is new", where=where, expected=expected)
+            own = {"uncertainty": {"value": sigma, "unit": unit}}
+            known = terms.setdefault(name, own)
+            if known["uncertainty"] != own["uncertainty"]:
                 what = f"shared term '{name}' has the standard uncertainty {known['uncertainty']['value']:g}"
                 raise CalibrationError(what, where=f"calibration '{calibration.name}'", expected=f"{sigma:g}, as given")
             known[kind] = {**known.get(kind, {}), **effects}
     return terms
+
+
+def _is_replaced(key: str, replaced: Sequence[str]) -> bool:
+    return any(is_part(key, each) for each in replaced)
 
 
 def _gaps_per_kelvin(calibration: Calibration, replaced: Collection[str]) -> dict[str, Any]:
@@ -118,7 +146,7 @@ def _gaps_per_kelvin(calibration: Calibration, replaced: Collection[str]) -> dic
     return changes
 
 
-def _find_quantity(calibration: Calibration, key: str) -> Quantity:
+def find_quantity(calibration: Calibration, key: str) -> Quantity:
     """Return the quantity at a key path; raise CalibrationError if there is none."""
     part: Any = calibration
     where = f"calibration '{calibration.name}', {key}"
@@ -147,7 +175,7 @@ def _make_record(calibration: Calibration, outcome: Outcome, recording: Recordin
         former=calibration.content_hash,
         options=dict(context.options),
         instruments=list(context.instruments),
-        replaced=[*(new.key for new in outcome.replacements), *(part.key for part in outcome.parts)],
+        replaced=_replaced(outcome),
         residuals={
             what: Residuals(
                 readings=len(fit.residuals),

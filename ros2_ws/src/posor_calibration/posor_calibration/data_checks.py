@@ -41,10 +41,12 @@ WRONG_UNITS = {
     1e-3: "it was converted from millimetres but was in metres",
     180.0 / math.pi: "it is in degrees",
     math.pi / 180.0: "it was converted from degrees but was in radians",
+    2.0: "an interferometer with twice the passes was read as one with a single pass",
+    0.5: "an interferometer with a single pass was read as one with twice the passes",
 }
 """Mistake that makes a reference travel by this factor too far."""
 UNIT_TOLERANCE = 0.1  # relative distance from such a factor
-PLAUSIBLE_RATIO = (0.5, 2.0)  # travel of the reference over that computed with the present calibration
+PLAUSIBLE_RATIO = (0.6, 1.7)  # travel of the reference over that computed with the present calibration
 SAME_MOTION, OTHER_MOTION = 0.9, 0.5
 """Rank correlation above which two motions are the same, and below which they are different."""
 

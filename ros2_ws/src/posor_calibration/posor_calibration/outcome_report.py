@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import math
 import textwrap
 from dataclasses import asdict, dataclass
 from itertools import cycle
@@ -29,7 +28,6 @@ if TYPE_CHECKING:
 
 MAX_LINES = 15  # lines of a verdict on a terminal of ``WIDTH`` columns, with the names of the written files
 NAMED = 3
-FAR = 30.0  # former standard uncertainties, beyond which a number is more likely one of a wrong reference
 COLOURS = (BLUE, ORANGE, GREEN, LIGHT_BLUE, GREY)
 
 
@@ -37,7 +35,7 @@ COLOURS = (BLUE, ORANGE, GREEN, LIGHT_BLUE, GREY)
 class ProcedureVerdict:
     """Summary of an outcome for a user."""
 
-    holds: bool  # whether residuals, references and changes agree with the stated uncertainties
+    holds: bool  # whether the residuals agree with the stated uncertainties
     headline: str
     findings: tuple[str, ...]  # one sentence each
     notes: tuple[str, ...]  # warnings of the procedure
@@ -71,8 +69,6 @@ def judge_outcome(name: str, outcome: Outcome, changes: Comparison | None) -> Pr
     of_file = _describe_changes(changes) if changes else ["The calibration file is not changed."]
     if any(test.is_found for test in outcome.drifts):
         holds, usable = False, "usable with care: a reference drifts"
-    if changes and any(FAR < abs(each.sigmas) < math.inf for each in changes.differences):
-        holds, usable = False, f"usable with care: changes by more than {FAR:g} former standard uncertainties"
     findings = (residuals, *_describe_drifts(outcome), *of_file)
     return ProcedureVerdict(holds, f"{name}: {usable}.", findings, outcome.warnings)
 
@@ -103,7 +99,8 @@ def _describe_changes(changes: Comparison) -> list[str]:
     """Return sentences on the changed numbers: the worst determined, those not determined, the repeatability."""
     known = [number for number in changes.differences if number.first_sigma > 0.0]
     remaining = {number: number.second_sigma / number.first_sigma for number in known}
-    sentences = [f"Changed: {len(changes.differences)} numbers of the file."]
+    others = f", and {len(changes.others)} other entries" if changes.others else ""
+    sentences = [f"Changed: {len(changes.differences)} numbers of the file{others}."]
     if known:
         worst, largest = max(known, key=remaining.__getitem__), max(known, key=lambda number: abs(number.sigmas))
         weak = sorted((n for n in known if remaining[n] > WEAK), key=remaining.__getitem__, reverse=True)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from posor.bags.recording import Recording
+from posor.bags.recording import Recording, Track
 from posor.calibration.calibration_file import Calibration, calibration_from, load_calibration, parse_calibration
 from posor.calibration.designs import design
 from posor.calibration.document_text import document_text
@@ -98,17 +98,23 @@ def test_a_replaced_value_loses_its_shared_terms_and_gets_that_of_its_reference(
     old = calibration_from(content)
     values = replace(outcome(), parts=())
     assert updated(old, values, RECORDING, CONTEXT).shared.keys() == {"cmm"}
+    track = Track(np.array([0, 1]), np.zeros((2, 1)), np.zeros(1), "laser")
+    measured = replace(RECORDING, tracks={"/laser": track})
     for scale in ({"laser": 2e-7}, {"cmm": 1e-6}):
-        new = updated(old, values, RECORDING, replace(CONTEXT, scales=scale))
+        new = updated(old, values, measured, replace(CONTEXT, scales=scale))
         [name] = scale
         assert {key for term in new.shared.values() for key in term.relative} == {kept, TIP}
         assert TIP in new.shared[name].relative
         assert SHIFT not in new.shared[name].relative
     text = document_text(old.model_dump(mode="json", exclude_defaults=True), "old")
-    new = parse_calibration(update_text(text, "old", values, RECORDING, replace(CONTEXT, scales={"laser": 2e-7})), "")
+    new = parse_calibration(update_text(text, "old", values, measured, replace(CONTEXT, scales={"laser": 2e-7})), "")
     assert new.shared.keys() == {"cmm", "laser"}
-    error = refusal(CalibrationError, update_text, text, "", values, RECORDING, replace(CONTEXT, scales={"cmm": 2e-6}))
+    error = refusal(CalibrationError, update_text, text, "", values, measured, replace(CONTEXT, scales={"cmm": 2e-6}))
     assert (error.what, error.expected) == ("shared term 'cmm' has the standard uncertainty 1e-06", "2e-06, as given")
+    error = refusal(
+        CalibrationError, update_text, text, "", values, RECORDING, replace(CONTEXT, scales={"laser": 2e-7})
+    )
+    assert error.what == "no length by a reference is new"
 
 
 def test_a_thermometer_that_served_several_joints_is_a_shared_term_of_the_gaps() -> None:
@@ -124,8 +130,10 @@ def test_a_thermometer_that_served_several_joints_is_a_shared_term_of_the_gaps()
     assert effects.shape[1] == 1
     assert np.count_nonzero(effects) == 1
     values = replace(outcome(), parts=())
-    without = updated(calibration, values, RECORDING, replace(CONTEXT, thermometers={"pt100": 0.05}))
-    assert not without.shared  # no replaced value depends on the temperature
+    error = refusal(
+        CalibrationError, updated, calibration, values, RECORDING, replace(CONTEXT, thermometers={"pt100": 0.05})
+    )
+    assert error.what == "no linearisation of a probe with 'temperature' is new"  # nothing depends on the thermometer
 
 
 @pytest.mark.parametrize(

@@ -124,6 +124,8 @@ def test_slow_motion_through_a_converter_is_not_stuck() -> None:
         (1000.0, "1000 times as far as the present calibration says, as if it is in millimetres; "),
         (25.4, "25.4 times as far as the present calibration says, as if it was converted from inches but was in mill"),
         (1 / 25.4, "0.03937 times as far as the present calibration says, as if it is in inches taken for millimetres"),
+        (2.0, "2 times as far as the present calibration says, as if an interferometer with twice the passes was read"),
+        (0.5, "0.5 times as far as the present calibration says, as if an interferometer with a single pass was read"),
         (7.0, "7 times as far as the present calibration says; expected values in metres."),
         (-1.0, "by 1 of their motion; expected the other sign, see the option direction."),
     ],

@@ -85,7 +85,7 @@ def make_procedure(environment: Environment) -> Procedure[EnvironmentOptions]:
         return float, Field(default=default, gt=0.0, description=description)
 
     variation = f"standard uncertainty of the {name} in use, for the table of its effect [{unit}]"
-    reference = f"{name} at which the gaps are as linearised [{unit}]; none: as calibrated, or the mean of the levels"
+    reference = f"{name} at which the gaps are as linearised [{unit}]; none: as calibrated"
     options = create_model(
         EnvironmentOptions.__name__,
         __base__=EnvironmentOptions,
@@ -121,10 +121,7 @@ def find_sensitivity(
         f"{values.max():.4g} {environment.unit}, target at rest (thesis {environment.source})",
         fits=fits,
         parts=tuple(
-            Part(
-                f"{probe.key}.{environment.part}",
-                _file_entry(probe, fits[probe.name], float(values.mean()), options, environment),
-            )
+            Part(f"{probe.key}.{environment.part}", _file_entry(probe, fits[probe.name], options, environment))
             for probe in probes
         ),
         covariances=tuple(
@@ -207,16 +204,20 @@ def _fit_probe(
 
 
 def _file_entry(
-    probe: SingleProbe, found: Fit, mean: float, options: EnvironmentOptions, environment: Environment
+    probe: SingleProbe, found: Fit, options: EnvironmentOptions, environment: Environment
 ) -> dict[str, Any]:
     present: SupplyCalibration | TemperatureCalibration | None = getattr(probe.calibration, environment.part)
-    reference, sigma = (mean, 0.0) if present is None else (present.reference.number, present.reference.sigma)
-    if options.reference is not None:
-        reference, sigma = options.reference, options.reference_sigma
     unit = environment.unit
+    if options.reference is not None:
+        reference = {"value": options.reference, "sigma": options.reference_sigma, "unit": unit}
+    elif present is not None:
+        reference = present.reference.model_dump(mode="json")
+    else:
+        what = f"the {environment.title} at which the gaps were linearised is not known"
+        raise FitError(what, where=probe.name, expected=f"the option reference, in {unit}")
     return {
         "sensitivity": {"value": found.value("sensitivity"), "sigma": found.sigma("sensitivity"), "unit": f"m/{unit}"},
-        "reference": {"value": reference, "sigma": sigma, "unit": unit},
+        "reference": reference,
     }
 
 

@@ -161,9 +161,14 @@ def test_the_supply_is_corrected_meanwhile() -> None:
     assert min(fit.sigma("sensitivity") for fit in case.identify().fits.values()) == pytest.approx(of_supply, rel=0.1)
 
 
-def test_a_probe_without_a_supply_refers_to_the_mean_of_the_levels() -> None:
-    case = SimulatedCase(SUPPLY.procedure, with_part("supply", None), SUPPLY.simulate().recording)
-    assert case.identify().parts[0].content["reference"]["value"] == pytest.approx(15.0)
+@pytest.mark.parametrize("environment", [SUPPLY, TEMPERATURE])
+def test_a_probe_without_an_entry_needs_the_reference_of_its_linearisation(environment: Environment) -> None:
+    recording = environment.simulate().recording
+    case = SimulatedCase(environment.procedure, with_part(environment.part, None), recording)
+    with pytest.raises(FitError, match=f"at which the gaps were linearised is not known; .* in {environment.unit}"):
+        case.identify()
+    stated = case.identify(reference=environment.reference, reference_sigma=0.1).parts[0].content["reference"]
+    assert stated == {"value": environment.reference, "sigma": 0.1, "unit": environment.unit}
 
 
 def test_a_moving_target_enlarges_the_uncertainty() -> None:
