@@ -107,7 +107,7 @@ class ChainNode(PosorNode[ChainParameters]):
     _worst: int  # state of the joints at the last pose
     _frames: FramePublisher | None
     _identity: IdentityCheck
-    _pose_stamp: bytes  # of the last complete scan; empty: it has no pose
+    _pose_stamp: bytes  # of the last scan; empty: it has no pose
     _reported: object
     _alarms: AlarmRate
     _prediction: EndpointPrediction | None
@@ -242,7 +242,6 @@ class ChainNode(PosorNode[ChainParameters]):
         with self._lock:
             silent = self._inputs.silent
             if silent and is_new:
-                self._pose_stamp = b""
                 self._report_no_pose(silent)
             if silent and not self._state_published:
                 _, joint = self._joints[self._inputs.silent_names[0]]
@@ -257,6 +256,8 @@ class ChainNode(PosorNode[ChainParameters]):
         if not self.may_publish:  # a queued call of the timer may come after the clean-up
             return
         self._state_published = True
+        if not verdict.has_pose:
+            self._pose_stamp = b""
         changed = verdict != self._published_verdict
         is_due = self._throttle.is_due(stamp_ns, changed=changed)
         self._published_verdict = verdict
@@ -510,7 +511,6 @@ class ChainNode(PosorNode[ChainParameters]):
 
     def _refuse_scan(self, stamp: bytes, stamp_ns: int, verdict: EndpointVerdict) -> None:
         self._scans_refused += 1
-        self._pose_stamp = b""
         self._publish_state(stamp, stamp_ns, verdict)
         self._report_refused_scan(verdict)
 

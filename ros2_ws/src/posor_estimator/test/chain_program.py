@@ -17,6 +17,7 @@ from posor_lab.harness.program import HAND_FED, Program, installed
 from posor_msgs.msg import EndpointState, JointTransform
 from posor_ros.ros_arguments import ros_arguments
 from sensor_msgs.msg import JointState
+from std_srvs.srv import Trigger
 
 from .live_topics import BRINGUP
 
@@ -29,6 +30,11 @@ LOSSLESS = {"lossless": True, "max_wait": 60.0, "alarm_count": 1, **HAND_FED}
 
 def chain_node(**parameters: object) -> Program:
     return Program([*installed("posor_estimator", "chain_node"), *ros_arguments(parameters)])
+
+
+def call_set_home(graph: Graph) -> tuple[bool, str]:
+    answer = graph.call(Trigger, "/chain_node/set_home", Trigger.Request())
+    return answer.success, answer.message
 
 
 def transform_of(seconds: int, pose: pin.SE3 | None = None, plates: tuple[str, str] = PLATES) -> Any:

@@ -18,9 +18,8 @@ from posor_estimator.chain_node import ChainNode
 from posor_lab.harness.graph import Graph, set_stamp, stamp_seconds, values_of
 from posor_lab.harness.in_process_nodes import run_refused_node
 from posor_msgs.msg import EndpointState, JointTransform
-from std_srvs.srv import Trigger
 
-from .chain_program import LOSSLESS, TURN, URDF, ChainRig, chain_node, lost_transform, transform_of
+from .chain_program import LOSSLESS, TURN, URDF, ChainRig, call_set_home, chain_node, lost_transform, transform_of
 
 pytestmark = pytest.mark.usefixtures("ros_domain")
 
@@ -178,11 +177,6 @@ def test_losses_before_a_joint_is_counted_are_no_fault_afterwards() -> None:
         rig.send(transform_of(41), 41)
         rig.wait_for_poses(1)
         assert graph.wait_for_status("/chain_node: endpoint", "ok").level == b"\x00"
-
-
-def call_set_home(graph: Graph) -> tuple[bool, str]:
-    answer = graph.call(Trigger, "/chain_node/set_home", Trigger.Request())
-    return answer.success, answer.message
 
 
 def test_poses_are_relative_to_the_first_pose_or_to_the_last_set_home() -> None:

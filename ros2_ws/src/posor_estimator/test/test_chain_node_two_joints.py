@@ -22,7 +22,7 @@ from posor_lab.harness.program import HAND_FED
 from posor_msgs.msg import EndpointState, JointTransform
 from posor_ros.message_classes import schema_of_class
 
-from .chain_program import LOSSLESS, ChainRig, chain_node, lost_transform, transform_of
+from .chain_program import LOSSLESS, ChainRig, call_set_home, chain_node, lost_transform, transform_of
 
 pytestmark = pytest.mark.usefixtures("ros_domain")
 
@@ -165,6 +165,19 @@ def test_a_refused_transform_is_the_reason_of_its_incomplete_scan() -> None:
     for state in rig.states:
         assert (state.header.stamp.sec, state.state, state.joint) == (1, EndpointState.STATE_LOST, "shoulder")
         assert state.reason.startswith("shoulder: transforms from 'base' to 't2' arrive")
+
+
+@pytest.mark.parametrize("plates", [PLATES["shoulder"], ("base", "t2")])
+def test_a_scan_that_lacks_a_joint_or_is_refused_leaves_no_pose_to_take_as_home(plates: tuple[str, str]) -> None:
+    """A joint whose stamps differ, as by another clock, while the arm moves on: no topic is silent."""
+    with running(reference="home", max_wait=0.05) as rig:
+        rig.send("shoulder", 1)
+        rig.send("elbow", 1)
+        rig.wait_for_poses(1)
+        assert call_set_home(rig.graph) == (True, "home is the endpoint's last pose")
+        rig.publishers["shoulder"].publish(transform_of(2, plates=plates))
+        rig.graph.wait_until(lambda: rig.states[-1].state == EndpointState.STATE_LOST, "the loss")
+        assert call_set_home(rig.graph) == (False, "there is no pose now to take as home")
 
 
 def test_a_beams_file_adds_sag_and_uncertainty_to_the_pose() -> None:
