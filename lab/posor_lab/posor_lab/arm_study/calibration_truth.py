@@ -99,7 +99,7 @@ class CalibrationTruth:
         """Return the poses that are used (0) or tested (1) as a drawn arm measures them."""
         rows = list(self._rows[which])
         own = self.poses.select(rows)
-        return ArmPoses(own.names, own.angles, drawn.measured[rows], own.random, own.systematic)
+        return replace(own, transforms=drawn.measured[rows])
 
     def states(self, drawn: DrawnArm, which: int) -> ArmStates:
         """Return the poses that are used (0) or tested (1) of a drawn arm, for the model."""

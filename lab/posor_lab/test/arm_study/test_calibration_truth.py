@@ -6,17 +6,23 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
+from xml.etree import ElementTree as ET
 
 import numpy as np
 import pinocchio as pin
 import pytest
+import yaml
+from posor.bags.offline_pipeline import load_arm
 from posor.chain.arm_file import load_arm_file
 from posor.errors import PosorError
 from posor.numerics.array_types import FloatArray
+from posor.numerics.stamps import NS
+from posor.ros_names import TEMPERATURE
 from posor_bringup.calibrate_arm_command import main as calibrate
 from posor_calibration.arm.arm_files import Provenance, make_files, plain_endpoints
 from posor_calibration.arm.arm_fit import ArmProblem, Tool, calibrate_arm
@@ -35,6 +41,8 @@ from posor_lab.arm_study.statement_truth import DrawnArm
 from posor_lab.arm_study.tracker_recording import write_calibration_recording
 from posor_lab.harness.certificates import CERTIFICATE, numbers, quantities, read_dcc
 from posor_lab.harness.full_disk import contents_of, full_disk_changes_nothing
+from rosbags.rosbag2 import Reader, StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
 from scipy.optimize import least_squares
 
 USED, TESTED, ARMS = 40, 6, 4
@@ -223,6 +231,79 @@ def test_the_program_writes_an_arm_that_can_be_used_and_replaces_nothing(
     after = contents_of(tmp_path / "new")
     assert {name: after[f"{name}.1"] for name in before} == before
     assert len(after) == 2 * len(before)
+
+
+WARMER_K, COEFFICIENT, WARM_BEAMS = 5.0, 23e-6, ("upper_arm", "forearm")
+
+
+def write_warm_arm(recorded: Path, folder: Path) -> None:
+    """Write the same arm by files that state two beams shorter at 20 °C, and thermometers that read 25 °C."""
+    shutil.copytree(recorded, folder)
+    shutil.rmtree(folder / "bag")
+    factor = 1.0 + COEFFICIENT * WARMER_K
+    arm, urdf, beams = folder / "arm.yaml", load_arm_file(recorded / "arm.yaml").urdf, folder / "beams.yaml"
+    tree = ET.parse(urdf)  # noqa: S314  a file of the project
+    for joint in tree.getroot().iter("joint"):
+        if joint.get("name") in WARM_BEAMS and (origin := joint.find("origin")) is not None:
+            origin.set("xyz", " ".join(str(float(each) / factor) for each in origin.get("xyz", "").split()))
+    tree.write(folder / "warm.urdf", encoding="unicode")
+    text = arm.read_text(encoding="utf-8").replace(str(urdf), str(folder / "warm.urdf"))
+    arm.write_text(text.replace(str(recorded), str(folder)), encoding="utf-8")
+    content = yaml.safe_load(beams.read_text(encoding="utf-8"))
+    numbers_in = {"reference": (293.15, "K"), "uncertainty": (0.05, "K"), "rate": (0.01, "K/s"), "age": (10.0, "s")}
+    for beam in content["beams"]:
+        if beam["joint"] in WARM_BEAMS:
+            entry = {key: {"value": value, "unit": unit} for key, (value, unit) in numbers_in.items()}
+            entry |= {"name": beam["joint"], "range": {"value": [278.15, 308.15], "unit": "K"}}
+            beam["temperature"] |= {"spread": {"value": 1.0, "unit": "K"}, "thermometer": entry}
+            for plate in beam["sag"]["plates"]:
+                plate["at"]["value"] /= factor if plate["at"]["value"] > 0.0 else 1.0
+    beams.write_text(yaml.safe_dump(content), encoding="utf-8")
+
+
+def write_warm_bag(recorded: Path, folder: Path) -> None:
+    """Copy a bag, and add readings of the thermometers, twice a second."""
+    types, names = get_typestore(Stores.ROS2_JAZZY), dict[str, Any]()
+    classes = [types.types[f"{each}"] for each in (TEMPERATURE, "std_msgs/msg/Header", "builtin_interfaces/msg/Time")]
+    temperature, header, time = classes
+    with (
+        Reader(recorded / "bag") as reader,
+        Writer(folder / "bag", version=9, storage_plugin=StoragePlugin.MCAP) as bag,
+    ):
+        for each in reader.connections:
+            names[each.topic] = bag.add_connection(
+                each.topic, each.msgtype, msgdef=each.msgdef.data, rihs01=each.digest
+            )
+        rows = [(ns, names[each.topic], bytes(data)) for each, ns, data in reader.messages()]
+        for beam in WARM_BEAMS:
+            to = bag.add_connection(f"/five_axis/temperature/{beam}", TEMPERATURE, typestore=types)
+            for n, ns in enumerate(range(reader.start_time - 3 * NS, reader.end_time + NS, NS // 2)):
+                stamp = header(stamp=time(sec=ns // NS, nanosec=ns % NS), frame_id=beam)
+                reading = temperature(header=stamp, temperature=20.0 + WARMER_K + 0.01 * (n % 3), variance=0.0)
+                rows.append((ns, to, bytes(types.serialize_cdr(reading, TEMPERATURE))))
+        for ns, to, data in sorted(rows, key=lambda row: row[0]):
+            bag.write(to, ns, data)
+
+
+def test_beams_are_calibrated_at_the_temperatures_of_their_thermometers(
+    recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    warm = tmp_path / "warm"
+    write_warm_arm(recorded, warm)
+    write_warm_bag(recorded, warm)
+    paths = []
+    for folder in (recorded, warm):
+        assert calibrate([*options(folder), "--output", str(tmp_path / folder.name / "new")]) == 0
+        end = load_arm(tmp_path / folder.name / "new" / "arm.yaml").estimate(folder / "bag").endpoint
+        paths.append(end.poses[:: len(end) // 50, :3])
+    distances = [np.linalg.norm(path[:, None] - path, axis=2) for path in paths]
+    assert np.ptp(distances[0]) > 0.3
+    np.testing.assert_allclose(distances[1], distances[0], rtol=0.0, atol=2e-6)  # 80 um without the temperatures
+    shutil.rmtree(warm / "bag")
+    shutil.copytree(recorded / "bag", warm / "bag")
+    capsys.readouterr()
+    assert calibrate([*options(warm), "--output", str(tmp_path / "none")]) == 1
+    assert "thermometer 'upper_arm' of beam 'upper_arm' cannot be used at row 1; expected" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

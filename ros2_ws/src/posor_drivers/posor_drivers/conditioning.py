@@ -20,7 +20,7 @@ from posor_drivers.sources.source import SourceMessage
 from posor_drivers.tick_scheduler import Pause
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterable, Iterator, Sequence
 
     from posor_drivers.driver_parameters import ConditioningParameters
 
@@ -218,10 +218,13 @@ def merge_scans(group: ScanGroup, parameters: ConditioningParameters) -> Any:
     scan = RawScan(scan=middle.scan, status=group.status, lit_sources=middle.lit_sources)
     scan.header.frame_id = middle.header.frame_id
     scan.header.stamp.sec, scan.header.stamp.nanosec = divmod((stamp_ns(first) + stamp_ns(last)) // 2, NS)
-    scan.exposure_offsets = np.mean([each.exposure_offsets for each in lit], axis=0).tolist()
     for name in TIMES:  # the error of a mean stamp may be common to all stamps
         setattr(scan, name, max(getattr(each, name) for each in lit))
     averages = {name: _average_readings(lit, name, significance) for name in READINGS}
+    scan.exposure_span += (stamp_ns(last) - stamp_ns(first)) / NS
+    scan.exposure_offsets = (
+        _mean_offsets(lit, averages.values(), stamp_ns(scan)) if len(lit) > 1 else first.exposure_offsets
+    )
     means = {name: average.means for name, average in averages.items()}
     dropped = any(average.dropped for average in averages.values())
     dark = group.earlier_dark + group.dark
@@ -246,6 +249,18 @@ def merge_scans(group: ScanGroup, parameters: ConditioningParameters) -> Any:
         dropped |= lost
     scan.status |= RawScan.STATUS_OUTLIERS_DROPPED * dropped
     return scan
+
+
+def _mean_offsets(lit: Sequence[Any], averages: Iterable[SampleAverage], middle_ns: int) -> list[float]:
+    """Return the mean exposure of the readings that each channel kept, after the stamp of the mean [s]."""
+    after_s = np.array([[(stamp_ns(each) - middle_ns) / NS] for each in lit])
+    weights = np.hstack([np.repeat(each.weights, each.means.shape[1], axis=1) for each in averages])
+    if (count := len(lit[0].exposure_offsets)) not in (0, weights.shape[1]):
+        what, expected = f"has {count} exposure_offsets", f"one of each channel, {weights.shape[1]}, or none"
+        raise PosorError(what, where=f"scan {lit[0].scan}", expected=expected)
+    offsets_s = after_s + np.array([each.exposure_offsets or [0.0] * weights.shape[1] for each in lit])
+    kept = np.where(weights > 0, weights * offsets_s, 0.0)  # an unknown exposure of a dropped reading
+    return (kept.sum(axis=0) / weights.sum(axis=0)).tolist() if weights.shape[1] else []
 
 
 def _average_readings(scans: Sequence[Any], name: str, significance: float | None) -> SampleAverage:

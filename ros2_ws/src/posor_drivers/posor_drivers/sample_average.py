@@ -34,8 +34,13 @@ class SampleAverage:
     means: FloatArray
     """Mean of the remaining samples, in the readings' unit, shape (u, w); NaN where no sample is finite."""
     spreads: FloatArray  # sample standard deviation of one reading, shape (u, w); NaN for a single reading
-    counts: IntArray  # readings averaged in each unit, shape (u,)
+    weights: IntArray  # readings behind each sample that are averaged, shape (n, u)
     dropped: bool  # whether a sample of any unit was left out
+
+    @property
+    def counts(self) -> IntArray:
+        """Readings averaged in each unit, shape (u,)."""
+        return np.asarray(self.weights.sum(axis=0))
 
 
 def average_samples(
@@ -71,7 +76,7 @@ def average_samples(
         squares[several] += (counts[several] - 1)[:, np.newaxis, np.newaxis] * spreads[several] ** 2
     scatter = np.where(valid[:, :, np.newaxis], squares, 0.0).sum(axis=0)
     freedom = np.where(total > 1, total - 1.0, np.nan)
-    return SampleAverage(means, np.sqrt(scatter / freedom[:, np.newaxis]), total, bool(not valid.all()))
+    return SampleAverage(means, np.sqrt(scatter / freedom[:, np.newaxis]), weights, bool(not valid.all()))
 
 
 def find_outliers(samples: FloatArray, eligible: BoolArray, significance: float) -> BoolArray:

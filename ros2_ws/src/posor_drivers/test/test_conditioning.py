@@ -59,14 +59,35 @@ def numbers(items: Iterable[SourceMessage], **options: Any) -> list[tuple[int, i
 
 
 def test_the_times_of_a_mean_are_those_of_its_scans() -> None:
-    offsets = np.array([[-1e-4, 0.0, 1e-4], [-1e-4, math.nan, 2e-4]])
+    others = np.zeros((2, 8))  # of the diodes
+    offsets = np.hstack([[[-1e-4, 0.0, 1e-4], [-1e-4, math.nan, 2e-4]], others])
     errors = [{"exposure_span": 2e-4, "stamp_uncertainty": 1e-5}, {"exposure_span": 1e-4, "stamp_limit": 1e-3}]
     raw = [item(n, exposure_offsets=offsets[n], **errors[n]) for n in range(2)]
     unlike = item(2, exposure_offsets=np.empty(0))
     first, second = scans([*raw, unlike], samples=3)
-    np.testing.assert_allclose(first.exposure_offsets, [-1e-4, math.nan, 1.5e-4])
-    assert (first.exposure_span, first.stamp_uncertainty, first.stamp_limit) == (2e-4, 1e-5, 1e-3)
-    assert (second.scan, list(second.exposure_offsets)) == (2, [])
+    np.testing.assert_allclose(first.exposure_offsets, [-1e-4, math.nan, 1.5e-4, *others[0]], atol=1e-9)
+    assert (first.stamp_uncertainty, first.stamp_limit) == (1e-5, 1e-3)
+    assert first.exposure_span == pytest.approx(2e-4 + TICK / 1e9)
+    assert (second.scan, list(second.exposure_offsets), second.exposure_span) == (2, [], 0.0)
+
+
+@pytest.mark.parametrize(("method", "lost"), [("mean", math.nan), ("trimmed", 5.0)])
+def test_a_reading_that_is_dropped_moves_the_exposure_of_its_channel(method: str, lost: float) -> None:
+    """A channel that moves evenly reads its mean at the time that is stated, whichever reading is dropped."""
+    noise = np.random.default_rng(1).normal(0.0, 1e-9, (9, 3))
+    volts = 0.5 + 1e-7 * np.arange(9)[:, None] + noise
+    volts[1, 0] = volts[8, 2] = lost
+    (result,) = scans((item(n, gap_voltages=volts[n]) for n in range(9)), method=method, samples=9, significance=1e-9)
+    assert stamp_ns(result) == START + 4 * TICK
+    shown = 4.0 + np.array(result.exposure_offsets[:3]) * 1e9 / TICK
+    np.testing.assert_allclose(shown, [35.0 / 8.0, 4.0, 28.0 / 8.0], rtol=1e-9)
+    np.testing.assert_allclose(result.gap_voltages, 0.5 + 1e-7 * shown, rtol=0.0, atol=5e-9)
+    assert result.exposure_span == pytest.approx(8 * TICK / 1e9)
+
+
+def test_offsets_of_other_channels_are_refused() -> None:
+    with pytest.raises(PosorError, match="scan 0: has 3 exposure_offsets; expected one of each channel, 11, or none"):
+        scans([item(n, exposure_offsets=np.zeros(3)) for n in range(2)], samples=2)
 
 
 def test_a_group_ends_where_scans_are_missing() -> None:

@@ -226,6 +226,7 @@ class EndpointPipeline:
         poses: Number of poses.
         temperatures: Of the beams with thermometers.
         reasons: What is wrong with thermometers, see ``BeamTemperatures.reason``, by period of the stamps.
+        kelvins: Temperatures in use, see ``BeamTemperatures.kelvins``, by period of the stamps.
         affected_by_beams: Number of poses by what is wrong with thermometers, or not read of the beams.
         degraded: Number of poses that depend on a DEGRADED joint, or on a thermometer that cannot be used.
         unusable: Number of complete stamps without a pose, and of transforms with an invalid stamp.
@@ -257,6 +258,7 @@ class EndpointPipeline:
         self._estimator = chain.estimator(parameters.acceleration_window)
         self.temperatures = BeamTemperatures(chain.beams, self._estimator, chain.plates)
         self.reasons: dict[int, str] = {}
+        self.kelvins: dict[int, Mapping[str, float]] = {}
         self.affected_by_beams: Counter[str] = Counter()
         own = [transforms[name] for name in self.joints]
         self._estimator.use_terms([each.shared for each in own])
@@ -295,8 +297,10 @@ class EndpointPipeline:
         borders = np.flatnonzero(np.diff(stamps // PERIOD_NS)) + 1
         for begin, end in pairwise([0, *borders.tolist(), len(stamps)]):
             self.temperatures.update(int(stamps[begin]))
+            period = int(stamps[begin]) // PERIOD_NS
+            self.kelvins[period] = self.temperatures.kelvins
             if self.temperatures.reason:
-                self.reasons[int(stamps[begin]) // PERIOD_NS] = self.temperatures.reason
+                self.reasons[period] = self.temperatures.reason
             yield [each[begin:end] for each in complete]
 
     def _estimate(self, complete: Sequence[NDArray[np.void]]) -> EndpointEstimates:

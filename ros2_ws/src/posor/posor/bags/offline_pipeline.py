@@ -239,7 +239,8 @@ class Arm(ArmFile):
         for note in notes:
             log_once(f"{path}: {note}")
         endpoint = EndpointEstimates.concatenate([part.endpoint for part in parts])
-        return ArmEstimates(joints, endpoint, parts[0].chain, notes)
+        kelvins = {} if estimator.endpoint is None else estimator.endpoint.kelvins
+        return ArmEstimates(joints, endpoint, parts[0].chain, notes, kelvins)
 
     def __repr__(self) -> str:
         return f"<Arm {self.name} of {self.path}: {', '.join(self.calibrations)}>"

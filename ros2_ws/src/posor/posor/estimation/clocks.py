@@ -40,6 +40,9 @@ interval d, A the largest acceleration and V the largest velocity that the calib
 without a stated acceleration or a previous pose L V, without motion limits infinite. The noise n of the rate is
 ``NOISE_SIGMAS s L / d`` for a pose with the random standard deviation s, so that the bound holds beside the coverage
 factor of the protection level.
+
+Readings within an exposure span S are averaged, or moved to the stamp, as if the target moved evenly meanwhile. Beside
+its motion at the stamp it moves by at most ``A (S/2)^2 / 2``, and by ``V S / 2``, which adds the lesser of both.
 """
 
 from __future__ import annotations
@@ -492,6 +495,8 @@ def _largest_shift(
     limit: float, elapsed: float, fastest: float, acceleration: float, moved: float, noise: float
 ) -> float:
     """Return the largest displacement within ``limit`` [s] after a motion in ``elapsed`` [s]; NaN: unknown."""
+    if not limit > 0.0:
+        return 0.0
     if not elapsed > 0.0:
         return limit * fastest
     after = limit * (abs(moved) / elapsed + 0.5 * acceleration * (elapsed + limit))
@@ -499,12 +504,19 @@ def _largest_shift(
 
 
 @in_place
-def write_stamp_shift(workspace: Any, limit: float, theta: float, elapsed: float, estimate: Any) -> None:
-    """Write the largest error of the pose in the workspace by a stamp that is wrong by up to ``limit`` [s].
+def _largest_bend(span: float, fastest: float, acceleration: float) -> float:
+    """Return the largest motion within an exposure span [s] beside an even one."""
+    return min(0.5 * span * fastest, 0.125 * square(span) * acceleration) if span > 0.0 else 0.0
+
+
+@in_place
+def write_stamp_shift(workspace: Any, scan: Any, theta: float, elapsed: float, estimate: Any) -> None:
+    """Write the largest error of the pose in the workspace by a wrong stamp, and by the time that its readings take.
 
     ``theta``: of the pose [rad]; ``elapsed``: time since the tracker's pose [s], NaN: the motion from there is unknown;
     ``estimate``: record of dtype ESTIMATE, its ``stamp_shift`` is written: ROS order, axes of the parent [m], [rad].
     """
+    limit, span = max(scan.stamp_limit, workspace.tracker.clocks.step), scan.exposure_span
     settings, previous, pose = workspace.settings, workspace.tracker.pose, workspace.pose
     axis = _axis_of(pose.rotation)
     spin = wrapped(theta - workspace.tracker.theta)
@@ -516,8 +528,10 @@ def write_stamp_shift(workspace: Any, limit: float, theta: float, elapsed: float
             acceleration += settings.max_theta_acceleration * abs(axis[k])
         noise = math.sqrt(estimate.random[3 + k, 3 + k])
         moved = spin * axis[k] + lean[k]
-        estimate.stamp_shift[3 + k] = _largest_shift(limit, elapsed, fastest, acceleration, moved, noise)
+        shift = _largest_shift(limit, elapsed, fastest, acceleration, moved, noise)
+        estimate.stamp_shift[3 + k] = shift + _largest_bend(span, fastest, acceleration)
         fastest, acceleration = settings.max_velocity, settings.max_acceleration
         noise = math.sqrt(estimate.random[k, k])
         moved = pose.translation[k] - previous.translation[k]
-        estimate.stamp_shift[k] = _largest_shift(limit, elapsed, fastest, acceleration, moved, noise)
+        shift = _largest_shift(limit, elapsed, fastest, acceleration, moved, noise)
+        estimate.stamp_shift[k] = shift + _largest_bend(span, fastest, acceleration)

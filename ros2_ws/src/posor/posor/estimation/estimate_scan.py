@@ -312,7 +312,7 @@ def solve_and_check(
     use_confirmation(workspace, scan.at_home)
     checks.faults |= _lasting_faults(workspace, scan)
     _end_start(settings, tracker)
-    _bound_stamp_shift(workspace, max(scan.stamp_limit, tracker.clocks.step), theta, estimate)
+    _bound_stamp_shift(workspace, scan, theta, estimate)
     theta = _keep_pose(workspace, theta)
     if checks.contradictory or tracker.latch:
         write_lost(estimate, _with_latch(checks.faults, latched))
@@ -329,7 +329,7 @@ def _write_dark(workspace: Any, scan: Any, theta: float, estimate: Any) -> int:
     """Write the pose of a dark scan, which is DEGRADED and leaves the tracker as it is; return DONE."""
     tracker, checks = workspace.tracker, workspace.checks
     tracker.reference_sigma = 0.0
-    _bound_stamp_shift(workspace, max(scan.stamp_limit, tracker.clocks.step), theta, estimate)
+    _bound_stamp_shift(workspace, scan, theta, estimate)
     _write_pose(workspace, tracker.theta + wrapped(theta - tracker.theta), estimate)
     estimate.state, estimate.faults = DEGRADED, checks.faults | _lasting_faults(workspace, scan)
     return DONE
@@ -365,16 +365,16 @@ def _write_unsolved(workspace: Any, outcome: int, flagged: int, estimate: Any) -
 
 
 @in_place
-def _bound_stamp_shift(workspace: Any, limit: float, theta: float, estimate: Any) -> None:
-    """Write the largest error of an accepted pose by its stamp; zero where no limit [s] is known."""
+def _bound_stamp_shift(workspace: Any, scan: Any, theta: float, estimate: Any) -> None:
+    """Write the largest error of an accepted pose by its times; zero where neither limit nor span is known."""
     checks = workspace.checks
-    if not limit > 0.0:
+    if not (scan.stamp_limit > 0.0 or workspace.tracker.clocks.step > 0.0 or scan.exposure_span > 0.0):
         for i in range(6):
             estimate.stamp_shift[i] = 0.0
     elif checks.accepted and not checks.contradictory:
         moved_from_previous = workspace.tracker.initialised and not checks.recounted
         elapsed = checks.elapsed if moved_from_previous else math.nan
-        write_stamp_shift(workspace, limit, theta, elapsed, estimate)
+        write_stamp_shift(workspace, scan, theta, elapsed, estimate)
 
 
 @in_place

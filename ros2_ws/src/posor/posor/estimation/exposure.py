@@ -29,7 +29,7 @@ from posor.numerics.vector import square
 if TYPE_CHECKING:
     from posor.numerics.array_types import FloatArray
 
-LONGEST_OFFSET_S = 1.0  # largest offset of an exposure from the stamp that is accepted [s]
+LONGEST_OFFSET_S = 100.0  # largest offset of an exposure from the stamp that is accepted, of means of slow scans [s]
 
 
 @in_place

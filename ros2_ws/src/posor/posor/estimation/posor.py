@@ -28,7 +28,7 @@ from posor.estimation.sensor_stack import Stack
 from posor.estimation.settings import write_settings
 from posor.estimation.solver import CONVERGED, SINGULAR, solve_start
 from posor.estimation.start_poses import start_poses
-from posor.model.fault import Fault
+from posor.model.fault import Fault, State
 from posor.model.native_coordinates import native_from_rotation
 from posor.model.scan import CONTACTS, Scan, ScanBuffer, Scans
 from posor.numerics.compiled import bind, record_view
@@ -270,7 +270,7 @@ class Posor:
         Args:
             other: The other POSOR.
             last: The scan of that pose. It is estimated once more, because the two calibrations may see one place
-                differently; None: the next scan skips the motion gate.
+                differently. None, or LOST now: the next scan is compared with the pose of the other.
 
         From a POSOR whose theta repeats otherwise pose and count are not taken. A latch and a step of the stamps stay
         until ``acknowledge``.
@@ -279,16 +279,16 @@ class Posor:
         periodic = ["bump_angle", "period", "home_theta"]
         if all(self.settings[name] == other.settings[name] for name in periodic):
             self.model.workspace["tracker"] = other.model.workspace["tracker"]
-            if self.tracker["initialised"]:
+            for name in ("last_raw", "repeats", "signatures", "signature_count", "loop_repeats"):
+                self.tracker[name] = 0
+            if self.tracker["initialised"] and last is not None:
+                followed, step = self.tracker.copy(), float(self.tracker["clocks"]["step"])
                 self.tracker["start"] = self.tracker["pose"]
                 self.tracker["start_given"], self.tracker["initialised"] = 1, 0
-                for name in ("last_raw", "repeats", "signatures", "signature_count", "loop_repeats"):
-                    self.tracker[name] = 0
-                if last is not None:
-                    step = float(self.tracker["clocks"]["step"])
-                    self.tracker["clocks"] = 0  # the scan is seen once more
-                    self.tracker["clocks"]["step"], self.tracker["clocks"]["age"] = step, math.nan
-                    self.estimate(last)
+                self.tracker["clocks"] = 0  # the scan is seen once more
+                self.tracker["clocks"]["step"], self.tracker["clocks"]["age"] = step, math.nan
+                if self.estimate(last).state is State.LOST:
+                    self.model.workspace["tracker"] = followed
         else:
             for name in ("latch", "latch_about_theta", "latch_interval", "acknowledged"):
                 self.tracker[name] = other.tracker[name]

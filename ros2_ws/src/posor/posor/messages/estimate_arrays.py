@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -100,6 +100,7 @@ class ArmEstimates:
         endpoint: Empty without a kinematic chain.
         chain: Names of the chain's joints, in the order of ``EndpointEstimates.angles``; empty without a chain.
         notes: A sentence, without a full stop, for each thing of the bag that was left out or is not as recorded.
+        temperatures: Of the thermometers in use [K], by name, by period of the stamps (``PERIOD_NS``).
 
     """
 
@@ -107,6 +108,7 @@ class ArmEstimates:
     endpoint: EndpointEstimates
     chain: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
+    temperatures: Mapping[int, Mapping[str, float]] = field(default_factory=dict)
 
     def check_one_run(self, where: str) -> None:
         """Raise BagError: usable poses of a joint repeat or go back in time, as where a recording is twice in a bag.

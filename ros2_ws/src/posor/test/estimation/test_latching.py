@@ -378,6 +378,18 @@ def test_a_new_calibration_keeps_the_gate(biased: bool) -> None:  # noqa: FBT001
     assert bool(found.faults[0] & Fault.INNOVATION) is biased
 
 
+@pytest.mark.parametrize("is_given", [True, False])
+def test_a_new_calibration_gives_up_a_count_that_nobody_followed(*, is_given: bool) -> None:
+    """As ``~/reload`` while a connector is out and the joint moves on."""
+    before = sized("quad_bumpy_ring")
+    scans, _, _ = oscillating(before, count=1000)
+    scans.gap_voltages[300:900] = math.nan
+    assert (before.estimate_all(scans.part(0, 900)).states[300:] == State.LOST).all()
+    after = Posor(before.calibration)
+    after.continue_from(before, scans[899] if is_given else None)
+    assert not np.isin(after.estimate_all(scans.part(900, 1000)).states, [State.OK, State.DEGRADED]).any()
+
+
 def test_a_calibration_with_another_home_mark_keeps_a_latch() -> None:
     before = sized("quad_bumpy_ring")
     scans, rotations, _ = oscillating(before, count=800)

@@ -73,6 +73,32 @@ def test_a_motion_that_begins_within_the_limit_is_bounded(late_s: float) -> None
     assert (np.abs(errors(found, poses(TIMES))) <= allowed[:, [0, 1, 2, 5]]).all()
 
 
+def test_a_mean_over_an_accelerated_motion_is_bounded_by_its_exposure() -> None:
+    """The mean of a swing is behind the pose at its middle, and no reading contradicts another."""
+    kind, size = "light ring", 5
+    single, groups = swung(kind, 0.0), np.arange(COUNT).reshape(-1, size)
+    lit = single.lit_sources[groups]
+    groups = groups[(lit == lit[:, :1]).all(axis=(1, 2))]  # one source, as of conditioned scans
+    middle, span_s = groups[:, size // 2], (size - 1) * PERIOD_S
+    channels = single.gap_voltages.shape[1] + single.diode_currents[0].size
+    fields = {name: getattr(single, name)[groups].mean(axis=1) for name in ("gap_voltages", "diode_currents")}
+    fields |= {"exposure_spans": np.full(len(groups), span_s), "exposure_offsets": np.zeros((len(groups), channels))}
+    means = single.select(np.isin(np.arange(COUNT), middle)).with_fields(fields)
+    found = Posor(calibration_of(kind)).estimate_all(means)
+    assert (found.states == State.OK).all()
+    off = np.abs(errors(found, poses(TIMES[middle])))
+    beyond = off - COVERAGE_FACTOR * found.standard_uncertainties[:, [0, 1, 2, 5]]
+    assert (beyond[:, 3] > 0.0).any()
+    assert (beyond <= found.stamp_shifts[:, [0, 1, 2, 5]]).all()
+    motion = calibration_of(kind).motion
+    assert motion is not None
+    assert motion.acceleration is not None
+    along = 0.125 * span_s**2 * motion.acceleration.translation.number
+    np.testing.assert_allclose(
+        found.stamp_shifts[:, 2], min(along, 0.5 * span_s * motion.translation.number), rtol=1e-9
+    )
+
+
 def test_without_motion_limits_nothing_is_bounded_and_without_accelerations_by_the_velocity() -> None:
     calibration, limit = calibration_of("light ring"), 1e-3
     motion = calibration.motion

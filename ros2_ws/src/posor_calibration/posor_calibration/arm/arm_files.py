@@ -218,11 +218,12 @@ class CalibratedFiles:
 def make_files(
     arm: ArmFile, problem: ArmProblem, calibration: ArmCalibration, poses: ArmPoses, origin: Provenance
 ) -> CalibratedFiles:
-    """Return the files of an arm, which contain a calibration.
+    """Return the files of an arm, which contain a calibration, compared with it at the temperature of the URDF.
 
     Raises ChainError: the URDF cannot hold the corrections; PosorError: a file cannot be read.
     """
-    model, states = problem.model, problem.states
+    model = problem.model
+    states = model.states(poses.at_reference(), model.effects_at(poses))
     corrections = corrections_of(model, calibration, states, arm.endpoint_frame)
     joints = {joint.name: joint for joint in read_urdf(model.chain.urdf, arm.endpoint_frame, str(arm.urdf))[0].joints}
     note = f"posor calibrate-arm, {origin.date}, from {', '.join(f'{p} {sha}' for p, sha in origin.sources.items())}"

@@ -10,7 +10,8 @@ The derivatives by v are those of ``pinocchio.computeJointKinematicRegressor``.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -56,11 +57,19 @@ class ArmPoses:
     transforms: FloatArray  # target plate in receiving plate, x, y, z [m] and unit quaternion x, y, z, w, (n, j, 7)
     random: FloatArray  # covariance by noise, ROS order, axes of the receiving plate, (n, j, 6, 6)
     systematic: FloatArray  # covariance by calibration, surroundings and shared terms, likewise
+    kelvins: FloatArray  # temperatures of the beams [K], (n, b); NaN: that of the URDF
 
     def select(self, rows: Sequence[int]) -> ArmPoses:
         """Return some of the poses."""
-        arrays = (getattr(self, name)[list(rows)] for name in ("angles", "transforms", "random", "systematic"))
+        arrays = (getattr(self, name)[list(rows)] for name in _ARRAYS)
         return ArmPoses(tuple(self.names[row] for row in rows), *arrays)
+
+    def at_reference(self) -> ArmPoses:
+        """Return the same with all beams at the temperature of the URDF."""
+        return replace(self, kelvins=np.full_like(self.kelvins, math.nan))
+
+
+_ARRAYS = ("angles", "transforms", "random", "systematic", "kelvins")
 
 
 class JointEffects(NamedTuple):
@@ -149,6 +158,7 @@ class ArmModel:
         self._posors = [Posor(calibrations[name]) for name in self.joints]
         effects = self.effects_at(poses)
         self._means = [each.own.mean(axis=0) for each in effects]
+        self._numbers = {beam.name: number for number, beam in enumerate(chain.beams)}
         self.origins = poses.transforms[:, :, :3].mean(axis=0)
         self._model, self.elements, self._T_last_endpoint = self._build()
         covariances = [self._prior_of(element, effects) + EXACT**2 * np.eye(6) for element in self.elements]
@@ -221,10 +231,12 @@ class ArmModel:
                     straight = element.beam.T_start_end
                     force = straight.rotation @ unbent.T @ self.chain.gravity
                     turn = np.kron(np.eye(2), straight.rotation).T
-                    motions[n, e] = pin.SE3ToXYZQUAT(straight.actInv(element.beam.T_under(force)))
+                    kelvin = float(poses.kelvins[n, self._numbers[element.name]])
+                    beam = element.beam if math.isnan(kelvin) else element.beam.at_temperature(kelvin)
+                    motions[n, e] = pin.SE3ToXYZQUAT(straight.actInv(beam.T_under(force)))
                     if element.name in self.sags:
-                        errors[n, e, :, self.sags[element.name]] = turn @ element.beam.sag_gain @ force
-                    for term, effect in element.beam.shared_effects_under(force).items():
+                        errors[n, e, :, self.sags[element.name]] = turn @ beam.sag_gain @ force
+                    for term, effect in beam.shared_effects_under(force).items():
                         errors[n, e, :, self._terms[term]] = turn @ effect
                 elif element.joint is not None:
                     T = pin.XYZQUATToSE3(row[element.joint])

@@ -4,10 +4,12 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
+from posor.chain.beam_temperatures import PERIOD_NS
 from posor.errors import BagError, ParameterError
 from posor.estimation.posor import Posor
 from posor.model.fault import USABLE_STATES
@@ -36,7 +38,7 @@ def recorded_poses(
     """Return the means of the transforms within ``window_s`` [s] about each of n stamps.
 
     ``rows``: number of the row of each stamp in its table; ``where``: the bag, in errors. Raises BagError: a joint has
-    no usable scan there, or moves, or the bag holds a recording twice.
+    no usable scan there, or moves, the thermometer of a beam cannot be used there, or the bag holds a recording twice.
     """
     arm.check_one_run(where)
     _check_windows(stamps_ns, rows, window_s, where)
@@ -65,7 +67,22 @@ def recorded_poses(
             systematic[n, j] = estimates.covariances_systematic[near].mean(axis=0)
             nominal = chain.nominal_joint(name, 0.0).rotation.T @ mean.rotation
             angles[n, j] = np.arctan2(nominal[1, 0] - nominal[0, 1], nominal[0, 0] + nominal[1, 1])
-    return ArmPoses(tuple(f"row {row}" for row in rows), angles, transforms, random, systematic)
+    kelvins = np.array(
+        [_beam_temperatures(arm, chain, int(ns), int(row), where) for ns, row in zip(stamps_ns, rows, strict=True)]
+    )
+    return ArmPoses(tuple(f"row {row}" for row in rows), angles, transforms, random, systematic, kelvins)
+
+
+def _beam_temperatures(arm: ArmEstimates, chain: Chain, stamp_ns: int, row: int, where: str) -> list[float]:
+    """Return the temperature of each beam [K] at a stamp; NaN: it has no thermometer."""
+    present, found = arm.temperatures.get(stamp_ns // PERIOD_NS, {}), []
+    for beam in chain.beams:
+        thermometer = beam.entry.thermometer
+        if thermometer is not None and thermometer.name not in present:
+            what = f"the thermometer '{thermometer.name}' of beam '{beam.name}' cannot be used at row {row}"
+            raise BagError(what, where=where, expected="its sound readings, recorded with the scans")
+        found.append(math.nan if thermometer is None else present[thermometer.name])
+    return found
 
 
 def _check_windows(stamps_ns: IntArray, rows: IntArray, window_s: float, where: str) -> None:
@@ -98,7 +115,8 @@ def poses_at(chain: Chain, calibrations: Mapping[str, Calibration], angles: Floa
         for kind in ("random", "systematic")
     )
     names_of_rows = tuple(f"pose {n + 1}" for n in range(len(angles)))
-    return ArmPoses(names_of_rows, angles, np.array(transforms), random, systematic)
+    kelvins = np.full((len(angles), len(chain.beams)), math.nan)
+    return ArmPoses(names_of_rows, angles, np.array(transforms), random, systematic, kelvins)
 
 
 def select_poses(problem: ArmProblem, count: int) -> list[int]:
