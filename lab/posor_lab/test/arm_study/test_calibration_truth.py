@@ -189,6 +189,14 @@ def test_lengths_from_a_fixed_ball_determine_beams(case: Case, kind: str) -> Non
     assert min(ratio for each, ratio in zip(found.parameters, remaining, strict=True) if "upper_arm" in each.name) < 0.6
 
 
+@pytest.mark.parametrize(("scale", "word"), [(1.0, ""), (1.0005, "longer"), (0.9995, "shorter")])
+def test_a_wrong_scale_of_all_references_is_a_warning(case: Case, scale: float, word: str) -> None:
+    readings = [each._replace(values=scale * each.values) for each in case.references.readings]
+    warnings = [each for each in calibrate_arm(case.problem(readings), ()).warnings if "the scale of" in each]
+    assert len(warnings) == bool(word)
+    assert all(f" µm/m {word} than the files state" in each for each in warnings)
+
+
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("recorded")

@@ -8,6 +8,7 @@ was. Readings of one pose share the noise of the POSORs and are weighted togethe
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -39,6 +40,7 @@ UNDETERMINED = 0.5  # share of its prior standard uncertainty that a parameter k
 MOST_CORRECTION = 10.0  # correction over its prior standard uncertainty: beyond it, file and arm do not belong together
 STEP_SHARE = 0.5  # of the squares of residuals that one step explains, if the tracker or the base has moved
 LEAST_MOVED = 3  # outliers in a row, up to the last reading or from the first one, that a moved reflector explains
+SCALE_SIGMAS = 3.0  # of a share common to all beams
 SPARE = 3  # numbers that there must be beyond the unknown mounting
 
 
@@ -333,8 +335,35 @@ def calibrate_arm(problem: ArmProblem, held_out: Collection[int]) -> ArmCalibrat
         outliers=tuple(problem.readings[n].name for n in sorted(out)),
         before={name: problem.misfit(mounting, group) for name, group in groups.items()},
         after={name: problem.misfit(found, group) for name, group in groups.items()},
-        warnings=describe_spread(found),
+        warnings=(*describe_spread(found), *_describe_scale(problem, found)),
     )
+
+
+def _describe_scale(problem: ArmProblem, found: Fit) -> tuple[str, ...]:
+    """Return a warning if all beams are longer or shorter by one share than their prior uncertainties explain.
+
+    Readings do not tell longer beams from a reference with a wrong scale. The share is that of weighted least squares
+    over the beams; where the prior is right, its variance is what the fit takes from the prior.
+    """
+    errors = problem.states.errors.mean(axis=0)
+    beams = [(n, each.beam) for n, each in enumerate(problem.model.elements) if each.beam is not None]
+    if not beams:
+        return ()
+    by_parameter = np.vstack([errors[n, :3] for n, _ in beams])  # of the end of each beam in its axes
+    spans = np.concatenate([beam.T_start_end.rotation.T @ beam.T_start_end.translation for _, beam in beams])
+    count = by_parameter.shape[1]
+    prior, left = (
+        by_parameter @ matrix[:count, :count] @ by_parameter.T for matrix in (problem.prior, found.covariance)
+    )
+    weights = np.linalg.solve(prior, spans)
+    weights /= spans @ weights
+    share = float(weights @ by_parameter @ found.values[:count])
+    sigma = math.sqrt(max(float(weights @ (prior - left) @ weights), 0.0))
+    if not abs(share) > SCALE_SIGMAS * sigma:
+        return ()
+    size = f"{1e6 * abs(share):.0f} µm/m {'longer' if share > 0.0 else 'shorter'}"
+    what = f"All beams are {size} than the files state, {abs(share) / sigma:.1f} standard uncertainties of this"
+    return (f"{what}: is the scale of the references wrong, by their air, temperature or unit?",)
 
 
 def _check_count(problem: ArmProblem, used: Sequence[int]) -> None:
