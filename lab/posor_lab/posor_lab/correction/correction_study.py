@@ -122,7 +122,7 @@ class CorrectionStudy:
                     angles = encoders if assumed_s is None else executed[max(0, tick + dead - assumed)]
                     law.add_endpoint((tick + 1) / rate, angles, pin.XYZQUATToSE3(pose))
                 if tick + 1 < count:
-                    executed[tick + 1 + dead] += law.step((tick + 1) / rate)
+                    executed[tick + 1 + dead] += law.step((tick + 1) / rate, 1.0 / rate)
                     stopped.append(law.stopped)
             true.append(motion.true)
         return LoopRun(self.judge(np.vstack(true)[dead:]), executed[dead:] - self.planned, tuple(stopped))

@@ -120,6 +120,29 @@ class Plan:
         return self._sample(self._elapsed_s + self.speed * ahead_s)
 
 
+class PlanPace:
+    """The time by which a plan goes on with each point: never more than until the point is due, one period.
+
+    The robot stands while no point comes, so a plan whose points are late runs later; a point that made up for the
+    delay would be a jump. Only jitter is made up for: a point that comes early goes on by what the one before was late.
+
+    Attributes:
+        late_s: Time by which the plan runs later, as points were more than a period late [s].
+
+    """
+
+    def __init__(self, period_s: float, begin_s: float) -> None:
+        """``begin_s``: steady time at which the plan begins [s]."""
+        self._period_s, self._time_s, self.late_s = period_s, begin_s, 0.0
+
+    def advance(self, now_s: float) -> float:
+        """Return the time by which the plan goes on with a point of now (steady clock) [s]."""
+        before_s, reached_s = self._time_s, min(now_s, self._time_s + self._period_s)
+        self._time_s = max(reached_s, now_s - self._period_s)
+        self.late_s += self._time_s - reached_s
+        return reached_s - before_s
+
+
 class CorrectionNode(PosorNode[CorrectionParameters]):
     """Corrects the trajectories of a robot by the measured endpoint of its arm."""
 
@@ -166,6 +189,7 @@ class CorrectionNode(PosorNode[CorrectionParameters]):
         self._encoders, self._commands = AngleHistory(), AngleHistory()
         self._plan, self._pending, self._identity, self._newest_ns = None, deque(maxlen=MOST_PENDING), "", 0
         self._refused = self._used = 0
+        self._pace = PlanPace(parameters.period, time.monotonic())
         self._status.report(Level.STALE, "no trajectory received yet")
         self._output = IntraProcessPublisher(self, JointTrajectory, CORRECTED_TOPIC, result_qos(parameters))
         states = IntraProcessSubscription(
@@ -218,10 +242,11 @@ class CorrectionNode(PosorNode[CorrectionParameters]):
                 return False
             self._end_goal(REPLACED, "INVALID_GOAL")
             self._plan = plan
-            self._newest_ns, self._step_s, self._is_reported = 0, time.monotonic(), False
-            self._feedback_s = self._step_s
+            self._newest_ns, self._command_s, self._is_reported = 0, time.monotonic(), False
+            self._feedback_s = self._command_s
+            self._pace = PlanPace(self.parameters.period, self._command_s)
             self._pending.clear()
-            self._law.start(self._step_s)
+            self._law.start(self._command_s)
             wait_s = (plan.begin_ns - self.timing.now_ns()) / NS
             self._status.report(Level.OK, f"begins in {wait_s:.1f} s" if wait_s > 0.0 else "following", self._counts())
             return True
@@ -369,19 +394,18 @@ class CorrectionNode(PosorNode[CorrectionParameters]):
             plan, now_s, parameters = self._plan, time.monotonic(), self.parameters
             if plan is None or not self.may_publish:
                 return
-            elapsed_s, self._step_s = now_s - self._step_s, now_s
+            elapsed_s, self._command_s = now_s - self._command_s, now_s
             if not plan.has_begun:  # later the clock may go back, but the robot moves
                 if self.timing.now_ns() < plan.begin_ns:
-                    self._law.wait(now_s)
                     return
-                plan.has_begun = True
+                plan.has_begun, self._pace = True, PlanPace(parameters.period, now_s)
                 self._status.report(Level.OK, "following", self._counts())
-            if elapsed_s > parameters.offsets.max_age:  # the robot stands; it must not jump to where it would be
+            if elapsed_s > parameters.offsets.max_age:
                 self._law.stop(f"no command for {elapsed_s:.2f} s, the process was late")
-                elapsed_s = parameters.period
-            offsets, stopped = self._law.step(now_s), self._law.stopped
+            step_s = self._pace.advance(now_s)
+            offsets, stopped = self._law.step(now_s, step_s), self._law.stopped
             is_ending = plan.is_ending or (bool(stopped) and parameters.on_stop == "stop")
-            plan.advance(elapsed_s, slowing_s=parameters.stop_time if is_ending else 0.0)
+            plan.advance(step_s, slowing_s=parameters.stop_time if is_ending else 0.0)
             angles = plan.angles(parameters.period) + offsets
             point = JointTrajectoryPoint(positions=angles.tolist())
             point.time_from_start.nanosec = round(NS * parameters.period)
@@ -413,6 +437,7 @@ class CorrectionNode(PosorNode[CorrectionParameters]):
         return {
             "endpoints_used": self._used,
             "steps_limited": self._law.limited,
+            "plan_late [s]": round(self._pace.late_s, 3),
             "trajectories_refused": self._refused,
             **{f"offset {name} [rad]": round(value, 9) for name, value in offsets},
         }

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import signal
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
@@ -21,9 +22,9 @@ from posor.correction.joint_path import JointPath
 from posor.correction.nominal_robot import NominalRobot
 from posor.numerics.array_types import FloatArray
 from posor.numerics.stamps import NS
-from posor_estimator.correction_node import Plan
+from posor_estimator.correction_node import Plan, PlanPace
 from posor_estimator.trajectory_action import ACTION, REPLACED, TrajectoryAction
-from posor_lab.harness.graph import Graph, values_of
+from posor_lab.harness.graph import LOSSLESS, Graph, values_of
 from posor_lab.harness.program import Program, installed
 from posor_msgs.msg import EndpointState
 from posor_ros.qos import RELIABLE_QOS
@@ -49,8 +50,8 @@ FAR = 2e-3  # more than offsets [rad]
 class Robot:
     """A robot that is where it was commanded, and its planner; the endpoint is where its joints really are."""
 
-    def __init__(self, graph: Graph) -> None:
-        self.graph, self.nominal = graph, NominalRobot(ARM.chain())
+    def __init__(self, graph: Graph, node: Program) -> None:
+        self.graph, self.node, self.nominal = graph, node, NominalRobot(ARM.chain())
         graph.watch_diagnostics()
         self.commands: list[tuple[float, FloatArray]] = []
         graph.node.create_subscription(JointTrajectory, "trajectory/corrected", self._on_command, RELIABLE_QOS)
@@ -155,7 +156,7 @@ def running_node(on_stop: str, **others: Any) -> Iterator[Robot]:
     parameters = {"urdf": str(ARM.urdf), "endpoint_frame": ARM.endpoint_frame, "on_stop": on_stop, **others}
     command = [*installed("posor_estimator", "correction_node"), *ros_arguments(parameters)]
     with Program(command) as node, Graph() as graph:
-        yield Robot(graph)
+        yield Robot(graph, node)
         assert node.end() == 0
 
 
@@ -189,6 +190,41 @@ def test_a_plan_slows_down_on_the_same_path_however_late_its_commands_are(step_s
     while plan.speed > 0.0:
         plan.advance(step_s, slowing_s=0.1)
     assert plan.angles() == pytest.approx(1.05, abs=1e-12)
+
+
+def test_no_point_asks_for_more_than_a_period_and_delays_beyond_it_make_the_plan_late() -> None:
+    random, period_s, begin_s = np.random.default_rng(3), 0.004, 5.0
+    ticks_s = begin_s + period_s * np.arange(1000) + random.uniform(0.0, 0.99 * period_s, 1000)
+    pace = PlanPace(period_s, begin_s)
+    steps_s = np.array([pace.advance(now_s) for now_s in ticks_s])
+    assert pace.late_s == pytest.approx(0.0, abs=1e-12)  # jitter is made up for
+    steps_s = np.append(steps_s, [pace.advance(now_s + 0.085) for now_s in ticks_s + 1000 * period_s])  # a pause
+    assert steps_s.min() >= 0.0
+    assert steps_s.max() <= period_s * (1.0 + 1e-9)
+    assert pace.late_s == pytest.approx(0.085, abs=2.0 * period_s)
+    elapsed_s = ticks_s[-1] + 1000 * period_s + 0.085 - begin_s
+    assert steps_s.sum() + pace.late_s == pytest.approx(elapsed_s, abs=period_s)
+
+
+def test_a_paused_process_makes_the_plan_late_and_the_robot_does_not_jump() -> None:
+    """The step of a point is 0.2 mrad; the robot would have moved by 15 mrad during the pause."""
+    with running_node("hold", **{"offsets.max_age": 1.0}) as robot:
+        points = robot.graph.collect(JointTrajectory, "trajectory/corrected", LOSSLESS)
+        robot.follow(START, START + SPEED * SLOW_S * np.eye(6)[0])
+        robot.run_until(lambda: robot.distance(START) > FAR, "motion")
+        robot.node.process.send_signal(signal.SIGSTOP)
+        robot.wait_for_standstill()
+        last = len(points) - 1
+        robot.node.process.send_signal(signal.SIGCONT)
+
+        def late_s() -> float:
+            own = [values_of(each) for each in robot.graph.diagnostics if each.name == STATUS]
+            return max((float(each.get("plan_late [s]", 0.0)) for each in own), default=0.0)
+
+        robot.graph.wait_until(lambda: late_s() > 0.9 * STILL_S, "the delay in the diagnostics", robot.report)
+        steps = np.abs(np.diff([each.points[0].positions[0] for each in points[last:]]))
+        assert len(steps) > 1
+        assert steps.max() < FAR
 
 
 FAULTS: dict[str, tuple[dict[str, Any], str]] = {

@@ -107,14 +107,10 @@ class JointCorrection:
     def start(self, time_s: float) -> None:
         """Follow from a steady time [s] on, from the present offsets."""
         self._goal = self._past = self._ahead = self.offsets
-        self._step_s = self._usable_s = time_s
+        self._usable_s = time_s
         self._measured_s = -math.inf
         self._refusal = "none was received"
         self.stopped = ""
-
-    def wait(self, time_s: float) -> None:
-        """Command no offsets until a steady time [s]: their limited rate counts from then on."""
-        self._step_s = time_s
 
     def stop(self, reason: str) -> None:
         """Hold the offsets until the next start. The first reason stays."""
@@ -143,16 +139,19 @@ class JointCorrection:
         since_s = time_s - self._measured_s
         return 1.0 if constant_s == 0.0 or since_s > self._limits.max_age else -math.expm1(-since_s / constant_s)
 
-    def step(self, time_s: float) -> FloatArray:
-        """Return the offsets to command at a steady time [s]; call it at the rate of the robot's interface."""
+    def step(self, time_s: float, duration_s: float) -> FloatArray:
+        """Return the offsets to command at a steady time [s]; they change at most as the rate allows in a duration [s].
+
+        ``duration_s`` is the time by which the plan goes on, not that since the last step, which may have been late.
+        """
         if not self.stopped and time_s - self._usable_s > self._limits.max_age:
             self.stop(f"no usable endpoint for {time_s - self._usable_s:.2f} s: {self._refusal}")
-        largest = self._limits.max_rate * (time_s - self._step_s)
+        largest = self._limits.max_rate * duration_s
         if self.stopped or largest <= 0.0:
             return self.offsets
         change = self._ahead - self.offsets
         if (ratio := float(np.max(np.abs(change))) / largest) > 1.0:
             self.limited += 1
             change = change / ratio
-        self.offsets, self._step_s = self.offsets + change, time_s
+        self.offsets = self.offsets + change
         return self.offsets

@@ -67,7 +67,7 @@ def run_loop(robot: NominalRobot, dead: int, assumed: int | None, limits: Correc
         errors.append(np.linalg.norm(measured.translation - robot.endpoint(AT).translation))
         base = angles if assumed is None else executed[max(0, tick + dead - assumed)]
         law.add_endpoint(tick / RATE, base, measured)
-        executed.append(AT + law.step((tick + 1) / RATE))
+        executed.append(AT + law.step((tick + 1) / RATE, 1.0 / RATE))
     return np.array(errors), law.stopped
 
 
@@ -97,11 +97,11 @@ def test_errors_that_change_evenly_are_extrapolated_by_the_lead_time(robot: Nomi
         for tick in range(4 * RATE):
             moved = AT + rate * tick / RATE * np.eye(6)[0]
             law.add_endpoint(tick / RATE, AT, robot.endpoint(moved))
-            law.step((tick + 1) / RATE)
+            law.step((tick + 1) / RATE, 1.0 / RATE)
         found.append(law.offsets[0])
     assert found[0] - found[1] == pytest.approx(rate * lead_s, rel=0.05)
     law.add_endpoint(4.0, AT, robot.endpoint(AT + 4.9e-3 * np.eye(6)[0]))  # a step: the extrapolation is limited
-    law.step(4.01)
+    law.step(4.01, 0.01)
     assert not law.stopped
     assert law.offsets[0] == -5e-3
 
@@ -111,26 +111,25 @@ def test_offsets_change_at_their_rate_and_stand_after_a_stop(robot: NominalRobot
     assert law.stopped
     law.start(0.0)
     law.add_endpoint(0.0, AT, robot.endpoint(AT + WRONG))
-    rows = np.array([law.step(n / RATE) for n in range(RATE // 10)])
+    rows = np.array([law.step(n / RATE, 1.0 / RATE) for n in range(RATE // 10)])
     assert np.abs(np.diff(rows, axis=0)).max() == pytest.approx(0.01 / RATE)
     assert law.limited > 0
     law.stop("first reason")
     law.stop("second reason")
     law.add_endpoint(0.1, AT, robot.endpoint(AT - WRONG))
-    np.testing.assert_array_equal(law.step(1.0), rows[-1])
+    np.testing.assert_array_equal(law.step(1.0, 1.0), rows[-1])
     assert law.stopped == "first reason"
     law.start(2.0)
     law.add_endpoint(2.0, AT, robot.endpoint(AT - WRONG))
-    assert np.abs(law.step(2.0 + 1.0 / RATE) - rows[-1]).max() == pytest.approx(0.01 / RATE)
+    assert np.abs(law.step(2.0 + 1.0 / RATE, 1.0 / RATE) - rows[-1]).max() == pytest.approx(0.01 / RATE)
 
 
-def test_offsets_do_not_jump_when_a_plan_begins_after_a_wait(robot: NominalRobot) -> None:
-    law, angles = JointCorrection(robot), np.array([0.3, -0.6, 0.9, 0.4, 0.7, 0.5])
+def test_offsets_do_not_jump_when_a_step_comes_after_a_wait(robot: NominalRobot) -> None:
+    law = JointCorrection(robot)
     law.start(0.0)
     for time_s in np.arange(0.0, 10.0, 0.05):
-        law.add_endpoint(time_s, angles, robot.endpoint(angles + 1e-3))
-        law.wait(time_s)
-    assert np.abs(law.step(10.0)).max() <= 0.02 * 0.05 * (1.0 + 1e-9)
+        law.add_endpoint(time_s, AT, robot.endpoint(AT + 1e-3))
+    assert np.abs(law.step(10.0, 0.05)).max() == pytest.approx(0.02 * 0.05)
     assert not law.stopped
 
 
@@ -141,10 +140,10 @@ def test_a_refused_size_and_missing_endpoints_stop_the_correction_with_one_sente
     assert law.stopped.startswith(f"joint {robot.joints[3]} needs an offset of -0.00")
     assert law.stopped.endswith("; limit 0.0003")
     law.start(1.0)
-    assert not law.step(1.09).any()
+    assert not law.step(1.09, 0.09).any()
     assert len(law.stopped) == 0
     law.refuse_endpoint("elbow is lost")
-    law.step(1.11)
+    law.step(1.11, 0.02)
     assert law.stopped == "no usable endpoint for 0.11 s: elbow is lost"
 
 
