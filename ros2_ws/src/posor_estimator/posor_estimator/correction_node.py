@@ -196,6 +196,7 @@ class CorrectionNode(PosorNode[CorrectionParameters]):
             self, EndpointState, ENDPOINT_STATE_TOPIC, input_qos(parameters), self._on_state
         )
         self._inputs.add(states)
+        self._inputs.add_output(self._output.topic_name)
         self.add_cleanup(self._inputs.clear)
         planned = self.create_subscription(JointTrajectory, PLANNED_TOPIC, self._on_trajectory, RELIABLE_QOS)
         self.add_cleanup(self.destroy_subscription, planned)
@@ -234,6 +235,9 @@ class CorrectionNode(PosorNode[CorrectionParameters]):
         """Begin a trajectory; return whether it is accepted."""
         with self._lock:
             if not self.may_publish:
+                return False
+            if several := self._inputs.several:
+                self._refuse(several)
                 return False
             try:
                 plan = self._start(message)
@@ -400,8 +404,7 @@ class CorrectionNode(PosorNode[CorrectionParameters]):
                     return
                 plan.has_begun, self._pace = True, PlanPace(parameters.period, now_s)
                 self._status.report(Level.OK, "following", self._counts())
-            if elapsed_s > parameters.offsets.max_age:
-                self._law.stop(f"no command for {elapsed_s:.2f} s, the process was late")
+            self._check_commands(plan, elapsed_s)
             step_s = self._pace.advance(now_s)
             offsets, stopped = self._law.step(now_s, step_s), self._law.stopped
             is_ending = plan.is_ending or (bool(stopped) and parameters.on_stop == "stop")
@@ -414,7 +417,7 @@ class CorrectionNode(PosorNode[CorrectionParameters]):
             self._commands.add(self.timing.now_ns() + round(NS * parameters.period), angles)
             if stopped and not self._is_reported:
                 self._is_reported = True
-                doing = "the robot slows down and stands" if parameters.on_stop == "stop" else "the offsets stay"
+                doing = "the robot slows down and stands" if is_ending else "the offsets stay"
                 self._status.report(Level.ERROR, f"stopped, {doing}: {stopped}", self._counts())
                 self.get_logger().error(f"correction stopped, {doing}: {stopped}")
             if plan.is_complete or plan.speed == 0.0:
@@ -426,6 +429,14 @@ class CorrectionNode(PosorNode[CorrectionParameters]):
                 self._plan = None
                 if not stopped:
                     self._status.report(Level.OK, "the planner has ended its trajectory", self._counts())
+
+    def _check_commands(self, plan: Plan, elapsed_s: float) -> None:
+        """Stop where no command came for too long, or another node commands the robot too."""
+        if elapsed_s > self.parameters.offsets.max_age:
+            self._law.stop(f"no command for {elapsed_s:.2f} s, the process was late")
+        if fault := self._inputs.output_fault:
+            self._law.stop(fault)
+            plan.is_ending = True  # also with 'hold': the robot must not follow two nodes
 
     def _refresh_status(self) -> None:
         with self._lock:

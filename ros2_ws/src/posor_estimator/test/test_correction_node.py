@@ -150,12 +150,16 @@ class Robot:
         return self.commands[-1][0]
 
 
+def correction_node(name: str, on_stop: str, **others: Any) -> Program:
+    """Start a correction_node of a name."""
+    parameters = {"urdf": str(ARM.urdf), "endpoint_frame": ARM.endpoint_frame, "on_stop": on_stop, **others}
+    return Program([*installed("posor_estimator", "correction_node"), *ros_arguments(parameters, name=name)])
+
+
 @contextmanager
 def running_node(on_stop: str, **others: Any) -> Iterator[Robot]:
     """Run a correction_node and its robot."""
-    parameters = {"urdf": str(ARM.urdf), "endpoint_frame": ARM.endpoint_frame, "on_stop": on_stop, **others}
-    command = [*installed("posor_estimator", "correction_node"), *ros_arguments(parameters)]
-    with Program(command) as node, Graph() as graph:
+    with correction_node("correction_node", on_stop, **others) as node, Graph() as graph:
         yield Robot(graph, node)
         assert node.end() == 0
 
@@ -282,6 +286,28 @@ def test_a_robot_that_may_go_on_keeps_its_offsets() -> None:
         robot.graph.wait_until(lambda: len(robot.commands) > count + 50, "more commands", robot.report)
         assert robot.distance(START) > 1e-4
         assert robot.distance(robot.commands[-20][1]) == 0.0
+
+
+def test_a_second_node_that_commands_the_robot_stops_the_first_and_no_trajectory_begins() -> None:
+    fault = "2 publishers on /trajectory/corrected; expected one"
+    with running_node("hold") as robot:
+        robot.follow(START, START + SPEED * SLOW_S * np.eye(6)[0])
+        robot.run_until(lambda: robot.distance(START) > FAR, "motion")
+        with correction_node("second", "hold") as second:
+            stopped = robot.wait_for_level(b"\x02")
+            assert stopped.message == f"stopped, the robot slows down and stands: {fault}"
+            robot.wait_for_standstill()
+            robot.graph.wait_for_status("/second: input", fault)
+            subscribed = lambda: robot.planner.get_subscription_count() == 2  # noqa: E731
+            robot.graph.wait_until(subscribed, "the second node", robot.report)
+            count = len(robot.commands)
+            robot.plan(robot.angles, robot.angles)
+            for node in (second, robot.node):
+                node.wait_for_line(f"trajectory refused: {fault}")
+            assert len(robot.commands) == count
+            assert second.end() == 0
+        robot.follow(robot.angles, robot.angles)
+        assert robot.wait_for_level(b"\x00").message == "following"
 
 
 def test_a_clock_that_goes_back_stops_a_plan_that_has_begun() -> None:

@@ -18,7 +18,7 @@ from posor_ros.diagnostics import Level
 from posor_ros.input_watch import InputWatch
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
 
     from posor.node_parameters import FreshnessParameters
 
@@ -142,6 +142,11 @@ class InputMonitor:
         """Watch until ``clear`` that a topic, by its full name, has no publisher but this node."""
         self._outputs[topic_name] = 1
 
+    @property
+    def output_fault(self) -> str:
+        """Sentence on a topic of ``add_output`` that has several publishers; else empty."""
+        return _several_sentence(self._outputs)
+
     def add_source(self, name: str) -> InputWatch:
         """Watch an input without a subscription until ``clear``; the caller records the arrivals."""
         watch = InputWatch(name)
@@ -220,9 +225,8 @@ class InputMonitor:
     def _find_several(self) -> None:
         """Keep the sentence on several publishers of a topic until shortly after only one of them is left."""
         counts = {each.topic_name: each.publishers for each in self._subscriptions} | self._outputs
-        sentences = [f"{count} publishers on {topic}; expected one" for topic, count in counts.items() if count > 1]
-        if sentences:
-            self.several, self._several_until_s = sentences[-1], math.inf
+        if sentence := _several_sentence(counts):
+            self.several, self._several_until_s = sentence, math.inf
         elif self.several:
             self._several_until_s = min(self._several_until_s, monotonic() + PUBLISHER_GONE_S)
 
@@ -246,3 +250,9 @@ class InputMonitor:
     def _report(self, level: Level, text: str, key: tuple[str, ...] | None) -> None:
         self._reported = key
         self._status.report(level, text)
+
+
+def _several_sentence(publishers: Mapping[str, int]) -> str:
+    """Return the sentence on the last topic that has several publishers; else empty."""
+    sentences = [f"{count} publishers on {topic}; expected one" for topic, count in publishers.items() if count > 1]
+    return sentences[-1] if sentences else ""
