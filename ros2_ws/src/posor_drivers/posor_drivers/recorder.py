@@ -13,7 +13,7 @@ from functools import partial
 from pathlib import Path
 from queue import SimpleQueue
 from threading import Thread
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from posor.arm_names import describe_argument
 from posor.bags.bag_writer import BagWriter
@@ -33,9 +33,13 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.validate_topic_name import validate_topic_name
 
+from posor_drivers.sequence_numbers import SequenceNumbers
+
 if TYPE_CHECKING:
     from argparse import Namespace
     from collections.abc import Callable, Iterator, Sequence
+
+    from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 DISCOVERY_PERIOD_S = 0.1
 TAKE_PERIOD_S = 0.005
@@ -54,7 +58,7 @@ class RecordedTopic:
 
     Attributes:
         received: Messages taken so far.
-        lost: Messages known to be lost: gaps in the sequence numbers of a topic with one publisher.
+        lost: Messages known to be lost: gaps in the sequence numbers of the publishers.
 
     """
 
@@ -62,10 +66,16 @@ class RecordedTopic:
         """Subscribe on ``node``, which no executor may spin, with the strictest profile that all ``offers`` satisfy."""
         self.name = name
         self.received = 0
-        self.lost = 0
+        self._node = node
         self._request = strictest_request(offers, DEPTH)
-        self._last_number: int | None = None
+        self._seen: set[tuple[int, ...]] = set()  # identifiers of the publishers so far
+        self._numbers = SequenceNumbers(self._count_publishers)
         self._subscription = PolledSubscription(node, message_class(type_name), name, self._request)
+
+    @property
+    def lost(self) -> int:
+        """See the class."""
+        return self._numbers.lost
 
     @property
     def matched(self) -> bool:
@@ -77,21 +87,24 @@ class RecordedTopic:
         reliable = ReliabilityPolicy.RELIABLE
         return bool(self._request.reliability == reliable and offer.reliability != reliable)
 
+    def find_publishers(self) -> list[TopicEndpointInfo]:
+        """Return the present publishers, and note those that the subscription can receive."""
+        found = self._node.get_publishers_info_by_topic(self.name)
+        self._seen.update(tuple(each.endpoint_gid) for each in found if not self.refuses(each.qos_profile))
+        return found
+
+    def _count_publishers(self) -> int:
+        """Return how many publishers the topic has had."""
+        self.find_publishers()
+        return len(self._seen)
+
     def take_messages(self) -> Iterator[tuple[int, bytes]]:
         """Yield time of reception [ns] and bytes of all messages that have arrived."""
-        several = self._subscription.publishers > 1
         for data, info in self._subscription.take():
-            self._count(info["publication_sequence_number"], several=several)
+            self.received += 1
+            if (number := info["publication_sequence_number"]) is not None:  # None: the middleware states none
+                self._numbers.add(number)
             yield info["received_timestamp"], data
-
-    def _count(self, number: Any, *, several: bool) -> None:
-        self.received += 1
-        if several or not isinstance(number, int):
-            self._last_number = None
-            return
-        if self._last_number is not None and number > self._last_number + 1:
-            self.lost += number - self._last_number - 1
-        self._last_number = number
 
 
 def strictest_request(offers: Sequence[QoSProfile], depth: int) -> QoSProfile:
@@ -239,7 +252,7 @@ class Recorder(Node):
 
     def _check_offers(self, topic: RecordedTopic) -> None:
         """Report later publishers that are incompatible with the subscription."""
-        for publisher in self.get_publishers_info_by_topic(topic.name):
+        for publisher in topic.find_publishers():
             if topic.name not in self._refused and topic.refuses(publisher.qos_profile):
                 node = f"{publisher.node_namespace.rstrip('/')}/{publisher.node_name}"
                 self._refused[topic.name] = f"{topic.name} of {node}, best effort among reliable publishers, is missing"

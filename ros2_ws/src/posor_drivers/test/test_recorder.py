@@ -7,6 +7,7 @@ from __future__ import annotations
 import signal
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import pytest
 import yaml
@@ -217,21 +218,72 @@ def test_topic_with_two_types_is_refused(tmp_path: Path) -> None:
     assert sentence.startswith("topic /odd has several types, ")
 
 
-def test_lost_messages_are_counted() -> None:
+@pytest.mark.parametrize("count", [1, 2])
+def test_lost_messages_of_each_publisher_are_counted(count: int) -> None:
+    sent = (DEPTH + 300) // count  # by each publisher: more than the subscription holds, and nothing is taken meanwhile
     with Graph() as graph:
         tap = Node("_tap", context=graph.node.context, enable_rosout=False)
-        publisher = graph.node.create_publisher(String, "/words", KEEP_ALL_QOS)
+        publishers = [graph.node.create_publisher(String, "/words", KEEP_ALL_QOS) for _ in range(count)]
         topic = RecordedTopic(tap, "/words", "std_msgs/msg/String", [KEEP_ALL_QOS])
-        graph.wait_until(lambda: publisher.get_subscription_count() == 1 and topic.matched, "the subscription")
-        publisher.publish(String(data="first"))
-        graph.wait_until(lambda: topic.received == 1, "the first message", lambda: list(topic.take_messages()))
-        for index in range(DEPTH + 300):  # more than the subscription holds, and nothing is taken meanwhile
-            publisher.publish(String(data=str(index)))
-        assert publisher.wait_for_all_acked(Duration(seconds=TIMEOUT_S))
+        matched = lambda: all(each.get_subscription_count() == 1 for each in publishers)  # noqa: E731
+        graph.wait_until(lambda: matched() and topic.matched, "the subscription")
+        for each in publishers:
+            each.publish(String(data="first"))
+        graph.wait_until(lambda: topic.received == count, "the first messages", lambda: list(topic.take_messages()))
+        for index in range(sent):
+            for each in publishers:
+                each.publish(String(data=str(index)))
+        for each in publishers:
+            assert each.wait_for_all_acked(Duration(seconds=TIMEOUT_S))
         taken = [deserialize_message(data, String).data for _, data in topic.take_messages()]
-        assert taken == [str(index) for index in range(300, DEPTH + 300)]
-        assert (topic.received, topic.lost) == (1 + DEPTH, 300)
+        assert len(taken) == DEPTH
+        if count == 1:
+            assert taken == [str(index) for index in range(300, sent)]
+        assert (topic.received, topic.lost) == (count + DEPTH, 300)
         tap.destroy_node()
+
+
+def test_messages_before_the_recording_are_not_lost() -> None:
+    with Graph() as graph:
+        earlier, later = (graph.node.create_publisher(String, "/words", KEEP_ALL_QOS) for _ in range(2))
+        for _ in range(50):
+            earlier.publish(String(data="before"))
+        tap = Node("_tap", context=graph.node.context, enable_rosout=False)
+        topic = RecordedTopic(tap, "/words", "std_msgs/msg/String", [KEEP_ALL_QOS])
+        matched = lambda: earlier.get_subscription_count() == later.get_subscription_count() == 1  # noqa: E731
+        graph.wait_until(lambda: matched() and topic.matched, "the subscription")
+
+        def publish(publisher: Any, count: int) -> None:
+            publisher.publish(String(data="now"))
+            graph.wait_until(lambda: topic.received == count, "a message", lambda: list(topic.take_messages()))
+
+        for count, publisher in enumerate((later, earlier, later, earlier), start=1):
+            publish(publisher, count)
+        assert topic.lost == 0
+        tap.destroy_node()
+
+
+def test_a_recording_that_lost_messages_of_one_of_two_publishers_fails_and_states_how_many(tmp_path: Path) -> None:
+    """The recorder is stopped while a publisher that keeps ten messages sends 3000."""
+    bag = tmp_path / "bag"
+    with Graph() as graph, record(bag, "/words") as program:
+        short, other = (graph.publisher(String, "/words", QoSProfile(depth=10)) for _ in range(2))
+        program.wait_for_line("ready")
+        for each in (short, other):
+            each.publish(String(data="first"))
+            assert delivered(each)
+        program.process.send_signal(signal.SIGSTOP)
+        for index in range(3000):
+            short.publish(String(data=str(index)))
+        program.process.send_signal(signal.SIGCONT)
+        for each in (short, other):
+            each.publish(String(data="last"))
+            assert delivered(each)
+        assert program.end() == 1
+    texts = [deserialize_message(data, String).data for _, _, data in read_bag(bag)]
+    lost = 3004 - len(texts)
+    assert lost > 0
+    assert program.stderr == [f"{bag}: {lost} messages of /words were lost."]
 
 
 @pytest.mark.parametrize(
