@@ -199,11 +199,21 @@ PLACE = (1.0, 2.0, 3.0)
 SHAPES = "%d gap voltages, 0 ring voltages, 2 diodes of 4 currents, 2 lit sources"
 
 
+def of_other_plate(entry: Entry) -> Entry:
+    """Return a scan of another receiving plate, as of two recordings in one bag."""
+    entry[3].header.frame_id = "other"
+    return entry
+
+
 @pytest.mark.parametrize(
     ("messages", "sentence"),
     [
         ([SCANS[0], raw(scan(2, gap_voltages=np.zeros(2)))], f"scan 2 has {SHAPES % 2}; expected {SHAPES % 3}."),
         ([raw(scan(1), diode_currents=np.zeros(7))], "scan 1 has 7 diode currents; expected 4 for each diode."),
+        (
+            [SCANS[0], of_other_plate(raw(scan(2, stamp_ns=10**9)))],
+            "scans are of the receiving plates 'other' and 'receiving'; expected those of one POSOR.",
+        ),
         (
             [raw(scan(1, stamp_ns=200)), raw(scan(2, stamp_ns=100), delay_ns=9_000_000)],
             "scan 2 is stamped 100 ns, scan 1 before it 200 ns; expected stamps that increase.",
@@ -232,7 +242,7 @@ SHAPES = "%d gap voltages, 0 ring voltages, 2 diodes of 4 currents, 2 lit source
     ],
 )
 def test_messages_that_cannot_be_used_are_refused(tmp_path: Path, messages: Sequence[Entry], sentence: str) -> None:
-    topic, kind = ("/joint1/raw", BagError) if sentence.startswith("scan ") else ("/machine", TrackError)
+    topic, kind = ("/joint1/raw", BagError) if sentence.startswith("scan") else ("/machine", TrackError)
     assert refused(tmp_path, messages, kind) == f"BAG, topic {topic}: {sentence}"
 
 

@@ -13,8 +13,10 @@ import numpy as np
 import pytest
 from posor.bags.recording import Recording, Track
 from posor.calibration.designs import STANDOFF
+from posor.calibration.quantity import Quantity
 from posor.errors import FitError, PosorError, TrackError
 from posor.numerics.array_types import FloatArray
+from posor.sensors.gap_probes import GapProbesCalibration, ReferenceVoltage
 from posor_calibration.calibration_fit import FitResult, fit
 from posor_calibration.procedure_registry import PROCEDURES
 from posor_calibration.reference_checks import check_visits, find_drifts, find_repeated_values
@@ -199,3 +201,32 @@ def test_scans_in_another_unit_calibrate_nothing(field: str, value: float, sente
     scans = recording.scans.with_fields({field: np.full(len(recording.scans), value)})
     with pytest.raises(FitError, match=sentence):
         fit("gap_linearisation", diode_calibration(), replace(recording, scans=scans), **ORDER)
+
+
+def test_scans_in_memory_are_free_of_the_gain_of_the_converter() -> None:
+    """As those of a bag are: the converter reads half a percent too much, and its known voltage too."""
+    calibration, known = diode_calibration(), 5.0
+    sensors = [
+        each.model_copy(
+            update={
+                "reference": ReferenceVoltage(
+                    voltage=Quantity(value=known, unit="V"),
+                    noise=Quantity(value=1e-5, unit="V"),
+                    spread=Quantity(value=1e-3, unit="1"),
+                    limit=Quantity(value=0.02, unit="1"),
+                )
+            }
+        )
+        if isinstance(each, GapProbesCalibration)
+        else each
+        for each in calibration.sensors
+    ]
+    calibration = calibration.model_copy(update={"sensors": sensors})
+    right = recorded("up and down")
+    scans = right.scans.with_fields({"reference_voltages": np.full(len(right.scans), known)})
+    gained = scans.with_fields({name: 1.005 * getattr(scans, name) for name in ("gap_voltages", "reference_voltages")})
+    found = [
+        fit("gap_linearisation", calibration, replace(right, scans=each), **ORDER).outcome.replacements[0].value
+        for each in (scans, gained)
+    ]
+    np.testing.assert_allclose(found[1], found[0], rtol=1e-9)

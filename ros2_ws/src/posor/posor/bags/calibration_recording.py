@@ -136,8 +136,8 @@ def _read_recorded_scans(reader: OrderedReader, topic: str, where: str) -> Recor
             what = f"scan {part.scans.numbers[0]} has {_reading_counts(part.scans)}"
             raise BagError(what, where=place, expected=_reading_counts(parts[0].scans))
         if part.frame != parts[0].frame:
-            what = f"scan {part.scans.numbers[0]} is of the receiving plate '{part.frame}'"
-            raise BagError(what, where=place, expected=f"'{parts[0].frame}', that of the scans before")
+            what = f"scans are of the receiving plates '{parts[0].frame}' and '{part.frame}'"
+            raise BagError(what, where=place, expected="those of one POSOR")
     recorded = RecordedScans.concatenate(parts)
     _check_stamps(recorded.scans, place)
     return recorded
