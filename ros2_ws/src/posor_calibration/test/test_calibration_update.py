@@ -117,6 +117,17 @@ def test_a_replaced_value_loses_its_shared_terms_and_gets_that_of_its_reference(
     assert error.what == "no length by a reference is new"
 
 
+def test_a_new_map_has_the_scale_of_its_reference() -> None:
+    calibration, key = design("triad_diodes"), "sensors[1].maps.factory"
+    content = calibration.model_dump(mode="json", exclude_defaults=True)["sensors"][1]["maps"]["factory"]
+    mapped = Outcome("bench", {}, parts=(Part(key, content),))
+    track = Track(np.array([0, 1]), np.zeros((2, 1)), np.zeros(1), "stage")
+    measured = replace(RECORDING, tracks={"/stage": track})
+    new = updated(calibration, mapped, measured, replace(CONTEXT, scales={"stage": 1e-3}))
+    assert new.shared["stage"].relative.keys() == {f"{key}[{n}].{axis}" for n in range(2) for axis in "xy"}
+    assert np.any(Posor(new).shared_effects)
+
+
 def test_a_thermometer_that_served_several_joints_is_a_shared_term_of_the_gaps() -> None:
     calibration, key = design("quad_bumpy_ring"), "sensors[0].probes[1].volts_to_gap"
     probe: Any = calibration.sensors[0].probes[1]  # type: ignore[attr-defined]
