@@ -52,6 +52,7 @@ if TYPE_CHECKING:
     from posor_ros.diagnostics import Value
     from rclpy.waitable import Waitable
 
+ENDED = "the planner has ended its trajectory"
 FEEDBACK_S = 0.1  # between two messages of feedback
 PLANNED_TOPIC, CORRECTED_TOPIC = "trajectory", "trajectory/corrected"
 MOST_PENDING = 256  # endpoints that wait for the angles of their time
@@ -399,6 +400,11 @@ class CorrectionNode(PosorNode[CorrectionParameters]):
             if plan is None or not self.may_publish:
                 return
             elapsed_s, self._command_s = now_s - self._command_s, now_s
+            if plan.is_ending and not plan.has_begun:
+                self._end_goal(ENDED)
+                self._plan = None
+                self._status.report(Level.OK, ENDED, self._counts())
+                return
             if not plan.has_begun:  # later the clock may go back, but the robot moves
                 if self.timing.now_ns() < plan.begin_ns:
                     return
@@ -421,14 +427,14 @@ class CorrectionNode(PosorNode[CorrectionParameters]):
                 self._status.report(Level.ERROR, f"stopped, {doing}: {stopped}", self._counts())
                 self.get_logger().error(f"correction stopped, {doing}: {stopped}")
             if plan.is_complete or plan.speed == 0.0:
-                self._end_goal(stopped or ("" if plan.is_complete else "the planner has ended its trajectory"))
+                self._end_goal(stopped or ("" if plan.is_complete else ENDED))
             elif self._action is not None and now_s - self._feedback_s >= FEEDBACK_S:
                 self._feedback_s = now_s
                 self._action.publish_feedback(self._robot.joints, angles, self._encoders.at(self._encoders.newest_ns))
             if plan.speed == 0.0:
                 self._plan = None
                 if not stopped:
-                    self._status.report(Level.OK, "the planner has ended its trajectory", self._counts())
+                    self._status.report(Level.OK, ENDED, self._counts())
 
     def _check_commands(self, plan: Plan, elapsed_s: float) -> None:
         """Stop where no command came for too long, or another node commands the robot too."""
