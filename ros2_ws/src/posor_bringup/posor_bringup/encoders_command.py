@@ -156,7 +156,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     found = find_errors(options)
     write_table(options.output, found)
     header = (
-        *("joint", "readings", "range [rad]", "offset [µrad]", "backlash [µrad]", "late [µs]"),
+        *("joint", "readings", "range [rad]", "offset [µrad]", "backlash [µrad]", "late [µs]", "its u [µs]"),
         *("slope [µrad/rad]", "once per turn [µrad]", "windup [µrad/(N m)]", "gravity, rms [µrad]", "rest, rms [µrad]"),
     )
     rows = [

@@ -61,6 +61,7 @@ class EncoderErrors(NamedTuple):
     offset: float  # [rad]
     backlash: float  # [rad]
     lateness: float  # time before their stamps at which the joint was where the readings say [s]
+    lateness_sigma: float  # its standard uncertainty [s]
     slope: float  # [rad/rad]
     eccentricity: float  # amplitude of the error once per turn [rad]
     windup: float  # [rad/(N m)], or [rad/N]
@@ -70,8 +71,8 @@ class EncoderErrors(NamedTuple):
 
 
 def describe_lateness(errors: EncoderErrors, largest: float) -> str:
-    """Return how late or early the readings are, if by more than ``largest`` [s]; else empty."""
-    if not abs(errors.lateness) > largest:
+    """Return how late or early the readings are, if clearly and by more than ``largest`` [s]; else empty."""
+    if not abs(errors.lateness) > max(largest, LATE_SIGMAS * errors.lateness_sigma):
         return ""
     return f"its readings are {1e3 * abs(errors.lateness):.3g} ms {'late' if errors.lateness > 0.0 else 'early'}"
 
@@ -117,7 +118,7 @@ def encoder_errors(
         each[moving] for each in (angles, direction, difference, gravity, rates)
     )
     if not len(angles):
-        return EncoderErrors(0, 0.0, *(math.nan,) * 8, [])
+        return EncoderErrors(0, 0.0, *(math.nan,) * 9, [])
     span, edges = float(np.ptp(angles)), np.linspace(angles.min(), angles.max(), bins + 1)
     which = np.clip(np.searchsorted(edges, angles, side="right") - 1, 0, bins - 1)
     table = _table(edges, which, direction, difference)
@@ -142,6 +143,7 @@ def encoder_errors(
         fitted["offset"],
         lag.backlash,
         lag.lateness,
+        lag.sigma,
         fitted.get("slope", math.nan),
         math.hypot(fitted["c"], fitted["s"]) if "c" in fitted else math.nan,
         fitted.get("windup", math.nan),
@@ -181,7 +183,12 @@ class _Lag(NamedTuple):
 
     backlash: float  # [rad]
     lateness: float  # [s]
-    is_late: bool  # whether the backlash is that of a fit with the lateness
+    sigma: float  # standard uncertainty of the lateness [s]
+
+    @property
+    def is_late(self) -> bool:
+        """Whether the backlash is that of a fit with the lateness."""
+        return abs(self.lateness) > LATE_SIGMAS * self.sigma
 
 
 def _lag(which: IntArray, direction: IntArray, difference: FloatArray, rates: FloatArray, others: FloatArray) -> _Lag:
@@ -194,14 +201,14 @@ def _lag(which: IntArray, direction: IntArray, difference: FloatArray, rates: Fl
     columns -= (sums / np.maximum(np.bincount(which), 1)).T[which]
     within, lag, design = columns[:, 0], columns[:, 1], columns[:, 2:]
     if not np.any(design[:, 0]):
-        return _Lag(math.nan, math.nan, is_late=False)
+        return _Lag(math.nan, math.nan, math.nan)
     backlash = float(np.linalg.lstsq(design, within, rcond=None)[0][0])
     alone = lag - design @ np.linalg.lstsq(design, lag, rcond=None)[0]
     if np.linalg.norm(alone) < LEAST_CHANGE * np.linalg.norm(rates):
-        return _Lag(backlash, math.nan, is_late=False)
+        return _Lag(backlash, math.nan, math.nan)
     both = np.column_stack([lag, design])
     lateness, beside, *_ = values = np.linalg.lstsq(both, within, rcond=None)[0]
     of_bins = np.bincount(which, alone * (within - both @ values))
     sigma = float(np.linalg.norm(of_bins) / np.sum(np.square(alone)))
-    is_late = abs(lateness) > LATE_SIGMAS * sigma
-    return _Lag(float(beside) if is_late else backlash, float(lateness), bool(is_late))
+    found = _Lag(float(beside), float(lateness), sigma)
+    return found if found.is_late else found._replace(backlash=backlash)

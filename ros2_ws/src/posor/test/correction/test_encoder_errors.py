@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from posor.correction.encoder_errors import directions, encoder_errors
+from posor.correction.encoder_errors import describe_lateness, directions, encoder_errors
 
 if TYPE_CHECKING:
     from posor.numerics.array_types import FloatArray
@@ -61,6 +61,18 @@ def test_late_readings_are_no_backlash_where_the_speed_changes(lateness: float) 
     assert found.lateness == pytest.approx(lateness, abs=2e-6)
     assert found.backlash == pytest.approx(BACKLASH, abs=0.05 * BACKLASH)
     assert found.rest < 3e-6
+
+
+def test_a_lateness_within_its_uncertainty_is_neither_taken_off_nor_reported() -> None:
+    random, times = np.random.default_rng(6), even_times(np.empty(2000))
+    angles = 0.02 * np.sin(0.9 * times)  # slow: a millisecond is 18 µrad
+    side = np.where(np.cos(0.9 * times) > 0.0, 0.5, -0.5)
+    found = encoder_errors(angles, angles + BACKLASH * side + 1e-5 * random.normal(size=len(times)), times)
+    assert found.lateness_sigma > 3e-5
+    assert abs(found.lateness) < 4.0 * found.lateness_sigma
+    assert not describe_lateness(found._replace(lateness=4.0 * found.lateness_sigma), 0.0)
+    assert describe_lateness(found._replace(lateness=0.1), 0.0) == "its readings are 100 ms late"
+    assert found.backlash == pytest.approx(BACKLASH, abs=3e-6)
 
 
 def test_late_readings_at_one_speed_are_not_told_from_backlash() -> None:
