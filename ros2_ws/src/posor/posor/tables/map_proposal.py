@@ -263,7 +263,8 @@ def _propose_time(draft: _Draft, path: Path) -> None:
         draft.used.add(found[0])
         draft.add(f"  column: {draft.column(found[0])}")
         draft.add(
-            f"  unit: {column.unit.name if column.unit else 's'}", "" if column.unit else "the header states no unit"
+            f"  unit: {column.unit.name if column.unit else 's'}",
+            "" if column.unit else "the header states no known unit",
         )
         first = draft.numbers[found[0]][0]
         if first > 1e8 and (column.unit is None or column.unit.name == "s"):  # noqa: PLR2004  three years

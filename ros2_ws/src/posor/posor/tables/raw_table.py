@@ -32,6 +32,8 @@ class Column(NamedTuple):
 
     name: str
     unit: Unit | None = None
+    unknown_unit: str = ""
+    """What the file states in place of a unit that is known."""
     interval_s: float | None = None
     begin: str = ""
 

@@ -13,7 +13,7 @@ from posor.errors import DataFileError, ParameterError, clause_of
 from posor.input_text import check_input_file, read_input_bytes
 from posor.optional_library import optional_library
 from posor.tables.raw_table import ArrayTable, Column
-from posor.tables.table_units import find_unit, unit_in_name
+from posor.tables.table_units import stated_unit
 from posor.tables.text_table import TextTable, decode
 
 if TYPE_CHECKING:
@@ -110,7 +110,7 @@ def _parquet(path: Path) -> RawTable:
             stated, array = kind.unit, _exact(chunks.cast(arrow.int64()))
         else:
             array = _exact(chunks.cast(arrow.int8()) if arrow.types.is_boolean(kind) else chunks)
-        columns.append((Column(field.name, find_unit(stated) or unit_in_name(field.name)), array))
+        columns.append((Column(field.name, *stated_unit(field.name, stated)), array))
     return ArrayTable(path, columns)
 
 
@@ -128,13 +128,13 @@ def _tdms(path: Path) -> RawTable:
     for group in tdms.groups():
         for channel in group.channels():
             name, properties = f"{group.name}/{channel.name}", channel.properties
-            unit = find_unit(str(properties.get("unit_string", ""))) or unit_in_name(channel.name)
+            unit = stated_unit(channel.name, str(properties.get("unit_string", "")))
             interval = properties.get("wf_increment")
             array = channel[:]
             if array.dtype.kind == "M":
                 array = _iso(array, zone="Z")
             begin = f"{properties.get('wf_start_time', '')} + {float(properties.get('wf_start_offset', 0.0)):g} s"
-            columns.append((Column(name, unit, *((float(interval), begin) if interval else ())), array))
+            columns.append((Column(name, *unit, *((float(interval), begin) if interval else ())), array))
     incomplete = tdms.file_status.incomplete_final_segment
     return ArrayTable(path, columns, note="the last segment of the TDMS file is incomplete" if incomplete else "")
 
@@ -171,7 +171,7 @@ def _matlab_73(path: Path) -> RawTable:
 def _of_variables(path: Path, variables: Mapping[str, Any]) -> RawTable:
     """Return the vectors, and the columns of matrices, of the variables and of structs of them."""
     columns = [
-        (Column(name, unit_in_name(name)), array)
+        (Column(name, *stated_unit(name)), array)
         for name, array in _columns_of("", {k: v for k, v in variables.items() if not k.startswith("__")})
     ]
     if not columns:

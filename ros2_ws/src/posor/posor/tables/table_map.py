@@ -340,6 +340,8 @@ class TimeMap(FrozenModel):
     """``iso``, or a format of Python's ``strptime``, for a column of texts."""
     time_zone: Annotated[str, Field(min_length=1)] | None = None
     """Of texts without one: ``UTC``, ``+01:00`` or ``Europe/Berlin``."""
+    header_unit: Literal["ignored"] | None = None
+    """``ignored``: the unit in the header of the file is wrong."""
     start: Annotated[str, BeforeValidator(_as_text), Field(min_length=1)] | None = None
     """Time at zero of a column of numbers, or of the first row at a rate."""
     rate: Annotated[Quantity, measured("Hz")] | None = None

@@ -22,7 +22,7 @@ from posor.tables.row_selection import RowSelection
 from posor.tables.table_file import open_table
 from posor.tables.table_map import READINGS, ColumnEntry, load_table_map, may_share_column
 from posor.tables.table_time import parse_zone, start_ns, times_at_rate, times_of_numbers, times_of_texts
-from posor.tables.table_units import UNITS
+from posor.tables.table_units import find_unit, unknown_unit_in_name
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -222,14 +222,19 @@ class _Reader:
         stated = [
             (key, entry.unit, entries[id(entry)]) for key, _, entry in self.map.entries() if not entry.header_unit
         ]
-        if time.unit is not None:
+        if time.unit is not None and not time.header_unit:
             stated.append((("time",), time.unit, self._index(time.columns[0], ("time", "column"))))
         for key, name, index in stated:
             column = self.table.columns[index]
-            if column.unit is not None and not _same_unit(column.unit.name, name):
-                what = f"column '{column.name}' is in {column.unit.name} by the file, in {name} by the map"
-                expected = f"unit: {column.unit.name}, or header_unit: ignored if the file is wrong"
+            unit = column.unit.name if column.unit else ""
+            if (unit and not _same_unit(unit, name)) or column.unknown_unit:
+                what = f"column '{column.name}' is in {unit or column.unknown_unit} by the file, in {name} by the map"
+                expected = f"unit: {unit}" if unit else "a known unit in the file"
+                expected += ", or header_unit: ignored if the file is wrong"
                 raise DataFileError(what, where=self._place(*key, "unit"), expected=expected)
+            if text := unknown_unit_in_name(column.name):
+                note = f"'{text}' in the name of column '{column.name}' is not a known unit: the map says {name}"
+                self.notes += [note] if note not in self.notes else []
             if time.rate is not None and column.interval_s is not None:
                 rate = 1.0 / column.interval_s
                 if abs(rate / time.rate.number - 1.0) > _MOST_RATE_ERROR:
@@ -338,7 +343,7 @@ class _Reader:
 
 
 def _same_unit(one: str, other: str) -> bool:
-    first, second = UNITS.get(one), UNITS.get(other)
+    first, second = find_unit(one), find_unit(other)
     return one == other or (first is not None and second is not None and first[1:] == second[1:])
 
 

@@ -15,14 +15,13 @@ import numpy as np
 
 from posor.errors import DataFileError
 from posor.tables.raw_table import MISSING, Cells, Column, RawTable, is_number, parse_numbers
-from posor.tables.table_units import find_unit, unit_in_name
+from posor.tables.table_units import find_unit, stated_unit, unit_in_name
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator
     from pathlib import Path
 
     from posor.tables.table_map import FileLayout
-    from posor.tables.table_units import Unit
 
 SEPARATORS = {"tab": "\t", "space": " "}
 _OTHER_SEPARATORS = {"';'": ";", "tab": "\t", "'|'": "|", "','": ",", "space": " "}  # as in a map
@@ -149,7 +148,11 @@ class TextTable(RawTable):
             self._refuse_skipped_names()
             header = [str(n + 1) for n in range(len(header))]
         header = strip_trailing_empty_cells(header) or header[:1]
-        columns = [Column(name, unit_in_name(name) or _unit_below(units, n)) for n, name in enumerate(header)]
+        below = _units_below(units, len(header))
+        columns = [
+            Column(name, *stated_unit(name, "" if unit_in_name(name) else text))
+            for name, text in zip(header, below, strict=True)
+        ]
         super().__init__(path, columns)
 
     def _refuse_skipped_names(self) -> None:
@@ -254,7 +257,17 @@ def _lengths(cell: str) -> tuple[int, int]:
     return len(cell), len(exponent[1]) if exponent else _ABSENT
 
 
-def _unit_below(rows: list[list[str]], column: int) -> Unit | None:
-    """Return the unit that the lines between header and data state for a column."""
-    cells = (row[column].strip("[]() ") for row in rows if column < len(row))
-    return next((unit for cell in cells if (unit := find_unit(cell))), None)
+def _units_below(rows: list[list[str]], count: int) -> list[str]:
+    """Return what the lines between header and data state as the unit of each column; empty: nothing.
+
+    An unknown text counts in a line most of whose cells are known units.
+    """
+    units = [""] * count
+    for row in rows:
+        cells = [cell.strip("[]() ") for cell in row[:count]]
+        known = [find_unit(cell) is not None for cell in cells]
+        is_line_of_units = 2 * sum(known) > sum(map(bool, cells))
+        for n, cell in enumerate(cells):
+            if known[n] or is_line_of_units:
+                units[n] = units[n] if find_unit(units[n]) else cell or units[n]
+    return units

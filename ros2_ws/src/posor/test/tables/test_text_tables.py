@@ -13,7 +13,7 @@ import pytest
 from posor import CalibrationError, DataFileError, ParameterError, PosorError, Scans, read_table
 from posor.tables.table_map import FileLayout, load_table_map
 from posor.tables.table_readings import load_readings
-from posor.tables.table_units import UNITS, unit_in_name
+from posor.tables.table_units import UNITS, unit_in_name, unknown_unit_in_name
 from posor.tables.text_table import TextTable, decode
 
 from .sample_files import CELSIUS, COUNT, NAMES, READINGS, START, START_NS, TIMES, VOLTS, rows, write_csv, write_map
@@ -329,6 +329,40 @@ UNITS_OF_NAMES = {
     "AI0/min": None,
     "AI0 / min": "min",
     "speed m/s": None,
+    **dict.fromkeys(("t [msecs]", "time_msec", "t (milliseconds)", "time ms"), "ms"),
+    **dict.fromkeys(("t_sec", "t (sec.)", "t [secs]", "t [s since start]"), "s"),
+    **dict.fromkeys(("AI0 [mVolt]", "AI0 [mV rms]", "AI0 (mV, filtered)", "AI0 mV", "AI0,mV"), "mV"),
+    **dict.fromkeys(("x [micron]", "x [microns]", "x (Micrometers)"), "um"),
+    **dict.fromkeys(("laser_inches", "laser_inch", "x [in.]", "x [Zoll]"), "in"),
+    **dict.fromkeys(("x [uin]", "x [\N{MICRO SIGN}in]", "x [micro-inches]"), "uin"),
+    **dict.fromkeys(("x (thou)", "x [mils]"), "mil"),
+    **dict.fromkeys(("T [deg C]", "T (deg. C)", "T [degrees Celsius]", "temp_C", "temperature C"), "degC"),
+    **dict.fromkeys(("T [deg F]", "temp_F"), "degF"),
+    **dict.fromkeys(("angle_degrees", "a (Deg)", "a_deg"), "deg"),
+    **dict.fromkeys(("a [arc sec]", "a [arc-seconds]"), "arcsec"),
+    "x [ft]": "ft",
+    "x [MM]": "mm",
+    "x [\N{LATIN CAPITAL LETTER A WITH RING ABOVE}]": "angstrom",
+    "a [mdeg]": "mdeg",
+    "a [gon]": "gon",
+    "a [mas]": "mas",
+    "gap (probe 1)": None,
+    "x [target]": None,
+    "AI (IN)": None,  # an input
+    "motor (in use)": None,
+    "diode_1_C": None,
+    "temp_A": None,
+    "clock_second": None,  # of a time of day
+    "charge amp": None,  # an instrument
+    "plate_v": None,  # an axis
+}
+UNKNOWN_UNITS = {
+    "x [cubit]": "cubit",
+    "a (grad)": "grad",  # gon, or the degree in German
+    'a ["]': '"',  # an arc second or an inch
+    "x [target]": "target",
+    "x [1/100 mm]": "1/100 mm",
+    **dict.fromkeys(("gap (probe 1)", "I (CH1)", "AI0 (Dev1/ai0)", "gap(:,2)", "x[3]", "x (+)", "AI0 (mV)", "AI0"), ""),
 }
 
 
@@ -336,6 +370,63 @@ UNITS_OF_NAMES = {
 def test_the_unit_in_the_name_of_a_column_is_found(name: str, unit: str | None) -> None:
     found = unit_in_name(name)
     assert (found and (found.si, found.factor)) == (unit and (UNITS[unit].si, UNITS[unit].factor))
+
+
+@pytest.mark.parametrize(("name", "text"), UNKNOWN_UNITS.items())
+def test_an_unknown_unit_in_the_name_of_a_column_is_found(name: str, text: str) -> None:
+    assert unknown_unit_in_name(name) == text
+
+
+def table_of_one_gap(folder: Path, header: str, unit: str = "", **entry: str) -> tuple[Path, Path]:
+    """Write a table whose gap has a header, with a line of units below it, and its map in volts."""
+    path = folder / "daq.csv"
+    path.write_text(f"t,{header},u\n" + f"s,{unit},V\n" * bool(unit) + "0,1,1\n1,2,1\n", encoding="utf-8")
+    gap = {"column": 2, "unit": "V", **entry}
+    time = {"column": "t", "unit": "s", "start": START}
+    changes: dict[str, Any] = {"file": {"data_line": 3}} if unit else {}
+    joints = {"elbow": {"frame_id": "plate", "gap_voltages": [gap]}}
+    return path, write_map(folder, time=time, joints=joints, **changes)
+
+
+@pytest.mark.parametrize(
+    ("header", "unit", "stated"),
+    [
+        ("gap [mVolt]", "", "mV"),
+        ("gap [mV rms]", "", "mV"),
+        ("gap (V/m)", "", "V/m"),
+        ("gap [1/100 mV]", "", "1/100 mV"),
+        ("gap", "counts", "counts"),
+    ],
+)
+def test_a_unit_of_the_header_that_is_not_that_of_the_map_is_refused(
+    header: str, unit: str, stated: str, tmp_path: Path
+) -> None:
+    with pytest.raises(DataFileError, match=f"'{re.escape(header)}' is in {re.escape(stated)} by the file, in V by "):
+        read_table(*table_of_one_gap(tmp_path, header, unit))
+    ignored = load_readings(*table_of_one_gap(tmp_path, header, unit, header_unit="ignored"))
+    assert not any("known unit" in note for note in ignored.notes)
+
+
+@pytest.mark.parametrize(("header", "notes"), [("gap [target]", 1), ("gap [cubit]", 1), ("gap (probe 1)", 0)])
+def test_a_text_in_brackets_that_may_be_a_unit_is_noted(header: str, notes: int, tmp_path: Path) -> None:
+    found = [note for note in load_readings(*table_of_one_gap(tmp_path, header)).notes if "known unit" in note]
+    assert len(found) == notes
+    assert all(f"in the name of column '{header}' is not a known unit: the map says V" in note for note in found)
+
+
+def test_the_unit_of_the_time_is_that_of_the_header_unless_it_is_ignored(tmp_path: Path) -> None:
+    path = tmp_path / "daq.csv"
+    path.write_text(TEXT.replace("Time (s)", "time [msecs]"), encoding="utf-8")
+    time = {"column": "time [msecs]", "unit": "s", "start": START}
+    with pytest.raises(DataFileError, match="column 'time \\[msecs\\]' is in ms by the file, in s by the map"):
+        read_table(path, write_map(tmp_path, time=time))
+    check_scans(read_table(path, write_map(tmp_path, time=time | {"header_unit": "ignored"})))
+
+
+def test_a_map_may_spell_a_unit_in_another_way(tmp_path: Path) -> None:
+    path, table_map = table_of_one_gap(tmp_path, "gap (V)")
+    table_map.write_text(change(table_map.read_text(encoding="utf-8"), "unit: V", "unit: volts"), encoding="utf-8")
+    assert len(read_table(path, table_map)) == 2
 
 
 def test_a_comment_that_labview_leaves_out_is_empty(tmp_path: Path) -> None:
@@ -390,8 +481,8 @@ JOINT = {"frame_id": "plate", **READINGS}
 WRONG_MAPS: dict[str, tuple[dict[str, Any], str]] = {
     "unknown key": ({"colums": 1}, "unknown key 'colums'"),
     "unknown unit": (
-        {"joints": {"elbow": JOINT | {"temperature": {"column": 4, "unit": "degc"}}}},
-        "unit 'degc' is unknown",
+        {"joints": {"elbow": JOINT | {"temperature": {"column": 4, "unit": "degX"}}}},
+        "unit 'degX' is unknown",
     ),
     "unit of another quantity": (
         {"joints": {"elbow": JOINT | {"temperature": {"column": 4, "unit": "mV"}}}},
