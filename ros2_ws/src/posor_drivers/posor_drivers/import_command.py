@@ -126,6 +126,8 @@ def _renamed(messages: Iterator[SourceMessage], names: dict[str, str]) -> Iterat
 def _print_summary(readings: TableReadings) -> None:
     for name, joint in readings.joints.items():
         print(f"{joint.topic}: {joint.scans!r}".replace("Scans", "scans", 1) + f" of joint {name}")
+        for flag, count in joint.flagged.items():
+            print(f"{joint.topic}: {flag} in {count} of {len(joint.scans)} scans")
     for reference in readings.references.values():
         print(f"{reference.topic}: {len(reference.values)} readings")
     if readings.unused:

@@ -20,11 +20,12 @@ from posor.tables.channel_ranges import channels_of, compared_values, light_sour
 from posor.tables.joint_scans import JointColumns
 from posor.tables.row_selection import RowSelection
 from posor.tables.table_file import open_table
-from posor.tables.table_map import READINGS, ColumnEntry, load_table_map, may_share_column
+from posor.tables.table_map import FLAGS, READINGS, ColumnEntry, load_table_map, may_share_column
 from posor.tables.table_time import parse_zone, start_ns, times_at_rate, times_of_numbers, times_of_texts
 from posor.tables.table_units import find_unit, unknown_unit_in_name
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from pathlib import Path
 
     from posor.calibration.calibration_file import Calibration
@@ -32,10 +33,11 @@ if TYPE_CHECKING:
     from posor.numerics.array_types import BoolArray, FloatArray, IntArray
     from posor.tables.channel_ranges import Channel
     from posor.tables.raw_table import Cells, RawTable
-    from posor.tables.table_map import JointMap, Key, LoadedMap, ReferenceMap, TableMap
+    from posor.tables.table_map import Flag, FlagEntry, JointMap, Key, LoadedMap, ReferenceMap, TableMap
 
 _MOST_RATE_ERROR = 1e-3
 """Largest relative difference between the rate of a map and that of the file."""
+_MOST_TEXTS = 5  # of a column that a note quotes
 ROUNDING = 1e-3  # of angles of a whole turn [rad]
 
 
@@ -46,6 +48,7 @@ class JointReadings:
     scans: Scans
     frame_id: str
     topic: str
+    flagged: dict[Flag, int]  # number of scans with each flag of the map
 
 
 @dataclass(frozen=True)
@@ -317,8 +320,11 @@ class _Reader:
         for channel in channels_of(calibration) if calibration else ():
             if channel.required or getattr(joint, channel.reading) is not None:
                 self._check_range(name, channel, scans)
+        flagged = {flag: int(np.count_nonzero(scans.statuses & FLAGS[flag])) for flag in joint.flags}
+        for flag in (flag for flag, count in flagged.items() if not count):
+            self.notes.append(_unused_pattern(name, flag, joint.flags[flag], columns.texts[flag].tolist()))
         frame = joint.frame_id or (calibration.frames.parent if calibration else "")
-        return JointReadings(scans, frame, joint.topic or f"/{self.map.name}/{name}/raw")
+        return JointReadings(scans, frame, joint.topic or f"/{self.map.name}/{name}/raw", flagged)
 
     def _check_range(self, name: str, channel: Channel, scans: Scans) -> None:
         """Refuse a channel whose values are all beyond the calibration, and name the likely unit."""
@@ -340,6 +346,16 @@ class _Reader:
             self.notes.append(
                 f"{int(beyond.sum())} of {len(values)} {kind}s of {channel.name} are beyond its calibration, {text}"
             )
+
+
+def _unused_pattern(joint: str, flag: Flag, entry: FlagEntry, cells: Sequence[object]) -> str:
+    """Return a sentence on a flag whose pattern matches no cell, with the texts that there are."""
+    texts = list(dict.fromkeys(repr(str(cell)) for cell in cells))
+    more = f" and {len(texts) - _MOST_TEXTS} more" if len(texts) > _MOST_TEXTS else ""
+    return (
+        f"{flag} of joint {joint} is set in no scan: pattern '{entry.pattern}' is in no cell of column "
+        f"'{entry.column}', which holds {', '.join(texts[:_MOST_TEXTS])}{more}"
+    )
 
 
 def _same_unit(one: str, other: str) -> bool:

@@ -188,6 +188,25 @@ def test_import_writes_all_joints_and_references(tmp_path: Path, capsys: pytest.
     assert "incomplete_rows" in stated["posor.table_left_out"]
 
 
+def test_import_counts_flagged_scans_and_names_a_pattern_that_matches_none(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    table = write_table(tmp_path / "t.csv")
+    flags = {"saturated": {"column": "repaired", "pattern": "OVER"}}
+    flags["probes_estimated"] = {"column": "repaired", "pattern": "l[123]_v:absent"}
+    joints = yaml.safe_load(MAP.read_text(encoding="utf-8"))["joints"]
+    joints["joint1"]["flags"] = flags
+    assert main([str(table), "--map", str(write_map(tmp_path / "map.yaml", joints=joints))]) == 0
+    printed = capsys.readouterr().out
+    assert "/joint1/raw: saturated in 0 of 4 scans\n" in printed
+    assert "/joint1/raw: probes_estimated in 1 of 4 scans\n" in printed
+    note = (
+        "note: saturated of joint joint1 is set in no scan: pattern 'OVER' is in no cell of column 'repaired', which "
+    )
+    assert note + "holds 'y_in:absent-implied-zero(output);l1_v:smooth', " in printed
+    assert printed.count("is set in no scan") == 1
+
+
 @pytest.mark.parametrize(
     ("options", "code", "sentence"),
     [
