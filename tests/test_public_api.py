@@ -306,6 +306,7 @@ def test_a_wrong_argument_is_named_with_the_valid_ones(
     assert caught.value.where or caught.value.what == "data of type list cannot be a table"
 
 
+MASKED: Any = np.ma.masked_array(np.ones((3, 3)), mask=np.diag([True, False, False]))
 ANY: Any = posor  # without types, for arguments of a wrong type
 REFUSED: list[tuple[str, Callable[[], Any], str, str]] = [
     (
@@ -343,6 +344,18 @@ REFUSED: list[tuple[str, Callable[[], Any], str, str]] = [
         "whole numbers",
     ),
     ("rates", lambda: ANY.simulate(CALIBRATION, POSES, rate=[1.0, 2.0]), "rate [1.0, 2.0]", "one number"),
+    ("masked readings", lambda: field("gap_voltages", MASKED), "gap_voltages has 1 masked entries", "NaN"),
+    ("masked rows", lambda: field("gap_voltages", list(MASKED)), "gap_voltages has 1 masked entries", "NaN"),
+    ("masked scan", lambda: ANY.Scans.of([masked_scan()]), "gap_voltages has 1 masked entries", "NaN"),
+    (
+        "estimate of a masked scan",
+        lambda: posor.Posor(CALIBRATION).estimate(masked_scan()),
+        "gap_voltages has 1 masked entries",
+        "NaN",
+    ),
+    ("masked reference", lambda: fit(references={"/cmm": MASKED}), "/cmm has 1 masked entries", "NaN"),
+    ("masked uncertainty", lambda: fit(uncertainties={"/cmm": MASKED[0]}), "/cmm has 1 masked entries", "NaN"),
+    ("masked poses", lambda: posor.simulate(CALIBRATION, masked_poses()), "poses has 7 masked entries", "NaN"),
     ("seed", lambda: posor.simulate(CALIBRATION, POSES, seed=-1), "seed -1", "zero or more"),
     ("theta", lambda: ANY.Posor(CALIBRATION).confirm_theta("x", 1e-6), "theta 'x'", "finite numbers"),
     ("theta None", lambda: ANY.Posor(CALIBRATION).confirm_theta(None, 1e-6), "theta None", "finite numbers"),
@@ -354,6 +367,20 @@ REFUSED: list[tuple[str, Callable[[], Any], str, str]] = [
         "calibration file",
     ),
 ]
+
+
+def masked_scan() -> posor.Scan:
+    return posor.Scan(stamp_ns=1, gap_voltages=MASKED[0])
+
+
+def masked_poses() -> Any:
+    poses = np.tile([0.0, 0.0, 735e-6, 0.0, 0.0, 0.0, 1.0], (2, 1))
+    return np.ma.masked_array(poses, mask=np.repeat([[True], [False]], 7, axis=1))
+
+
+def test_a_masked_array_without_masked_entries_is_an_array() -> None:
+    whole = np.ma.masked_array(np.ones((3, 3)), mask=False)
+    np.testing.assert_array_equal(field("gap_voltages", whole).gap_voltages, np.ones((3, 3)))
 
 
 def scans_of_three() -> Any:
@@ -392,12 +419,15 @@ def test_a_fit_in_memory_and_of_a_file_are_the_same(tmp_path: Path) -> None:
     rows = np.array([pin.SE3ToXYZQUAT(pose) for pose in poses])
     scans = posor.simulate(CALIBRATION, poses, rate=10.0, seed=3)
 
-    def fit(calibration: posor.Calibration | Path) -> posor_calibration.FitResult:
+    def fit(calibration: posor.Calibration | Path, reference: Any = rows) -> posor_calibration.FitResult:
         return posor_calibration.fit(
-            "zero_drift", calibration, scans, references={"/cmm": rows}, uncertainties={"/cmm": (1e-6, 1e-6)}
+            "zero_drift", calibration, scans, references={"/cmm": reference}, uncertainties={"/cmm": (1e-6, 1e-6)}
         )
 
     found = fit(CALIBRATION)
+    turned = np.hstack([rows[:, :3], rows[:, 3:] * np.where(np.arange(40) % 2, -1.0, 1.0)[:, None]])  # the same poses
+    track = posor_calibration.Track(scans.stamps_ns.tolist(), turned.tolist(), [0.0] * 7, "cmm")  # type: ignore[arg-type]
+    np.testing.assert_array_equal(fit(CALIBRATION, track).covariances[0].matrix, found.covariances[0].matrix)
     found.save(tmp_path / "new.yaml")
     assert "zero_drift" in repr(found)
     assert len(found.covariances[0].matrix) == len(found.covariances[0].entries)

@@ -27,7 +27,7 @@ from posor.calibration.yaml_document import read_text
 from posor.errors import BagError, FitError, ParameterError, ShapeError, check_type, checked_path, similar_name
 from posor.estimation.corrected_scans import corrected_scans
 from posor.model.scan import Scans
-from posor.numerics.array_types import freeze_arrays
+from posor.numerics.array_types import array_of_caller, freeze_arrays
 from pydantic import ValidationError
 
 from posor_calibration.calibration_update import FitContext, update_text
@@ -38,7 +38,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Sequence
 
     from numpy.typing import ArrayLike
-    from posor.numerics.array_types import FloatArray
 
     from posor_calibration.least_squares import Fit
     from posor_calibration.procedure import JointCovariance, Options, Outcome, Procedure
@@ -154,7 +153,7 @@ def fit(
     for name, given in (("references", references), ("uncertainties", uncertainties), ("instruments", instruments)):
         check_type({} if given is None else given, Mapping, f"fit, {name}")
     sigmas = {
-        name: np.atleast_1d(_numbers(value, f"fit, uncertainties, {name}")).tolist()
+        name: np.atleast_1d(array_of_caller(value, name, "fit, uncertainties")).tolist()
         for name, value in (uncertainties or {}).items()
     }
     names = dict(instruments or {})
@@ -347,31 +346,21 @@ def _with_uncertainties(
     return replace(recording, tracks=tracks), instruments
 
 
-def _numbers(given: ArrayLike, where: str) -> FloatArray:
-    try:
-        values = np.array(given)
-    except (TypeError, ValueError):
-        values = np.empty(0, dtype=object)  # sequences of different lengths
-    if values.dtype.kind not in "iuf":
-        raise ParameterError(f"{type(given).__name__} of {values.dtype}", where=where, expected="real numbers")
-    return values.astype(float)
-
-
 def _recording_of(scans: Scans, references: Mapping[str, ArrayLike | Track]) -> Recording:
     """Return a recording of scans and of references at their stamps."""
     check_type(scans, Scans, "fit, data")
     tracks = {}
     for name, given in references.items():
-        if isinstance(given, Track):
-            tracks[name] = given
-            continue
-        values = _numbers(given, f"fit, references, {name}")
-        if values.ndim not in (1, 2) or len(values) != len(scans):
-            raise ShapeError(name, received=values.shape, expected=f"({len(scans)}, k)", where="fit, references")
-        values = values.reshape(len(scans), -1)
-        if values.shape[1] == POSE:
-            values = with_continuous_signs(values, f"fit, reference {name}")
-        tracks[name] = Track(scans.stamps_ns, values, np.zeros(values.shape[1]), f"fit, reference {name}")
+        track = given
+        if not isinstance(track, Track):
+            values = array_of_caller(given, name, "fit, references")
+            if values.ndim not in (1, 2) or len(values) != len(scans):
+                raise ShapeError(name, received=values.shape, expected=f"({len(scans)}, k)", where="fit, references")
+            values = values.reshape(len(scans), -1)
+            track = Track(scans.stamps_ns, values, np.zeros(values.shape[1]), f"fit, reference {name}")
+        if track.values.shape[1] == POSE:
+            track = replace(track, values=with_continuous_signs(track.values, track.source))
+        tracks[name] = track
     return Recording(scans, tracks, "scans in memory", statuses=scans.statuses)
 
 

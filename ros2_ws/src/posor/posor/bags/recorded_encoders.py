@@ -50,7 +50,7 @@ class RecordedEncoders(NamedTuple):
         if has_effort.any():
             known &= has_effort
         values = np.column_stack([self.positions[:, joint], np.nan_to_num(self.efforts[:, joint])])[known]
-        track = Track(self.stamps_ns[known], values, np.full(2, np.nan), self.source)
+        track = Track(self.stamps_ns[known], values, np.zeros(2), self.source)
         found = track.interpolate(stamps_ns, round(LONGEST_GAP_S * NS))
         between = np.isfinite(found[:, 0])
         if len(track.stamps_ns) > 1:

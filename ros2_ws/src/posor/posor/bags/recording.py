@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from posor.errors import TrackError
+from posor.errors import ParameterError, ShapeError, TrackError
+from posor.numerics.array_types import array_of_caller
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -29,20 +30,40 @@ _COLUMN_MEANING = {
 
 @dataclass(frozen=True)
 class Track:
-    """Reference values over time, such as those of an interferometer or a CMM.
+    """Reference values over time, such as those of an interferometer or a CMM; array-likes become arrays.
 
     Raises:
+        ParameterError: An array holds other than real numbers, or whole numbers for the stamps, or masked entries, or a
+            standard uncertainty is negative or not finite.
+        ShapeError: An array has the wrong shape.
         TrackError: The track is empty, its stamps do not increase, or a value is not finite.
 
     """
 
     stamps_ns: IntArray  # strictly increasing [ns], (n,)
-    values: FloatArray  # (n, k), see SCALAR, POINT, POSE; NaN where single quantities are missing
-    sigmas: FloatArray  # standard uncertainty of each quantity, (k,)
+    values: FloatArray  # (n, k), or (n,) for k = 1; see SCALAR, POINT, POSE; NaN where single quantities are missing
+    sigmas: FloatArray  # standard uncertainty of each quantity, zero: not stated, (k,), or one number for k = 1
     source: str  # bag and topic, for error messages
     frame: str = ""  # in which points and poses are; empty: not stated
 
     def __post_init__(self) -> None:
+        stamps = array_of_caller(self.stamps_ns, "stamps_ns", self.source, whole=True)
+        values = array_of_caller(self.values, "values", self.source)
+        sigmas = np.atleast_1d(array_of_caller(self.sigmas, "sigmas", self.source))
+        if stamps.ndim != 1:
+            raise ShapeError("stamps_ns", received=stamps.shape, expected="(n,)", where=self.source)
+        if values.ndim not in (1, 2) or len(values) != len(stamps):
+            expected = f"({len(stamps)}, k), or ({len(stamps)},) for one quantity"
+            raise ShapeError("values", received=values.shape, expected=expected, where=self.source)
+        values = values if values.ndim == 2 else values[:, None]  # noqa: PLR2004  one quantity
+        if sigmas.shape != (values.shape[1],):
+            expected = f"({values.shape[1]},), one for each quantity"
+            raise ShapeError("sigmas", received=sigmas.shape, expected=expected, where=self.source)
+        if not (np.isfinite(sigmas) & (sigmas >= 0.0)).all():
+            expected = "finite standard uncertainties of zero or more"
+            raise ParameterError(f"sigmas are {sigmas.tolist()}", where=self.source, expected=expected)
+        for name, array in (("stamps_ns", stamps), ("values", values), ("sigmas", sigmas)):
+            object.__setattr__(self, name, array)  # the dataclass is frozen
         if not len(self.stamps_ns):
             raise TrackError("holds no values", where=self.source)
         back = np.flatnonzero(np.diff(self.stamps_ns) <= 0)

@@ -14,6 +14,7 @@ from posor.errors import ParameterError, ShapeError, check_type
 from posor.estimation.sensor_stack import Stack
 from posor.model.reading_rows import evaluate_poses
 from posor.model.scan import Scans
+from posor.numerics.array_types import array_of_caller, refuse_masked
 from posor.numerics.stamps import NS
 from posor.sensors.base import RowSensor
 
@@ -110,12 +111,7 @@ def _poses_of(poses: ArrayLike | Sequence[pin.SE3]) -> tuple[FloatArray, FloatAr
 
 
 def _stamps_of(stamps_ns: ArrayLike, count: int) -> IntArray:
-    try:
-        stamps = np.asarray(stamps_ns)
-    except ValueError:
-        stamps = np.empty(0, dtype=object)  # sequences of different lengths
-    if stamps.dtype.kind not in "iu":
-        raise ParameterError(f"stamps_ns holds {stamps.dtype}", where="simulate", expected="whole numbers [ns]")
+    stamps = array_of_caller(stamps_ns, "stamps_ns", "simulate", whole=True)
     if stamps.shape != (count,):
         raise ShapeError("stamps_ns", received=stamps.shape, expected=f"({count},)", where="simulate")
     return stamps
@@ -123,6 +119,7 @@ def _stamps_of(stamps_ns: ArrayLike, count: int) -> IntArray:
 
 def _values(name: str, given: ArrayLike | Sequence[pin.SE3], count: int | None) -> FloatArray:
     """Return finite numbers; ``count``: of scans, for which one number may stand."""
+    refuse_masked(given, name, "simulate")
     try:
         numbers = np.array(given, dtype=float)
     except (TypeError, ValueError):

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from posor.errors import ParameterError, ShapeError, check_type, similar_name
+from posor.numerics.array_types import refuse_masked
 from posor.numerics.stamps import span_text
 
 if TYPE_CHECKING:
@@ -193,7 +194,7 @@ class Scans:
         readings.
 
         Raises ParameterError: an attribute is unknown, ``stamps_ns`` is missing, or an array holds other than real
-        numbers, or whole numbers where the attribute has them.
+        numbers, or whole numbers where the attribute has them, or has masked entries: a missing reading is NaN.
         Raises ShapeError: an array has the wrong shape; names the attribute, the expected and the received shape.
         """
         if "stamps_ns" not in arrays:
@@ -214,6 +215,7 @@ class Scans:
             if name not in SCAN_FIELDS:
                 expected = similar_name(str(name), SCAN_FIELDS, f"one of {', '.join(SCAN_FIELDS)}")
                 raise ParameterError(f"'{name}' is unknown", where="Scans", expected=expected)
+            refuse_masked(array, name, "Scans")
             try:
                 values = np.asarray(array)
                 shape = values.shape
@@ -244,7 +246,8 @@ class Scans:
     def of(scans: Sequence[Scan]) -> Scans:
         """Return scans, which all have the same numbers of readings, as one object.
 
-        Raises ParameterError: an entry is no Scan, or the scans have different numbers of readings.
+        Raises ParameterError: an entry is no Scan, or has masked readings, or the scans have different numbers of
+        readings.
         """
         given: Any = scans
         if not isinstance(given, Sequence | Scans) or not all(isinstance(scan, Scan) for scan in scans):
@@ -254,6 +257,8 @@ class Scans:
         if len(scans) == 0:
             return Scans(np.zeros(0, dtype=SCAN))
         attributes = {**_SCALARS, **{name: name for name in _COUNTS}}
+        for name in _COUNTS:
+            refuse_masked([getattr(scan, name) for scan in scans], name, "Scans.of")
         try:
             arrays = {
                 name: np.array([getattr(scan, attribute) for scan in scans], dtype=SCAN[attribute].base)
@@ -352,14 +357,17 @@ class ScanBuffer:
         """Write a scan.
 
         Raises ShapeError: a sequence of readings is longer than its bound; names it, the expected and the received
-        shape.
+        shape. Raises ParameterError: a reading is masked.
         """
         for name, memory, count in self._sequences:
             given = getattr(scan, name)
             if len(given) == 0:
                 count[0] = 0
                 continue
-            readings = np.asarray(given).reshape(-1)
+            array = np.asarray(given)
+            if array is not given and isinstance(given, np.ma.MaskedArray):
+                refuse_masked(given, name, "Scan")
+            readings = array.reshape(-1)
             size = readings.size
             if size > memory.size:
                 received = np.shape(getattr(scan, name))

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from posor.bags.recording import POINT, POSE, SCALAR, Recording, Track, unpack_poses
-from posor.errors import TrackError
+from posor.errors import ParameterError, ShapeError, TrackError
 from posor.estimation.forward import empty_scans
 from posor.model.scan import SATURATED
 from posor.numerics.stamps import NS
@@ -56,8 +56,59 @@ def test_a_missing_quantity_is_not_interpolated() -> None:
 )
 def test_invalid_track_is_refused(stamps: list[int], values: list[list[float]], sentence: str) -> None:
     with pytest.raises(TrackError) as caught:
-        Track(np.array(stamps, dtype=np.int64), np.array(values), np.zeros(1), "bag, topic /reference")
+        Track(
+            np.array(stamps, dtype=np.int64), np.array(values), np.zeros(np.shape(values)[1]), "bag, topic /reference"
+        )
     assert str(caught.value) == f"bag, topic /reference: {sentence}"
+
+
+VALUES = [[0.0, 1.0], [2.0, 3.0]]
+MASKED = np.ma.masked_array(VALUES, mask=[[False, True], [False, False]])
+INVALID: dict[str, tuple[object, object, object, type[Exception], str]] = {
+    "stamps in seconds": (
+        [1.0, 2.0],
+        VALUES,
+        [0.0] * 2,
+        ParameterError,
+        "stamps_ns is list of float64; expected whole",
+    ),
+    "stamps of two columns": ([[1], [2]], VALUES, [0.0] * 2, ShapeError, "stamps_ns has shape (2, 1); expected (n,)."),
+    "values of texts": ([1, 2], [["a"], ["b"]], [0.0], ParameterError, "values is list of <U1; expected real numbers."),
+    "values of other lengths": ([1, 2], [[0.0], [1.0, 2.0]], [0.0], ParameterError, "values is list of object; "),
+    "too few values": ([1, 2, 3], VALUES, [0.0] * 2, ShapeError, "values has shape (2, 2); expected (3, k), or (3,) "),
+    "a single value": ([1], 5.0, [0.0], ShapeError, "values has shape (); expected (1, k), or (1,) for one quantity."),
+    "too few sigmas": ([1, 2], VALUES, 0.0, ShapeError, "sigmas has shape (1,); expected (2,), one for each quantity."),
+    "negative sigma": ([1, 2], VALUES, [0.0, -1e-8], ParameterError, "sigmas are [0.0, -1e-08]; expected finite "),
+    "unknown sigma": ([1, 2], VALUES, [0.0, np.nan], ParameterError, "sigmas are [0.0, nan]; expected finite standard"),
+    "masked value": ([1, 2], MASKED, [0.0] * 2, ParameterError, "values has 1 masked entries; expected no masked en"),
+    "masked sigma": ([1, 2], VALUES, MASKED[0], ParameterError, "sigmas has 1 masked entries; expected no masked en"),
+    "masked stamp": (
+        np.ma.masked_array([1, 2], mask=[True, False]),
+        VALUES,
+        [0.0] * 2,
+        ParameterError,
+        "stamps_ns has 1 mas",
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", INVALID)
+def test_arrays_that_do_not_fit_a_track_are_refused(kind: str) -> None:
+    stamps, values, sigmas, error, sentence = INVALID[kind]
+    with pytest.raises(error) as caught:
+        Track(stamps, values, sigmas, "laser")  # type: ignore[arg-type]
+    assert str(caught.value).startswith(f"laser: {sentence}")
+
+
+@pytest.mark.parametrize(
+    ("values", "sigmas"), [([1.0, 2.0], 1e-8), ([[1.0], [2.0]], [1e-8]), (np.array([1, 2]), np.array([1e-8]))]
+)
+def test_array_likes_of_a_track_become_arrays(values: object, sigmas: object) -> None:
+    reference = Track([100, 200], values, sigmas, "laser")  # type: ignore[arg-type]
+    np.testing.assert_array_equal(reference.values, [[1.0], [2.0]])
+    np.testing.assert_array_equal(reference.sigmas, [1e-8])
+    assert [each.dtype for each in (reference.stamps_ns, reference.values)] == [np.dtype("i8"), np.dtype("f8")]
+    assert reference.interpolate(np.array([150]), 1000)[0, 0] == 1.5
 
 
 def recording_of(**columns: int) -> Recording:
