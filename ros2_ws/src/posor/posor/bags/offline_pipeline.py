@@ -18,7 +18,7 @@ from posor.bags.bag_reader import log_once, opened_bag, scan_schema
 from posor.bags.block_reader import read_blocks
 from posor.bags.message_block import TopicReader
 from posor.bags.provenance import custom_data, differences, provenance_of
-from posor.bags.reprocess_task import BagTopics, Settings, Summary, Task
+from posor.bags.reprocess_task import BagTopics, Settings, Summary, Task, common_namespace
 from posor.bags.result_folder import new_result_folder
 from posor.bags.result_output import BagOutput, TableOutput
 from posor.chain.arm_file import ArmFile, load_arm_file
@@ -43,17 +43,18 @@ if TYPE_CHECKING:
 
 
 def topics_of(
-    bag: Path, joints: Mapping[str, JointSettings], thermometers: Mapping[str, str] | None = None
+    bag: Path, joints: Mapping[str, JointSettings], thermometers: Mapping[str, str] | None = None, *, option: str = ""
 ) -> BagTopics:
-    """Return the topics of a bag after checking them.
+    """Return the topics of a bag after checking them; of several that a joint may have, that of the arm.
 
-    ``thermometers``: names of the arm's thermometers and ends of their topics. Raises BagError: the bag cannot be read,
-    a joint has no scans, a joint or a thermometer may have several topics, or a topic has another type.
+    ``thermometers``: names of the arm's thermometers and ends of their topics; ``option``: of the program, that states
+    the topic of a joint, for errors. Raises BagError: the bag cannot be read, a joint has no scans, a joint or a
+    thermometer may have several topics, or a topic has another type.
     """
     where = str(bag)
     with opened_bag(bag, log_notes=False) as reader:
         connections = list(reader.connections)
-        raw = {joint: settings.topic or _topic(joint, connections, where) for joint, settings in joints.items()}
+        raw = {joint: each.topic or _topic(joint, each, connections, where, option) for joint, each in joints.items()}
         schemas = {}
         for joint, topic in raw.items():
             schemas[joint] = scan_schema(connections, topic, where)
@@ -67,7 +68,9 @@ def topics_of(
         own = [connection for connection in connections if connection.topic in raw.values()]
         scans = {connection.topic for connection in connections if connection.msgtype == RAW_SCAN}
         offered = getattr(own[0].ext, "offered_qos_profiles", [])
-        temperatures = {name: _temperature_topic(end, connections, where) for name, end in (thermometers or {}).items()}
+        arm = common_namespace(raw)
+        ends = (thermometers or {}).items()
+        temperatures = {name: _temperature_topic(arm, end, connections, where) for name, end in ends}
         unread = [f"there are no readings of thermometer '{name}'" for name, topic in temperatures.items() if not topic]
         return BagTopics(
             raw,
@@ -75,23 +78,43 @@ def topics_of(
             tuple(sorted(scans - set(raw.values()))),
             list(offered[:1]),
             sum(connection.msgcount for connection in own),
-            (*reader.notes(), *unread),
+            (*reader.notes(), *_other_arms(joints, raw, scans, where), *unread),
             {name: topic for name, topic in temperatures.items() if topic},
         )
 
 
-def _topic(joint: str, connections: Sequence[Connection], where: str) -> str:
+def _other_arms(joints: Mapping[str, JointSettings], raw: Mapping[str, str], scans: set[str], where: str) -> list[str]:
+    """Return a sentence on the topics of other arms with the same joints, if there are any.
+
+    Raises BagError: another joint has scans of another arm only, which must not be mixed.
+    """
+    free = {joint: settings for joint, settings in joints.items() if not settings.topic}
+    ends = tuple(f"/{joint}/{RAW_TOPIC}" for joint in free)
+    others = sorted(topic for topic in scans - set(raw.values()) if topic.endswith(ends))
+    for joint, settings in free.items() if others else ():
+        if raw[joint] != settings.own_topic:
+            what = f"scans of joint {joint} are on {raw[joint]} only, those of other joints on topics of the arm, too"
+            raise BagError(what, where=where, expected=f"scans of one arm, such as {settings.own_topic}")
+    return [f"scans of the arm's own topics are used, those on {', '.join(others)} are left out"] if others else []
+
+
+def _topic(joint: str, settings: JointSettings, connections: Sequence[Connection], where: str, option: str) -> str:
     names = sorted({connection.topic for connection in connections if connection.msgtype == RAW_SCAN})
     end = f"/{joint}/{RAW_TOPIC}"
     found = [name for name in names if name.endswith(end)]
     others = {each.topic: each.msgtype for each in connections if each.topic.endswith(end) and not found}
     if len(found) == 1:
         return found[0]
+    if settings.own_topic in found:
+        return settings.own_topic
+    or_option = f", or {option} {joint}=TOPIC" if option else ""
     if found:
-        what, expected = f"scans of joint {joint} may be on {', '.join(found)}", f"--topic {joint}=ONE of them"
+        what = f"scans of joint {joint} may be on {', '.join(found)}"
+        expected = "one of these topics" + (f", or {settings.own_topic}, that of the arm" if settings.own_topic else "")
+        expected += or_option
     elif others:
         (topic, kind), *_ = others.items()
-        what, expected = f"topic {topic} has the type {kind}", f"{RAW_SCAN}, or --topic {joint}=TOPIC"
+        what, expected = f"topic {topic} has the type {kind}", f"{RAW_SCAN}{or_option}"
     elif names:
         what = f"there are no scans of joint {joint} on ...{end}"
         expected = f"one of {', '.join(names)}"
@@ -100,11 +123,14 @@ def _topic(joint: str, connections: Sequence[Connection], where: str) -> str:
     raise BagError(what, where=where, expected=expected)
 
 
-def _temperature_topic(end: str, connections: Sequence[Connection], where: str) -> str:
-    """Return the topic of a thermometer; empty: there is no such topic."""
+def _temperature_topic(arm: str, end: str, connections: Sequence[Connection], where: str) -> str:
+    """Return the topic of a thermometer, of several that of the arm of the scans; empty: there is no such topic."""
     found = sorted({each.topic for each in connections if each.msgtype == TEMPERATURE and each.topic.endswith(end)})
+    if arm + end in found:
+        return arm + end
     if len(found) > 1:
-        raise BagError(f"readings of one thermometer may be on {', '.join(found)}", where=where, expected="one of them")
+        what = f"readings of one thermometer may be on {', '.join(found)}"
+        raise BagError(what, where=where, expected=f"one of these topics, or {arm}{end}")
     return found[0] if found else ""
 
 
@@ -117,7 +143,7 @@ def reprocess_bag(task: Task, progress: Callable[[int], object] = lambda _: None
     """
     wall, cpu = perf_counter(), process_time()
     estimator = ArmEstimator(task.settings)
-    topics = topics_of(task.bag, task.settings.joints, estimator.thermometers)
+    topics = topics_of(task.bag, task.settings.joints, estimator.thermometers, option="--topic")
     if task.output is None:
         for estimates in estimate_bag(task.bag, topics, estimator):
             progress(_scan_count(estimates))

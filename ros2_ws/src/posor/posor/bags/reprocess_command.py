@@ -47,7 +47,7 @@ def parser() -> CommandLineParser:
     command.add_argument("--calibration", action="append", default=[], metavar="JOINT=FILE", help=text)
     text = "session of the joint's calibration file"
     command.add_argument("--session", action="append", default=[], metavar="JOINT=NAME", help=text)
-    text = "topic of the joint's raw scans (default: the only one that ends in /JOINT/raw)"
+    text = "topic of the joint's raw scans (default: the only one that ends in /JOINT/raw, or that of the arm)"
     command.add_argument("--topic", action="append", default=[], metavar="JOINT=TOPIC", help=text)
     command.add_argument("--urdf", type=Path, help="robot description; without it, only transforms are written")
     command.add_argument("--beams", type=Path, help="beams file")
@@ -126,7 +126,8 @@ def _settings(options: argparse.Namespace) -> Settings:
     arm = Settings({}) if options.arm is None else Settings.of_arm(load_arm_file(options.arm))
     joints, chain = dict(arm.joints), dict(arm.chain or {})
     for joint, file in _by_joint("--calibration", options.calibration).items():
-        joints[joint] = JointSettings(Path(file).absolute())
+        own_topic = joints[joint].own_topic if joint in joints else ""
+        joints[joint] = JointSettings(Path(file).absolute(), own_topic=own_topic)
     if not joints:
         raise ParameterError("no joint is named", where="reprocess", expected="--arm FILE, or --calibration JOINT=FILE")
     for joint, session in _by_joint("--session", options.session, joints).items():
@@ -176,7 +177,7 @@ def _run_tasks(options: argparse.Namespace, tasks: Sequence[Task]) -> Iterator[S
     jobs = min(options.jobs, os.cpu_count() or 1, len(tasks))
     with progress_display() as progress:
         if options.scheduler is None and jobs == 1:
-            totals = [topics_of(task.bag, task.settings.joints).messages for task in tasks]
+            totals = [topics_of(task.bag, task.settings.joints, option="--topic").messages for task in tasks]
             steps = [progress.add(task.bag.name, total) for task, total in zip(tasks, totals, strict=True)]
             for step, task in zip(steps, tasks, strict=True):
                 yield reprocess_bag(task, step.advance)

@@ -37,7 +37,8 @@ class JointSettings:
 
     calibration: Path  # path of the file
     session: str = ""  # of the calibration; empty: none
-    topic: str = ""  # of the raw scans; empty: the only one of the bag that ends in ``/<joint>/raw``
+    topic: str = ""  # of the raw scans; empty: the only one of the bag that ends in ``/<joint>/raw``, or own_topic
+    own_topic: str = ""  # on which the arm publishes the raw scans; empty: there is no arm
     false_alarm: float = FALSE_ALARM  # see ``Posor``
 
     def load(self) -> Calibration:
@@ -61,7 +62,12 @@ class Settings:
         joints = {}
         for name, calibration in arm.calibrations.items():
             node = validate_parameters(PosorParameters, posor_parameters(arm, name), node=f"{name}/{POSOR_NODE}")
-            joints[name] = JointSettings(calibration, arm.sessions[name], false_alarm=node.false_alarm)
+            joints[name] = JointSettings(
+                calibration,
+                arm.sessions[name],
+                own_topic=f"{arm.namespace}/{name}/{RAW_TOPIC}",
+                false_alarm=node.false_alarm,
+            )
         return Settings(joints, chain_parameters(arm))
 
     def with_false_alarm(self, false_alarm: float | None) -> Settings:
@@ -110,9 +116,14 @@ class BagTopics:
     @property
     def namespace(self) -> str:
         """The common prefix of ``/<joint>/raw`` in all joints' topics; empty if the prefixes differ."""
-        found = {topic.removesuffix(f"/{joint}/{RAW_TOPIC}") for joint, topic in self.raw.items()}
-        same = len(found) == 1 and not found & set(self.raw.values())
-        return found.pop() if same else ""
+        return common_namespace(self.raw)
+
+
+def common_namespace(raw: Mapping[str, str]) -> str:
+    """Return the common prefix of ``/<joint>/raw`` in the topics of all joints; empty if the prefixes differ."""
+    found = {topic.removesuffix(f"/{joint}/{RAW_TOPIC}") for joint, topic in raw.items()}
+    same = len(found) == 1 and not found & set(raw.values())
+    return found.pop() if same else ""
 
 
 @dataclass(frozen=True)
