@@ -425,9 +425,11 @@ def test_a_fit_in_memory_and_of_a_file_are_the_same(tmp_path: Path) -> None:
         )
 
     found = fit(CALIBRATION)
-    turned = np.hstack([rows[:, :3], rows[:, 3:] * np.where(np.arange(40) % 2, -1.0, 1.0)[:, None]])  # the same poses
-    track = posor_calibration.Track(scans.stamps_ns.tolist(), turned.tolist(), [0.0] * 7, "cmm")  # type: ignore[arg-type]
+    track = posor_calibration.Track(scans.stamps_ns.tolist(), rows.tolist(), [0.0] * 7, "cmm")  # type: ignore[arg-type]
     np.testing.assert_array_equal(fit(CALIBRATION, track).covariances[0].matrix, found.covariances[0].matrix)
+    track = posor_calibration.Track(scans.stamps_ns, 2.0 * rows, np.zeros(7), "cmm")
+    with pytest.raises(posor.PosorError, match="cmm: rotation 1 has the length 2; expected a unit quaternion"):
+        fit(CALIBRATION, track)
     found.save(tmp_path / "new.yaml")
     assert "zero_drift" in repr(found)
     assert len(found.covariances[0].matrix) == len(found.covariances[0].entries)
