@@ -171,7 +171,7 @@ class CompressedTime:
         arm = load_checked_arm(STATES_BAG.name)
         self._geometry = ArmGeometry(arm)
         bag = BagTopics(STATES_BAG, arm, folder)
-        observer = Observer(bag.topics, bag.store, self._geometry.joints)
+        observer = Observer(bag.topics, bag.store, self._geometry.joints, arm)
         self._seen = {}
         for state, position_s in POSITIONS_S.items():
             bag.seek(position_s)

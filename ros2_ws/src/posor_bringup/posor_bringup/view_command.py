@@ -80,7 +80,7 @@ def _view(arguments: Sequence[str]) -> None:
 def _follow_arm(arm: ArmFile, geometry: ArmGeometry, options: Namespace, stop: StopSignal) -> None:
     topics = ArmTopics(arm, throttled=True)
     store = MessageStore(arm.namespace, topics.types)
-    observer = Observer(topics, store, geometry.joints)
+    observer = Observer(topics, store, geometry.joints, arm)
     record = ArmRecord(geometry.joints, tuple(WINDOWS_S.values()))
     with (
         closing(ViewPage(arm.name, geometry, options.port, record)) as page,
@@ -107,7 +107,7 @@ def _replay_bag(arm: ArmFile, geometry: ArmGeometry, options: Namespace, stop: S
     print(f"{arm.name}: reading {options.bag}", flush=True)
     with TemporaryDirectory() as folder:
         bag = BagTopics(options.bag, arm, Path(folder))
-        observer = Observer(bag.topics, bag.store, geometry.joints)
+        observer = Observer(bag.topics, bag.store, geometry.joints, arm)
         record = read_record(bag, observer, geometry)
         with closing(ViewPage(arm.name, geometry, options.port, record, (bag.begin_ns, bag.end_ns))) as page:
             _announce(arm, page)

@@ -11,6 +11,8 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from posor.chain.commissioning_record import load_record
+from posor.chain.identity import NOT_STATED, ArmIdentity, file_sha256
 from posor.errors import TopicError
 from posor.estimation.settings import residual_limit
 from posor.messages.joint_position import joint_position
@@ -24,6 +26,7 @@ from posor_bringup.view_events import NOTE, WARNING, Cause, causes_of_state, mer
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
+    from posor.chain.arm_file import ArmFile
     from posor.numerics.array_types import FloatArray
 
     from posor_bringup.view_messages import ArmTopics, Message, MessageStore
@@ -89,9 +92,15 @@ class Observation:
 class Observer:
     """Makes observations of one arm."""
 
-    def __init__(self, topics: ArmTopics, store: MessageStore, joints: Sequence[str]) -> None:
-        """Observe the arm of these topics; ``joints`` in the order of the chain."""
+    def __init__(self, topics: ArmTopics, store: MessageStore, joints: Sequence[str], arm: ArmFile) -> None:
+        """Observe the arm of these topics; ``joints`` in the order of the chain; ``arm``: which the page draws.
+
+        Raises CalibrationError: a file of the arm cannot be read, or its commissioning record is invalid.
+        """
         self._topics, self._store, self._joints = topics, store, joints
+        self._endpoint_frame = arm.endpoint_frame
+        self._files = ArmIdentity({}, file_sha256(arm.urdf), file_sha256(arm.beams))
+        self._record = "" if arm.commissioning is None else load_record(arm.commissioning).parts().record
         self._prefix = topics.endpoint.rpartition("/endpoint/")[0]
         self._reported: dict[tuple[str, str], float] = {}  # when each report of a node was seen first
         self._has_state = topics.types[topics.endpoint] == ENDPOINT_STATE
@@ -117,7 +126,7 @@ class Observer:
         causes = self._causes(state, values, joints)
         details = {name: self._diagnostics(f"{self._prefix}/{name}", now_s) for name in self._joints}
         scan = self._scan(joints)
-        reports = self._reports(state, causes, details, now_s)
+        reports = self._reports(state, causes, details, now_s, self._other_arm(values))
         if scan is not None and (
             without := [n for n, a in zip(self._joints, scan.encoders, strict=True) if np.isnan(a)]
         ):
@@ -147,13 +156,15 @@ class Observer:
         return tuple(merge_causes(found))
 
     def _reports(
-        self, state: str, causes: Iterable[Cause], details: Mapping[str, Sequence[str]], now_s: float
+        self, state: str, causes: Iterable[Cause], details: Mapping[str, Sequence[str]], now_s: float, other_arm: str
     ) -> list[Cause]:
-        """Return the reports of nodes that no cause explains, the refused message, and what a bag lacks."""
+        """Return reports of nodes that no cause explains, another arm, the refused message, and what a bag lacks."""
         explained = {name for cause in causes for name in cause.joints}
         found = [
             Cause(WARNING, text, (name,)) for name, texts in details.items() if name not in explained for text in texts
         ]
+        if other_arm:
+            found.append(Cause(WARNING, f"{other_arm}: its drawing and deviation are not those of the arm"))
         if state in USABLE:
             found += [Cause(WARNING, text) for text in self._diagnostics(f"{self._prefix}/chain_node", now_s)]
         self._reported = {key: since_s for key, since_s in self._reported.items() if since_s <= now_s}
@@ -165,6 +176,25 @@ class Observer:
             text = f"{self._topics.endpoint} says nothing about faults; {ENDPOINT_STATE_TOPIC} is not in the bag"
             found.append(Cause(NO_STATE, text))
         return merge_causes(found)
+
+    def _other_arm(self, values: Mapping[str, Any]) -> str:
+        """Return how the arm that runs differs from that of the page; empty: it does not, or does not state it."""
+        if not self._has_state:
+            return ""
+        if (frame := values["child_frame_id"]) not in ("", self._endpoint_frame):
+            return f"the endpoint of the arm is '{frame}', that of the page '{self._endpoint_frame}'"
+        ids = {}
+        for name in self._joints:
+            topic = self._topics.transforms[name]
+            messages = self._store.messages(topic)
+            found = self._store.values(topic, messages[-1]) if messages else None
+            ids[name] = NOT_STATED if found is None else found.get("calibration", NOT_STATED)
+        stated = values.get("identity", "")
+        if not stated or NOT_STATED in ids.values():
+            return ""
+        if self._files.with_calibrations(ids, self._record).sha256 == stated:
+            return ""
+        return "the arm runs with another URDF, beams file or commissioning record than the page"
 
     def _silence_s(self, topic: str, now_s: float) -> float:
         """Return for how long a topic with messages has been silent [s]; 0: it is not."""

@@ -64,8 +64,9 @@ def test_port_in_use_is_refused_with_one_sentence(capfd: pytest.CaptureFixture[s
 
 
 def test_positions_of_a_bag_forth_and_back(tmp_path: Path) -> None:
-    bag = BagTopics(BAG, load_checked_arm(BAG.name), tmp_path)
-    observer = Observer(bag.topics, bag.store, JOINTS)
+    arm = load_checked_arm(BAG.name)
+    bag = BagTopics(BAG, arm, tmp_path)
+    observer = Observer(bag.topics, bag.store, JOINTS, arm)
     assert 9.8 < bag.duration_s < BLOCK_S + 0.1
     stamps = []
     for position_s, state in ((1.0, "OK"), (1.25, "OK"), (9.0, "LOST"), (5.75, "UNCOUNTED"), (1.0, "OK")):
@@ -87,7 +88,7 @@ def test_positions_of_a_bag_forth_and_back(tmp_path: Path) -> None:
 def test_record_of_a_bag_holds_its_events_and_its_charts(tmp_path: Path) -> None:
     arm = load_checked_arm(BAG.name)
     bag = BagTopics(BAG, arm, tmp_path)
-    record = read_record(bag, Observer(bag.topics, bag.store, JOINTS), ArmGeometry(arm))
+    record = read_record(bag, Observer(bag.topics, bag.store, JOINTS, arm), ArmGeometry(arm))
     found = [
         (event.cause.state, event.cause.joints) for event in record.log.events() if event.lasted_s(bag.end_ns) > 1.0
     ]

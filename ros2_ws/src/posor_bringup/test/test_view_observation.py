@@ -5,9 +5,11 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from posor.calibration.causes import EXCEEDED
+from posor.chain.identity import ArmIdentity, file_sha256
 from posor.numerics.stamps import NS
 from posor_bringup.arms import load_checked_arm
 from posor_bringup.view_events import Cause
@@ -26,9 +28,10 @@ class Rig:
     """The topics of the test rig, fed by hand."""
 
     def __init__(self) -> None:
-        topics = ArmTopics(load_checked_arm("test_rig"))
+        self.arm = load_checked_arm("test_rig")
+        topics = ArmTopics(self.arm)
         self.store = MessageStore("/test_rig", topics.types)
-        observer = Observer(topics, self.store, ["joint1"])
+        observer = Observer(topics, self.store, ["joint1"], self.arm)
         self.observe = lambda now_s: observer.observe(now_s, round(now_s * NS))
 
     def add(self, topic: str, message: Any, time_s: float, stamp_s: float | None = None) -> None:
@@ -66,6 +69,30 @@ def test_sound_scan(rig: Rig) -> None:
     assert seen.scan.residuals[0] == pytest.approx(3.0 / chdtri(2, EXCEEDED * 1e-4))
     assert seen.causes == ()
     assert seen.reports == (Cause("NOTE", "no encoder: the nominal arm has the measured angle there", ("joint1",)),)
+
+
+OTHER_FILES = "the arm runs with another URDF, beams file or commissioning record than the page"
+
+
+@pytest.mark.parametrize(
+    ("state", "clause"),
+    [
+        ({"identity": "own"}, ""),
+        ({"identity": "0" * 64}, OTHER_FILES),
+        ({"identity": "own", "child_frame_id": "tool"}, "the endpoint of the arm is 'tool', that of the page '"),
+    ],
+)
+def test_an_arm_with_other_files_than_those_of_the_page_is_named(rig: Rig, state: dict[str, str], clause: str) -> None:
+    """Its drawing and deviation would be those of another arm, beside the state OK."""
+    files = ArmIdentity({}, file_sha256(rig.arm.urdf), file_sha256(rig.arm.beams))
+    own = {"own": files.with_calibrations({"joint1": 5}, "").sha256}
+    message = EndpointState(**{name: own.get(value, value) for name, value in state.items()})
+    for time_s in np.arange(1.0, 2.1 + LAG_S, 0.1).tolist():
+        rig.add_scan(time_s, message, JointTransform(calibration=5))
+        seen = rig.observe(time_s + 0.01)
+    warnings = [each.text for each in seen.reports if each.state == "WARNING"]
+    assert len(warnings) == bool(clause)
+    assert all(text.startswith(clause) for text in warnings)
 
 
 def test_everything_is_stale_without_messages_on_the_endpoint(rig: Rig) -> None:

@@ -245,6 +245,19 @@ def test_a_host_that_was_paused_with_its_clock_shifts_the_poses(
     assert np.all(driver.receive().stamp_shift)
 
 
+def test_late_scans_after_the_start_and_behind_a_gap_are_no_step_once_scans_arrive_in_time() -> None:
+    """A loaded host: the least age of few scans is not known well."""
+    driver = RestartedDriver(late_s=0.05)
+    driver.receive_missed()
+    driver.pause(0.4, 0.0)
+    driver.receive(0.1)
+    assert stated_step(driver) > 0.0
+    for _ in range(300):
+        driver.receive()
+    assert stated_step(driver) == 0.0
+    assert not driver.posor.has_latch
+
+
 @pytest.mark.parametrize(("seconds", "is_usable"), [(0.0, True), (0.5, False), (0.9, False)])
 def test_a_ring_that_may_have_turned_while_its_host_was_paused_is_not_counted(
     *, seconds: float, is_usable: bool

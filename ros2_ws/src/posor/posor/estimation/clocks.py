@@ -187,6 +187,7 @@ def _watch_ages(clocks: Any, elapsed: float) -> float:
         return 0.0
     if is_away or math.isnan(clocks.former_age):
         clocks.former_age, clocks.age_step, clocks.compared = clocks.least_age, 0.0, 0
+        clocks.only_older = 1 if clocks.fitted < MEMORY_SCANS else 0
         clocks.age_tolerance = CLOCK_DRIFT * elapsed
     if is_away:
         clocks.least_age = math.inf
@@ -202,7 +203,9 @@ def _least_age_step(clocks: Any) -> float:
 @in_place
 def _compare_ages(clocks: Any) -> None:
     """Correct the step of the stamps in a restart or a gap by the ages of the scans since then."""
-    change = abs(clocks.least_age - clocks.former_age)
+    change = clocks.least_age - clocks.former_age
+    if clocks.only_older == 0:
+        change = abs(change)
     shown = change if change > _least_age_step(clocks) else 0.0
     clocks.step += shown - clocks.age_step
     clocks.age_step = shown
@@ -445,7 +448,7 @@ def _follow_back(model: Model, scan: Any, stamp: float, elapsed: float) -> int:
         if least - elapsed > LEAST_DEVIATION * clocks.period:
             step = least - elapsed
         clocks.step += step
-        clocks.compared, clocks.age_tolerance = 0, CLOCK_DRIFT * max(elapsed, 0.0)
+        clocks.compared, clocks.only_older, clocks.age_tolerance = 0, 0, CLOCK_DRIFT * max(elapsed, 0.0)
         clocks.former_age = step + (clocks.least_age if math.isnan(clocks.former_age) else clocks.former_age)
     clocks.least_age = clocks.run_age
     _begin_line(clocks, scan, stamp)

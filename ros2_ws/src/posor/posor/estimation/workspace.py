@@ -73,6 +73,7 @@ CLOCKS = np.dtype(  # the line between scan numbers and stamps (``estimation.clo
         ("run_age", "f8"),  # of the scans in a row that are late or contradict the line and agree with one another [s]
         ("former_age", "f8"),  # ``least_age`` before a restart or a gap, to be compared with; NaN: nothing is
         ("compared", "i8"),  # scans since the ages are compared with ``former_age``
+        ("only_older", "i8"),  # whether younger scans than ``former_age`` are no step, because it is of few scans
         ("age_tolerance", "f8"),  # change of the ages that the drift of the clocks explains since then [s]
         ("content", "f8"),  # sum of the raw readings of the last scan in order
         ("age_step", "f8"),  # part of ``step`` that the ages show [s]; later ones may correct it

@@ -154,7 +154,8 @@ class DeviceReader:
                 for column in whole:
                     if not before[column] == nearest[column] == after[column]:
                         return None
-                there = weights.before * before + weights.nearest * nearest + weights.after * after
+                # Equal frames keep their value to the last bit: it shows that a reading no longer changes.
+                there = nearest + weights.before * (before - nearest) + weights.after * (after - nearest)
                 values[columns] = there[columns]
             for column in whole:
                 values[column] = nearest[column]
@@ -200,7 +201,8 @@ class DeviceReader:
             self._read_together: list[tuple[int, Any]] = [(-self._half_span_ns, slice(None))]
             return
         remaining = np.where(np.isnan(offsets_s), np.nan, 0.0)
-        span_s = exposures.span_s if np.isnan(offsets_s).any() else 0.0
+        # Values between frames are as far from an even motion as readings within the time between them.
+        span_s = exposures.span_s if np.isnan(offsets_s).any() else self.device.longest_interval_s
         self.exposures = Exposures(tuple(remaining.tolist()), span_s)
         shifts_ns = np.round(np.nan_to_num(offsets_s) * NS).astype(np.int64)
         each = np.unique(shifts_ns).tolist()

@@ -75,7 +75,7 @@ class ScanWriter:
         read = [entry for kind in READING_KINDS for entry in entries[parts[kind]] if isinstance(entry, ReadingEntry)]
         offsets_s = np.array([exposures.offsets_s[columns[entry.channel]] for entry in read])
         stated: dict[str, Any] = {}
-        if np.any(offsets_s != 0.0):
+        if exposures.span_s > 0.0 or np.any(offsets_s != 0.0):
             stated = {"exposure_offsets": offsets_s, "exposure_span": exposures.span_s}
         example = types.serialize(raw_scan(types, 0, joint.frame_id, scan=0, **arrays, **stated), RAW_SCAN)
         self._message = message = TableLayout.of(example, installed_schema(RAW_SCAN)).copies(1)
