@@ -259,20 +259,24 @@ class BenchmarkSections:
         return {"faults": self._variant_figures(f"one scan in {FAULT_INTERVAL} of one joint faulty", arm)}
 
     def page(self) -> dict[str, Any]:
-        """Measure the main graph without the live page, with the page at rest, and with the page shown, in turn."""
+        """Measure the main graph beside the live page, with normal scheduling and with that of a servo controller."""
+        return {"page": self._page_figures(0), "page_priority": self._page_figures(PRIORITY)}
+
+    def _page_figures(self, priority: int) -> dict[str, Any]:
+        """Return the figures of the main graph without the page, with the page at rest, and with the page shown."""
         plan = self._plan
         runs: dict[PageUse, list[MeasuredRun]] = {"absent": [], "at rest": [], "shown": []}
-        for _ in range(plan.page_rounds):
+        for _ in range(plan.page_rounds):  # in turn
             for use, of_use in runs.items():
-                load = GraphLoad(self._arms[plan.joints], "graph", plan.layout, plan.rate, page=use)
-                of_use.append(self._measure_variant(f"live page {use}", load))
-        figures = {}
+                load = GraphLoad(self._arms[plan.joints], "graph", plan.layout, plan.rate, priority=priority, page=use)
+                of_use.append(self._measure_variant(f"live page {use}, priority {priority}", load))
+        figures = dict[str, Any]()
         for use, of_use in runs.items():
             pairs = list(zip(of_use, runs["absent"], strict=True))
             received = paired_p99_ratio((run.latencies_ns, other.latencies_ns) for run, other in pairs)
             published = paired_p99_ratio((run.published_ns, other.published_ns) for run, other in pairs)
             figures[use] = {**run_figures(of_use), "p99_ratio": received, "published_p99_ratio": published}
-        return {"page": figures}
+        return figures
 
     def growth(self) -> dict[str, Any]:
         """Measure the processor time by joints and by rate."""

@@ -155,7 +155,7 @@ def _empty_loop_table(loops: Mapping[str, Mapping[str, Any]]) -> FigureTable:
     return FigureTable("Empty loop: a thread that waits for the same ticks and does nothing", header, rows)
 
 
-def _page_table(runs: Mapping[str, Mapping[str, Any]]) -> FigureTable:
+def _page_table(title: str, runs: Mapping[str, Mapping[str, Any]]) -> FigureTable:
     rows = []
     for text, run in ((text, runs[use]) for use, text in TEXTS["page"].items()):
         view = run["processes"].get(VIEW)
@@ -164,7 +164,7 @@ def _page_table(runs: Mapping[str, Mapping[str, Any]]) -> FigureTable:
         rows.append((text, *_format_percentiles(run), *ratios, _format_lost(run), *used))
     ratio_names = ("p99 of publication, to that without", "p99 to that without")
     header = ("", *PERCENTILES.values(), *ratio_names, "lost", "view, % of a core", "view, MB")
-    return FigureTable("The main graph beside the live page", header, rows)
+    return FigureTable(title, header, rows)
 
 
 def _format_ratio(ratio: Mapping[str, float | None]) -> str:
@@ -199,7 +199,8 @@ TABLES: Mapping[str, Callable[[Any], FigureTable]] = {  # tables of single secti
         ("", "time, s", "processor time, s", "memory, MB", "private dirty memory, MB"),
         [(TEXTS["start"][name], *map(_format_figure, cost.values())) for name, cost in costs.items()],
     ),
-    "page": _page_table,
+    "page": partial(_page_table, "The main graph beside the live page"),
+    "page_priority": partial(_page_table, "The same, graph and receiver with real-time priority"),
     "waiting": partial(_latency_table, "How drivers wait for a tick"),
     "growth": lambda points: _latency_table(
         "Growth: all nodes in one process", {f"{point['joints']} x {point['rate']} Hz": point for point in points}

@@ -49,7 +49,7 @@ class GraphLoad:
     layout: Layout  # which nodes share a process
     rate: int  # scans per second
     spin_us: int = SPIN_US  # time before each tick in which drivers poll the clock instead of sleeping [us]
-    priority: int = 0  # SCHED_FIFO priority of the processes; 0: none
+    priority: int = 0  # SCHED_FIFO priority of the processes and of the receiver; 0: none
     page: PageUse = "absent"  # the live page beside the graph
     profiled: bool = False  # whether stopwatches write ``PROFILE`` into the folder of the run
 

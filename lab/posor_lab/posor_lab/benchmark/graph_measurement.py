@@ -74,7 +74,7 @@ class GraphMeasurement:
     def measure_graph(self, load: GraphLoad, seconds: float) -> MeasuredRun:
         """Start a graph, measure it for some seconds, end it. Raises PosorError: a process failed, or no pose came."""
         rows, diagnostics = self._new_folder(load.name) / "received.npy", DiagnosticsReceiver("bench")
-        arguments = f"/{load.arm.name}/{ENDPOINT_TOPIC}", str(rows)
+        arguments = f"/{load.arm.name}/{ENDPOINT_TOPIC}", str(rows), str(load.priority)
         receiver = ProgramCommand("receiver", "", str(latency_receiver.__file__), arguments)
         with running_graph([receiver], diagnostics, self.folder, "make bench", self._interrupted) as watch:
             (received,) = watch.running.values()

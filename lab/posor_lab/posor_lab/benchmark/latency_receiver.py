@@ -1,9 +1,9 @@
 # Copyright 2026 POSOR maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Receives the endpoint's poses in its own process and stores their times: ``latency_receiver.py TOPIC FILE``.
+"""Receives the endpoint's poses in its own process, as a controller: ``latency_receiver.py TOPIC FILE PRIORITY``.
 
-The messages stay serialised. Ends on SIGINT and writes an array of integers, (n, 4): stamp, publication, reception
-[ns], and the publisher's sequence number.
+The messages stay serialised. ``PRIORITY`` is that of SCHED_FIFO, 0: none. Ends on SIGINT and writes an array of
+integers, (n, 4): stamp, publication, reception [ns], and the publisher's sequence number.
 """
 
 from __future__ import annotations
@@ -19,7 +19,9 @@ import rclpy
 from geometry_msgs.msg import PoseStamped
 from posor.messages.cdr_schema import STAMP
 from posor.messages.joint_transform import stamp_ns_of
+from posor.node_parameters import RealtimeParameters
 from posor_ros.node_program import StopSignal, non_ros_arguments
+from posor_ros.realtime_process import apply_realtime_parameters
 from rclpy.impl.implementation_singleton import rclpy_implementation as implementation
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
@@ -31,7 +33,7 @@ DEPTH = 1000
 WAIT_NS = 100_000_000
 
 
-def receive_poses(topic: str, stop: StopSignal) -> array[int]:
+def receive_poses(topic: str, priority: int, stop: StopSignal) -> array[int]:
     """Return stamp, publication, reception and number of all poses until stopped.
 
     The subscription is read without an executor, which would not give the publication's sequence number.
@@ -43,6 +45,7 @@ def receive_poses(topic: str, stop: StopSignal) -> array[int]:
     rows = array("q")
     handle: Any = subscription.handle
     context: Any = node.context.handle
+    apply_realtime_parameters(RealtimeParameters(priority=priority))  # where the system grants it
     print(READY, flush=True)
     with handle, context:
         wait_set = implementation.WaitSet(1, 0, 0, 0, 0, 0, context)
@@ -67,10 +70,10 @@ def _unused_callback(_data: bytes) -> None:
 
 def main() -> None:
     """Run the program."""
-    topic, file = non_ros_arguments(sys.argv)
+    topic, file, priority = non_ros_arguments(sys.argv)
     gc.disable()
     with StopSignal() as stop:
-        np.save(file, np.array(receive_poses(topic, stop), dtype=np.int64).reshape(-1, 4))
+        np.save(file, np.array(receive_poses(topic, int(priority), stop), dtype=np.int64).reshape(-1, 4))
 
 
 if __name__ == "__main__":

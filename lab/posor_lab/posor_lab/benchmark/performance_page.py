@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 PLACEHOLDER = re.compile(r"<!-- (?P<name>\w+) -->\n.*?<!-- end -->", re.DOTALL)
 NAMES = (
-    *("host", "aims", "start", "graph", "empty_loop", "waiting", "page", "layouts", "tick"),
+    *("host", "aims", "start", "graph", "empty_loop", "waiting", "page", "page_priority", "layouts", "tick"),
     *("profile", "growth", "offline", "single"),
 )
 

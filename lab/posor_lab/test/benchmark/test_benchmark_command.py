@@ -57,7 +57,8 @@ def test_small_run_gives_all_figures(tmp_path: Path) -> None:
     results = json.loads(output.read_text())
     assert results["host"]["cores"] >= 1
     check_graph(results)
-    check_page(results["page"])
+    for priority in ("page", "page_priority"):
+        check_page(results[priority])
     check_rest(results)
     graph_rows = [row[0] for row in result_tables(results)["graph"].rows]
     faulty = "graph, one scan in 100 of one joint faulty"
