@@ -290,7 +290,7 @@ def test_a_robot_that_may_go_on_keeps_its_offsets() -> None:
 
 def test_a_second_node_that_commands_the_robot_stops_the_first_and_no_trajectory_begins() -> None:
     fault = "2 publishers on /trajectory/corrected; expected one"
-    with running_node("hold") as robot:
+    with running_node("hold", **{"offsets.max_age": 1.0}) as robot:  # the start of the second node delays the first
         robot.follow(START, START + SPEED * SLOW_S * np.eye(6)[0])
         robot.run_until(lambda: robot.distance(START) > FAR, "motion")
         with correction_node("second", "hold") as second:
