@@ -164,7 +164,7 @@ class Observer:
             Cause(WARNING, text, (name,)) for name, texts in details.items() if name not in explained for text in texts
         ]
         if other_arm:
-            found.append(Cause(WARNING, f"{other_arm}: its drawing and deviation are not those of the arm"))
+            found.append(Cause(WARNING, f"{other_arm}: the drawing and its deviation are not those of the arm"))
         if state in USABLE:
             found += [Cause(WARNING, text) for text in self._diagnostics(f"{self._prefix}/chain_node", now_s)]
         self._reported = {key: since_s for key, since_s in self._reported.items() if since_s <= now_s}

@@ -13,8 +13,8 @@ import pytest
 from posor import CalibrationError, DataFileError, ParameterError, PosorError, Scans, read_table
 from posor.tables.table_map import FileLayout, load_table_map
 from posor.tables.table_readings import load_readings
-from posor.tables.table_units import UNITS, unit_in_name, unknown_unit_in_name
 from posor.tables.text_table import TextTable, decode
+from posor_lab.harness.case_tables import edited
 
 from .sample_files import CELSIUS, COUNT, NAMES, READINGS, START, START_NS, TIMES, VOLTS, rows, write_csv, write_map
 
@@ -159,11 +159,6 @@ def test_every_way_to_write_the_table_gives_the_same_scans(way: str, tmp_path: P
     check_scans(scans)
 
 
-def change(text: str, old: str, new: str) -> str:
-    assert old in text
-    return text.replace(old, new, 1)
-
-
 ROW = "0.0040,712.000,-254.000,20.20,ok"
 BAD: dict[str, tuple[str, dict[str, Any], str]] = {
     "empty": ("", {}, "{csv}: is empty; expected a row of names and one row for each scan."),
@@ -173,46 +168,46 @@ BAD: dict[str, tuple[str, dict[str, Any], str]] = {
         "{csv}: has no rows; expected one row for each scan after the header.",
     ),
     "text": (
-        change(TEXT, ROW, "0.0040,712.O00,-254.000,20.20,ok"),
+        edited(TEXT, ROW, "0.0040,712.O00,-254.000,20.20,ok"),
         {},
         "{csv}, line 4, column 'AI0 (mV)': '712.O00' is invalid; expected a number, {or_leave_out} [invalid_cells] ",
     ),
-    "infinite": (change(TEXT, "712.000", "1e999"), {}, "'1e999' is invalid"),
-    "lines in a cell": (change(TEXT, "712.000", '"7\n12"'), {}, "line 5, column 'AI0 (mV)': '7 12' is invalid"),
-    "underscore": (change(TEXT, "712.000", "71_2.0"), {}, "'71_2.0' is invalid"),
+    "infinite": (edited(TEXT, "712.000", "1e999"), {}, "'1e999' is invalid"),
+    "lines in a cell": (edited(TEXT, "712.000", '"7\n12"'), {}, "line 5, column 'AI0 (mV)': '7 12' is invalid"),
+    "underscore": (edited(TEXT, "712.000", "71_2.0"), {}, "'71_2.0' is invalid"),
     "decimal comma": (
-        change(TEXT, "712.000", '"712,0"'),
+        edited(TEXT, "712.000", '"712,0"'),
         {},
         "expected a number with a decimal point; file: {{decimal: ','",
     ),
     **{
         f"thousands {number}": (
-            change(TEXT, "712.000", f'"{number}"'),
+            edited(TEXT, "712.000", f'"{number}"'),
             {},
             "expected a number without separators of th",
         )
         for number in ("712,000", "1,712.5", "1'712", "1\u202f712.5", "1.712,5")
     },
-    "grouped thousands": (change(TEXT, "712.000", '"1,712.0"'), {}, "'1,712.0' is invalid"),
+    "grouped thousands": (edited(TEXT, "712.000", '"1,712.0"'), {}, "'1,712.0' is invalid"),
     "missing": (
-        change(TEXT, "712.000", ""),
+        edited(TEXT, "712.000", ""),
         {},
         "{csv}, line 4, column 'AI0 (mV)': the cell has no value; expected a number, {or_leave_out} [missing_cells] ",
     ),
-    "NaN": (change(TEXT, "712.000", "NaN"), {}, "line 4, column 'AI0 (mV)': the cell has no value"),
+    "NaN": (edited(TEXT, "712.000", "NaN"), {}, "line 4, column 'AI0 (mV)': the cell has no value"),
     "time goes back": (
-        change(TEXT, ROW, "0.0010,712.000,-254.000,20.20,ok"),
+        edited(TEXT, ROW, "0.0010,712.000,-254.000,20.20,ok"),
         {},
         "{csv}, line 4, column 'Time (s)': the time goes back by 0.001 s; expected times that increase, ",
     ),
     "time repeats": (
-        change(TEXT, ROW, "0.0020,712.000,-254.000,20.20,ok"),
+        edited(TEXT, ROW, "0.0020,712.000,-254.000,20.20,ok"),
         {},
         "a column with too few digits needs rate",
     ),
-    "time invalid": (change(TEXT, ROW, "x,712.000,-254.000,20.20,ok"), {}, "'x' is no time from 1970 to 2038"),
+    "time invalid": (edited(TEXT, ROW, "x,712.000,-254.000,20.20,ok"), {}, "'x' is no time from 1970 to 2038"),
     "short row": (
-        change(TEXT, ROW, "0.0040,712.000,-254.000"),
+        edited(TEXT, ROW, "0.0040,712.000,-254.000"),
         {},
         "{csv}, line 4: there are 3 cells; expected 5, as in the header, or leave_out: [incomplete_rows] in the map.",
     ),
@@ -221,22 +216,22 @@ BAD: dict[str, tuple[str, dict[str, Any], str]] = {
         {},
         "{csv}, line 2: there are 4 cells (and 9 more); expected 5, as in the header, or leave_out: [incomplete_rows] ",
     ),
-    "long row": (change(TEXT, ROW, ROW + ",7"), {}, "{csv}, line 4: there are 6 cells; expected 5, as in the header; "),
+    "long row": (edited(TEXT, ROW, ROW + ",7"), {}, "{csv}, line 4: there are 6 cells; expected 5, as in the header; "),
     "last line cut": (TEXT[:-30], {}, "line 11: there are"),
     "last cell cut": (
-        change(TEXT, "Remark", "AI0")[:-2],
+        edited(TEXT, "Remark", "AI0")[:-2],
         {},
         "at the end of the file is shorter than all cells above it",
     ),
-    "quote open": (change(TEXT, "712.000", '"712.000'), {}, "expected quotes in pairs"),
+    "quote open": (edited(TEXT, "712.000", '"712.000'), {}, "expected quotes in pairs"),
     "column missing": (
-        change(TEXT, "AI0 (mV)", "AI0_mV"),
+        edited(TEXT, "AI0 (mV)", "AI0_mV"),
         {},
         "column 'AI0 (mV)' of {map}, line 6, key joints.elbow.gap_voltages[0] is missing; expected one of 'Time (s)', ",
     ),
-    "column twice": (change(TEXT, "Remark", "AI0 (mV)"), {}, "occurs 2 times; expected its number, 2 or 5."),
+    "column twice": (edited(TEXT, "Remark", "AI0 (mV)"), {}, "occurs 2 times; expected its number, 2 or 5."),
     "unit of the header": (
-        change(TEXT, "AI0 (mV)", "AI0 (V)"),
+        edited(TEXT, "AI0 (mV)", "AI0 (V)"),
         {"joints": {"elbow": {"frame_id": "plate", "gap_voltages": [{"column": "AI0 (V)", "unit": "mV"}]}}},
         "column 'AI0 (V)' is in V by the file, in mV by the map; expected unit: V, or header_unit: ignored",
     ),
@@ -260,14 +255,14 @@ BAD: dict[str, tuple[str, dict[str, Any], str]] = {
         {"file": {"encoding": "punycode"}},
         "{csv}: is not punycode; expected the encoding",
     ),
-    "overload of SCPI": (change(TEXT, "712.000", "9.9E37"), {}, "column 'AI0 (mV)': '9.9E37' is invalid"),
+    "overload of SCPI": (edited(TEXT, "712.000", "9.9E37"), {}, "column 'AI0 (mV)': '9.9E37' is invalid"),
     "lines in a cell, decimal commas": (
-        change(csv_of(separator=";", decimal=","), "712,000", '"7\n12"'),
+        edited(csv_of(separator=";", decimal=","), "712,000", '"7\n12"'),
         {"file": {"separator": ";", "decimal": ","}},
         "column 'AI0 (mV)': '7 12' is invalid",
     ),
     "rows in quotes": (
-        change(TEXT.replace("20.20,ok", '20.20,"ok'), "20.40,ok", '20.40,ok"'),
+        edited(TEXT.replace("20.20,ok", '20.20,"ok'), "20.40,ok", '20.40,ok"'),
         {},
         "{csv}, line 6: a quote opens before this line and closes in it, around whole rows; expected quotes in pairs.",
     ),
@@ -294,124 +289,11 @@ BAD: dict[str, tuple[str, dict[str, Any], str]] = {
         "summer time begins or ends in Europe/Berlin at '2026-10-25T02:30:00.0000', which is no time or two times; ",
     ),
     "nothing left": (
-        change(TEXT, "712.000", "").partition("0.0060")[0].replace("710.000", "").replace("711.000", ""),
+        edited(TEXT, "712.000", "").partition("0.0060")[0].replace("710.000", "").replace("711.000", ""),
         {"leave_out": ["missing_cells"]},
         "no row is whole",
     ),
 }
-
-
-UNITS_OF_NAMES = {
-    "AI0 (mV)": "mV",
-    "AI0 [Volts] filtered": "V",
-    "(uA) I0": "uA",
-    "AI0 (mVDC)": "mV",
-    "AI0 (V DC)": "V",
-    "AI0 (mv)": "mV",
-    "AI0 (millivolts)": "mV",
-    "AI0/V": "V",
-    "U / mV": "mV",
-    "Spannung in V": "V",
-    "gap, mV": "mV",
-    "gap_mV": "mV",
-    "time_s": "s",
-    "E (V/m)": None,
-    "E V/m": None,
-    "status n/a": None,
-    "thermocouple_K": None,  # a type
-    "diode 1_A": None,  # a contact
-    "diode 1, A": None,
-    "temperature_min": None,
-    "Dev1/ai0": None,
-    "AI0 (channel 1)": None,
-    "/arm/elbow/raw/gap_voltages[1]": None,  # an index
-    "/arm/s": None,  # a path
-    "AI0/min": None,
-    "AI0 / min": "min",
-    "speed m/s": None,
-    **dict.fromkeys(("t [msecs]", "time_msec", "t (milliseconds)", "time ms"), "ms"),
-    **dict.fromkeys(("t_sec", "t (sec.)", "t [secs]", "t [s since start]"), "s"),
-    **dict.fromkeys(("AI0 [mVolt]", "AI0 [mV rms]", "AI0 (mV, filtered)", "AI0 mV", "AI0,mV"), "mV"),
-    **dict.fromkeys(("x [micron]", "x [microns]", "x (Micrometers)"), "um"),
-    **dict.fromkeys(("laser_inches", "laser_inch", "x [in.]", "x [Zoll]"), "in"),
-    **dict.fromkeys(("x [uin]", "x [\N{MICRO SIGN}in]", "x [micro-inches]"), "uin"),
-    **dict.fromkeys(("x (thou)", "x [mils]"), "mil"),
-    **dict.fromkeys(("T [deg C]", "T (deg. C)", "T [degrees Celsius]", "temp_C", "temperature C"), "degC"),
-    **dict.fromkeys(("T [deg F]", "temp_F"), "degF"),
-    **dict.fromkeys(("angle_degrees", "a (Deg)", "a_deg"), "deg"),
-    **dict.fromkeys(("a [arc sec]", "a [arc-seconds]"), "arcsec"),
-    "x [ft]": "ft",
-    "x [MM]": "mm",
-    "x [\N{LATIN CAPITAL LETTER A WITH RING ABOVE}]": "angstrom",
-    "a [mdeg]": "mdeg",
-    "a [gon]": "gon",
-    "a [mas]": "mas",
-    "gap (probe 1)": None,
-    "x [target]": None,
-    "AI (IN)": None,  # an input
-    "motor (in use)": None,
-    "diode_1_C": None,
-    "temp_A": None,
-    "clock_second": None,  # of a time of day
-    "charge amp": None,  # an instrument
-    "plate_v": None,  # an axis
-}
-UNKNOWN_UNITS = {
-    "x [cubit]": "cubit",
-    "a (grad)": "grad",  # gon, or the degree in German
-    'a ["]': '"',  # an arc second or an inch
-    "x [target]": "target",
-    "x [1/100 mm]": "1/100 mm",
-    **dict.fromkeys(("gap (probe 1)", "I (CH1)", "AI0 (Dev1/ai0)", "gap(:,2)", "x[3]", "x (+)", "AI0 (mV)", "AI0"), ""),
-}
-
-
-@pytest.mark.parametrize(("name", "unit"), UNITS_OF_NAMES.items())
-def test_the_unit_in_the_name_of_a_column_is_found(name: str, unit: str | None) -> None:
-    found = unit_in_name(name)
-    assert (found and (found.si, found.factor)) == (unit and (UNITS[unit].si, UNITS[unit].factor))
-
-
-@pytest.mark.parametrize(("name", "text"), UNKNOWN_UNITS.items())
-def test_an_unknown_unit_in_the_name_of_a_column_is_found(name: str, text: str) -> None:
-    assert unknown_unit_in_name(name) == text
-
-
-def table_of_one_gap(folder: Path, header: str, unit: str = "", **entry: str) -> tuple[Path, Path]:
-    """Write a table whose gap has a header, with a line of units below it, and its map in volts."""
-    path = folder / "daq.csv"
-    path.write_text(f"t,{header},u\n" + f"s,{unit},V\n" * bool(unit) + "0,1,1\n1,2,1\n", encoding="utf-8")
-    gap = {"column": 2, "unit": "V", **entry}
-    time = {"column": "t", "unit": "s", "start": START}
-    changes: dict[str, Any] = {"file": {"data_line": 3}} if unit else {}
-    joints = {"elbow": {"frame_id": "plate", "gap_voltages": [gap]}}
-    return path, write_map(folder, time=time, joints=joints, **changes)
-
-
-@pytest.mark.parametrize(
-    ("header", "unit", "stated"),
-    [
-        ("gap [mVolt]", "", "mV"),
-        ("gap [mV rms]", "", "mV"),
-        ("gap (V/m)", "", "V/m"),
-        ("gap [1/100 mV]", "", "1/100 mV"),
-        ("gap", "counts", "counts"),
-    ],
-)
-def test_a_unit_of_the_header_that_is_not_that_of_the_map_is_refused(
-    header: str, unit: str, stated: str, tmp_path: Path
-) -> None:
-    with pytest.raises(DataFileError, match=f"'{re.escape(header)}' is in {re.escape(stated)} by the file, in V by "):
-        read_table(*table_of_one_gap(tmp_path, header, unit))
-    ignored = load_readings(*table_of_one_gap(tmp_path, header, unit, header_unit="ignored"))
-    assert not any("known unit" in note for note in ignored.notes)
-
-
-@pytest.mark.parametrize(("header", "notes"), [("gap [target]", 1), ("gap [cubit]", 1), ("gap (probe 1)", 0)])
-def test_a_text_in_brackets_that_may_be_a_unit_is_noted(header: str, notes: int, tmp_path: Path) -> None:
-    found = [note for note in load_readings(*table_of_one_gap(tmp_path, header)).notes if "known unit" in note]
-    assert len(found) == notes
-    assert all(f"in the name of column '{header}' is not a known unit: the map says V" in note for note in found)
 
 
 def test_the_unit_of_the_time_is_that_of_the_header_unless_it_is_ignored(tmp_path: Path) -> None:
@@ -421,12 +303,6 @@ def test_the_unit_of_the_time_is_that_of_the_header_unless_it_is_ignored(tmp_pat
     with pytest.raises(DataFileError, match="column 'time \\[msecs\\]' is in ms by the file, in s by the map"):
         read_table(path, write_map(tmp_path, time=time))
     check_scans(read_table(path, write_map(tmp_path, time=time | {"header_unit": "ignored"})))
-
-
-def test_a_map_may_spell_a_unit_in_another_way(tmp_path: Path) -> None:
-    path, table_map = table_of_one_gap(tmp_path, "gap (V)")
-    table_map.write_text(change(table_map.read_text(encoding="utf-8"), "unit: V", "unit: volts"), encoding="utf-8")
-    assert len(read_table(path, table_map)) == 2
 
 
 def test_a_comment_that_labview_leaves_out_is_empty(tmp_path: Path) -> None:
@@ -462,10 +338,10 @@ def test_a_doubtful_table_is_refused_in_one_sentence(kind: str, tmp_path: Path) 
 @pytest.mark.parametrize(
     ("kind", "text"),
     [
-        ("missing_cells", change(TEXT, "712.000", "")),
-        ("invalid_cells", change(TEXT, "712.000", "OVER")),
-        ("incomplete_rows", change(TEXT, ROW, "0.0040,712.000")),
-        ("time_back", change(TEXT, ROW, "0.0010,712.000,-254.000,20.20,ok")),
+        ("missing_cells", edited(TEXT, "712.000", "")),
+        ("invalid_cells", edited(TEXT, "712.000", "OVER")),
+        ("incomplete_rows", edited(TEXT, ROW, "0.0040,712.000")),
+        ("time_back", edited(TEXT, ROW, "0.0010,712.000,-254.000,20.20,ok")),
     ],
 )
 def test_rows_are_left_out_and_counted_if_the_map_says_so(kind: str, text: str, tmp_path: Path) -> None:
