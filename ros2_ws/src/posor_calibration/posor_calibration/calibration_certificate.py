@@ -101,11 +101,11 @@ def certificate_of_arm(arm: ArmFile, found: ArmCalibration, origin: Provenance) 
 def _new_values(result: FitResult) -> Iterator[tuple[str, str, float, float]]:
     """Yield name, unit, value and standard uncertainty, with the shared terms, of each new number of the file."""
     calibration, outcome = result.calibration, result.outcome
-    keys = [*(new.key for new in outcome.replacements), *(part.key for part in outcome.parts)]
+    replaced = calibration.fits[-1].replaced
     total = np.sqrt(np.diag(stated_covariance(calibration))).tolist()
     used = set()
     for entry, sigma in zip(parameter_entries(calibration), total, strict=True):
-        if entry is not None and any(is_part(entry.name, key) for key in keys):
+        if entry is not None and any(is_part(entry.name, key) for key in replaced):
             used.add(entry.key)
             yield entry.name, _unit(entry), float(entry.quantity.array[entry.index]), sigma
     for key in (new.key for new in outcome.replacements if new.key not in used):  # noise, ranges

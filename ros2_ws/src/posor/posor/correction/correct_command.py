@@ -95,10 +95,8 @@ def measured_run(
     stamps_ns, poses, angles = end.stamps_ns[usable], end.poses[usable], end.angles[usable][:, columns]
     if options.encoders:
         readings = read_encoders(options.bag, options.encoders, robot.joints)
-        seen, angles = (
-            angles,
-            np.column_stack([readings.at(joint, stamps_ns)[:, 0] for joint in range(len(robot.joints))]),
-        )
+        seen = angles
+        angles = np.column_stack([readings.at(joint, stamps_ns)[:, 0] for joint in range(len(robot.joints))])
         _check_lateness(robot, readings.source, (stamps_ns - stamps_ns[0]) / NS, seen, angles)
         known = np.isfinite(angles).all(axis=1)
         stamps_ns, poses, angles = stamps_ns[known], poses[known], angles[known]
