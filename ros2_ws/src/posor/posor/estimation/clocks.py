@@ -41,8 +41,8 @@ without a stated acceleration or a previous pose L V, without motion limits infi
 ``NOISE_SIGMAS s L / d`` for a pose with the random standard deviation s, so that the bound holds beside the coverage
 factor of the protection level.
 
-Readings within an exposure span S are averaged, or moved to the stamp, as if the target moved evenly meanwhile. Beside
-its motion at the stamp it moves by at most ``A (S/2)^2 / 2``, and by ``V S / 2``, which adds the lesser of both.
+Readings within an exposure span S are averaged, or moved to the stamp, as if the target moved evenly meanwhile. It
+departs from the even motion by at most ``A (S/2)^2 / 2`` and by at most ``V S / 2``; the bound adds the smaller one.
 """
 
 from __future__ import annotations
