@@ -24,8 +24,6 @@ from typing import TYPE_CHECKING, Any
 
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 from posor.chain.arm_file import CHAIN_NODE
-from posor.chain.beam_temperatures import BeamTemperatures
-from posor.chain.beam_vibration import BeamVibrations
 from posor.chain.forward_kinematics import UNUSABLE
 from posor.chain.kinematic_chain import load_chain
 from posor.chain.time_synchroniser import MAX_OPEN_SCANS, TimeSynchroniser
@@ -35,7 +33,7 @@ from posor.messages.endpoint_messages import EndpointStateWriter, EndpointVerdic
 from posor.messages.joint_transform import JointTransformFormat, TransformConstants, stamp_ns_of, stamp_of
 from posor.model.fault import State
 from posor.node_parameters import ChainParameters
-from posor.numerics.stamps import NO_TIME, NS, time_ns
+from posor.numerics.stamps import NO_TIME, NS
 from posor.ros_names import (
     ENDPOINT_COVARIANCE_TOPIC,
     ENDPOINT_STATE_THROTTLE_TOPIC,
@@ -56,10 +54,10 @@ from posor_ros.qos import input_qos, result_qos
 from posor_ros.throttled_publisher import ThrottledPublisher, may_be_due_next
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
-from sensor_msgs.msg import Imu, JointState, Temperature
+from sensor_msgs.msg import JointState
 
-from posor_estimator.acceleration_reader import AccelerationReader
 from posor_estimator.alarm_rate import AlarmRate
+from posor_estimator.beam_inputs import BeamInputs
 from posor_estimator.endpoint_prediction import EndpointPrediction, JointMessage
 from posor_estimator.endpoint_verdict import SOUND, degraded_by, degraded_verdict, unusable_verdict
 from posor_estimator.frame_publisher import FramePublisher
@@ -75,7 +73,6 @@ if TYPE_CHECKING:
     from posor.messages.arm_pass import ArmPass
     from posor_ros.delivery_round import Delivery
     from posor_ros.diagnostics import Status, Value
-    from rclpy.subscription import Subscription
     from std_srvs.srv import Trigger
 
     from posor_estimator.prepared_scan import PreparedScan
@@ -97,8 +94,7 @@ class ChainNode(PosorNode[ChainParameters]):
 
     _estimator: EndpointEstimator
     _synchroniser: TimeSynchroniser[JointMessage]
-    _temperatures: BeamTemperatures
-    _vibrations: BeamVibrations
+    _beams: BeamInputs
     _formats: dict[str, JointTransformFormat]  # of the last transform of each joint
     _rows: ScanRows
     _transforms: dict[IntraProcessSubscription, int]  # with the number of the joint of each
@@ -141,8 +137,6 @@ class ChainNode(PosorNode[ChainParameters]):
         plain = {joint.name: TransformConstants(joint.parent, joint.child).encoded(schema) for joint in chain.joints}
         self._formats = {name: JointTransformFormat(example) for name, example in plain.items()}
         self._estimator = chain.estimator(self.parameters.acceleration_window)
-        self._temperatures = BeamTemperatures(chain.beams, self._estimator, chain.plates)
-        self._vibrations = BeamVibrations(chain.beams, self._estimator)
         self._rows, self._transforms, self._reads_effects = ScanRows(self._estimator), {}, True
         self._home, self._worst, self._pose_stamp, self._reported = HomePose(), OK, b"", None
         self._poses = self._scans_refused = self._scans_incomplete = self._transforms_refused = 0
@@ -174,7 +168,7 @@ class ChainNode(PosorNode[ChainParameters]):
         self._joints = {}
         for number, joint in enumerate(chain.joints):
             self._subscribe(number, joint)
-        self._subscribe_to_beams()
+        self._beams = BeamInputs(self, chain, self._estimator, self._lock)
         steady_clock = Clock(clock_type=ClockType.STEADY_TIME)
         period_s = min(self.parameters.max_wait, LATE_CHECK_S)
         self.add_cleanup(self.destroy_timer, self.create_timer(period_s, self._close_late_scans, clock=steady_clock))
@@ -196,25 +190,11 @@ class ChainNode(PosorNode[ChainParameters]):
         self._transforms[subscription] = number
         self._joints[subscription.topic_name] = number, joint
 
-    def _subscribe_to_beams(self) -> None:
-        self._accelerometers: dict[str, IntraProcessSubscription] = {}
-        self._thermometers: dict[str, Subscription] = {}
-        for name in self._temperatures.names:
-            topic, callback = f"{self.parameters.temperature_topic}/{name}", partial(self._on_temperature, name)
-            subscription = self.create_subscription(Temperature, topic, callback, input_qos(self.parameters))
-            self.add_cleanup(self.destroy_subscription, subscription)
-            self._thermometers[name] = subscription
-        for name in self._vibrations.names:
-            topic, read = f"{self.parameters.acceleration_topic}/{name}", partial(self._on_acceleration, name)
-            qos, callback = input_qos(self.parameters), partial(read, AccelerationReader())
-            self._accelerometers[name] = IntraProcessSubscription(self, Imu, topic, qos, callback)
-
     def activate(self) -> None:
         """Expect transforms with present stamps, and new readings of the thermometers, from now on."""
         self._inputs.start()
         with self._lock:
-            self._temperatures.restart()
-            self._vibrations.restart()
+            self._beams.restart()
             if self._prediction is not None:
                 self._prediction.restart(self._inputs.stamp_limits)
 
@@ -234,7 +214,7 @@ class ChainNode(PosorNode[ChainParameters]):
         """Return the verdict on a pose, with what concerns the whole arm."""
         if self._identity.refuses:
             return self._identity.verdict
-        reasons = self._temperatures.reason, self._vibrations.reason, self._home.fault(self._identity.sha256)
+        reasons = self._beams.reason, self._home.fault(self._identity.sha256)
         return degraded_by(self._identity.degraded(verdict), "; ".join(filter(None, reasons)))
 
     def _on_inputs_checked(self, is_new: bool) -> None:  # noqa: FBT001  a callback
@@ -303,27 +283,6 @@ class ChainNode(PosorNode[ChainParameters]):
         if self._prediction is not None and not self._inputs.refusal(stamp_ns):
             self._prediction.add_transform(number, stamp_ns, message)
         return message
-
-    def _on_temperature(self, name: str, message: Temperature) -> None:
-        """Add a reading of a thermometer; the scans that follow check and use it."""
-        stamp_ns = time_ns(message.header.stamp.sec, message.header.stamp.nanosec)
-        publishers = self._thermometers[name].get_publisher_count()
-        with self._lock:
-            self._temperatures.add(name, stamp_ns, message.temperature, message.header.frame_id, publishers)
-
-    def _on_acceleration(self, name: str, reader: AccelerationReader, data: bytes) -> None:
-        """Add a reading of an accelerometer; the scans that follow check and use it."""
-        publishers = self._accelerometers[name].publishers
-        with self._lock:
-            if publishers > 1:
-                self._vibrations.refuse(name, f"has {publishers} publishers on its topic; expected one")
-                return
-            try:
-                stamp_ns, reading, frame = reader.read(data)
-            except TopicError as error:
-                self._vibrations.refuse(name, f"has sent an invalid message: {str(error).rstrip('.')}")
-                return
-            self._vibrations.add(name, stamp_ns, reading, frame)
 
     def _use_format_of(self, joint: FreeJoint, data: bytes) -> bytes:
         """Take the format of a transform and return it in plain CDR; refuse an invalid one and return empty bytes."""
@@ -406,14 +365,13 @@ class ChainNode(PosorNode[ChainParameters]):
         if (
             len(scans) != len(self._transforms)
             or not (self.may_publish and stamp_ns and header.startswith(LITTLE_ENDIAN))
-            or self._vibrations.names
+            or self._beams.vibrates
             or not self._synchroniser.is_complete_at_once(stamp_ns)
             or not self._inputs.accepts(stamp_ns)
             or (found := self._rows.find_pass(scans, self._transforms)) is None
         ):
             return None
-        if self._temperatures.names:
-            self._temperatures.update(stamp_ns)
+        self._beams.update(stamp_ns)
         return partial(self._estimate_taken, found, stamp, stamp_ns)
 
     def _estimate_taken(self, arm_pass: ArmPass, stamp: bytes, stamp_ns: int) -> bool:
@@ -438,10 +396,7 @@ class ChainNode(PosorNode[ChainParameters]):
         refusal = "" if self._inputs.accepts(stamp_ns) else self._inputs.refusal(stamp_ns)
         worst = UNUSABLE
         if not refusal:
-            if self._temperatures.names:
-                self._temperatures.update(stamp_ns)
-            if self._vibrations.names:
-                self._vibrations.update(stamp_ns)
+            self._beams.update(stamp_ns)
             worst = self._estimator.estimate_rows(stamp_ns)
         self._end_scan(stamp, stamp_ns, worst, refusal)
 
@@ -505,7 +460,7 @@ class ChainNode(PosorNode[ChainParameters]):
         """Return the verdict on the last scan, which has a pose."""
         identity, is_ok = self._identity, self._worst == OK
         is_sound = is_ok and identity.verdict is SOUND and not self._home.fault(identity.sha256)
-        if is_sound and not self._temperatures.reason and not self._vibrations.reason:
+        if is_sound and not self._beams.reason:
             return SOUND
         return self._with_arm(SOUND if is_ok else degraded_verdict(self._rows.statuses()))
 
@@ -534,7 +489,7 @@ class ChainNode(PosorNode[ChainParameters]):
         self._reported = None
 
     def _counts(self) -> dict[str, Value]:
-        present, names = self._temperatures.kelvins, self._temperatures.names
+        present, names = self._beams.temperatures.kelvins, self._beams.temperatures.names
         kelvins = {f"temperature {name} [K]": round(present.get(name, math.nan), 3) for name in names}
         scans = {"scans_refused": self._scans_refused, "scans_incomplete": self._scans_incomplete}
         return {"poses": self._poses, **scans, "transforms_refused": self._transforms_refused, **kelvins}
