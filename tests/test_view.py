@@ -10,7 +10,6 @@ import re
 import shutil
 import signal
 import socket
-import sys
 import time
 from http import HTTPStatus
 from pathlib import Path
@@ -34,7 +33,7 @@ from playwright.sync_api import Page
 from posor_bringup.view_page import HOST
 from posor_bringup.view_texts import GREEN, RED
 from posor_lab.harness.browser import BROWSER, opened_browser
-from posor_lab.harness.program import Program
+from posor_lab.harness.program import Program, installed
 
 pytestmark = [
     pytest.mark.usefixtures("ros_domain"),
@@ -146,8 +145,8 @@ FAILED_HANDSHAKE = b"GET / HTTP/1.1\r\nUpgrade: websocket\r\nConnection: Upgrade
 
 
 def test_a_failed_handshake_is_printed_and_a_connection_without_a_request_is_not() -> None:
-    command = ["-m", "posor_bringup.view_command", STATES_BAG.name, "--port", "0", "--bag", str(STATES_BAG)]
-    with Program([sys.executable, *command]) as view:
+    command = [*installed("posor_bringup", "view"), STATES_BAG.name, "--port", "0", "--bag", str(STATES_BAG)]
+    with Program(command) as view:
         port = int(re.findall(rf"http://{HOST}:(\d+)", view.wait_for_line("page at"))[0])
         for request in (*WITHOUT_REQUEST, FAILED_HANDSHAKE):
             with socket.create_connection((HOST, port)) as connection:
@@ -162,8 +161,8 @@ def test_a_failed_handshake_is_printed_and_a_connection_without_a_request_is_not
 
 
 def test_a_message_of_another_program_is_one_line_in_the_terminal() -> None:
-    command = ["-m", "posor_bringup.view_command", STATES_BAG.name, "--port", "0", "--bag", str(STATES_BAG)]
-    with Program([sys.executable, *command]) as view:
+    command = [*installed("posor_bringup", "view"), STATES_BAG.name, "--port", "0", "--bag", str(STATES_BAG)]
+    with Program(command) as view:
         port = int(re.findall(rf"http://{HOST}:(\d+)", view.wait_for_line("page at"))[0])
         for frame in UNREADABLE:
             with socket.create_connection((HOST, port)) as connection:

@@ -14,7 +14,6 @@ from __future__ import annotations
 import argparse
 import os
 import subprocess
-import sys
 import tempfile
 import time
 from contextlib import contextmanager
@@ -122,7 +121,7 @@ def opened_page(arm: str, width: int, height: int, *options: str) -> Iterator[tu
         PosorError: Chromium is not installed.
 
     """
-    command = [sys.executable, "-m", "posor_bringup.view_command", arm, "--port", "0", *options]
+    command = [*installed("posor_bringup", "view"), arm, "--port", "0", *options]
     with Program(command) as view, opened_browser(width, height) as page:
         page.goto(next(word for word in view.wait_for_line("page at").split() if word.startswith("http")).rstrip(";"))
         yield page, view

@@ -8,7 +8,6 @@ With ``--design FOLDER`` it simulates a POSOR of ``posor design posor`` instead,
 from __future__ import annotations
 
 import argparse
-import sys
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -252,7 +251,3 @@ def main(arguments: list[str] | None = None) -> int:
     _print_report(report, Console(width=118))
     write_json(options.output, report)
     return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

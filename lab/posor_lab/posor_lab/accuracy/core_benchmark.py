@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import argparse
 import math
-import sys
 from pathlib import Path
 from statistics import median
 from time import thread_time
@@ -90,7 +89,3 @@ def main(arguments: list[str] | None = None) -> int:
     Console(width=118).print(table)
     write_json(options.output, figures)
     return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

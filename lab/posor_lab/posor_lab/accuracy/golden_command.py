@@ -13,7 +13,6 @@ from __future__ import annotations
 import argparse
 import json
 import math
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args
@@ -204,7 +203,3 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("file", type=Path, help="cases, one JSON object per line")
     print(json.dumps(largest_errors(parser.parse_args(arguments).file)))
     return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

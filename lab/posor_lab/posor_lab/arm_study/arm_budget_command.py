@@ -279,7 +279,3 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.output is not None:
         write_json(options.output, budgets)
     return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

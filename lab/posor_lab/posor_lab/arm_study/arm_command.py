@@ -173,7 +173,3 @@ def _measure_coverage(arm: ArmFile, arms: int, console: Console) -> Coverage:
         progress.stage(title, arms) as on_drawn,
     ):
         return arm_coverage(arm, arms, on_drawn=on_drawn)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -7,7 +7,6 @@
 
 from __future__ import annotations
 
-import sys
 import tempfile
 from functools import partial
 from itertools import chain
@@ -71,7 +70,3 @@ def main(arguments: Sequence[str] | None = None) -> int:
     ReportTable(title, header, [row]).print(report_console(140))
     write_json(options.output, {**found._asdict(), "poses": options.poses, "tested": options.tested})
     return 0 if found.in_band else 1
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -8,7 +8,6 @@ most 1.5 times that at scans, the errors are in the stated region as often as st
 
 from __future__ import annotations
 
-import sys
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -115,7 +114,3 @@ def main(arguments: Sequence[str] | None = None) -> int:
     console.print(f"A reading of all encoders costs {1e6 * cost_s:.1f} µs (median).", markup=False)
     content = {"arms": options.arms, "cost_s": cost_s, "cases": found}
     return end_study("prediction_truth", failures(found, cost_s), options.output, content)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -88,7 +88,3 @@ def main(arguments: Sequence[str] | None = None) -> int:
     ReportTable(title, header, rows).print(report_console(140))
     write_json(options.output, found)
     return 0 if all(each["confirmed"] for each in found.values()) else 1
-
-
-if __name__ == "__main__":
-    sys.exit(main())

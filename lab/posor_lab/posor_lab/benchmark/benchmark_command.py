@@ -137,7 +137,3 @@ def _write_results(options: Namespace, results: dict[str, Any], console: Console
         page.write_text(growth_page(results["growth"], options.joints, GROWTH_HZ), encoding="utf-8")
         console.print(f"plots written to {page}")
     write_json(options.output, results)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -84,7 +84,3 @@ def main(arguments: Sequence[str] | None = None) -> int:
         page.write_text(replace_tables(page.read_text(encoding="utf-8"), texts, tuple(texts)), encoding="utf-8")
     write_json(options.output, results)
     return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -143,7 +143,3 @@ def _run(options: Namespace, check: Callable[[], None]) -> Findings:
     console.print(f"report: {options.output / 'report.html'}", soft_wrap=True, markup=False)
     print_verdict(findings, console)
     return findings
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -8,7 +8,6 @@ arm without a fault passes.
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -154,6 +153,3 @@ PROGRAM = TrialProgram(
     "build/commissioning.json",
 )
 main = PROGRAM.main
-
-if __name__ == "__main__":
-    sys.exit(main())

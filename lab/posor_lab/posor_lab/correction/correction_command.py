@@ -8,7 +8,6 @@ time.
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -117,7 +116,3 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     cases = {case: [each[case]._asdict() for each in robots] for case in gains}
     return end_study("correction", findings(gains, stops), options.output, {"robots": cases, "stops_s": stops})
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -8,7 +8,6 @@ The exit code is 0 only if every aim is reached; the aims are in ``docs/how_to/f
 
 from __future__ import annotations
 
-import sys
 from collections import defaultdict
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -344,6 +343,3 @@ def rows_table(results: Sequence[RowResult]) -> Table:
 DESCRIPTION = "Inject faults and count wrong poses published as valid."
 PROGRAM = TrialProgram("faults", DESCRIPTION, OPTIONS, run_faults, "fault table", "build/faults.json", shorten)
 main = PROGRAM.main
-
-if __name__ == "__main__":
-    sys.exit(main())

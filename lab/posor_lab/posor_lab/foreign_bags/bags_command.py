@@ -9,7 +9,6 @@ is the judge, never another reader of this stack.
 
 from __future__ import annotations
 
-import sys
 from collections import Counter
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -65,6 +64,3 @@ def run_bags(trial: Trial) -> tuple[Findings, Mapping[str, Any]]:
 DESCRIPTION = "Generate bags of other writers and of killed recorders, read and recover each."
 PROGRAM = TrialProgram("bags", DESCRIPTION, OPTIONS, run_bags, "generated bags")
 main = PROGRAM.main
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 import random
-import sys
 import time
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -178,6 +177,3 @@ def _count_finding(name: str, fuzz: MessageFuzz) -> Finding:
 DESCRIPTION = "Damage messages and files and count wrong poses."
 PROGRAM = TrialProgram("fuzz", DESCRIPTION, OPTIONS, run_fuzz, "damaged messages and files")
 main = PROGRAM.main
-
-if __name__ == "__main__":
-    sys.exit(main())

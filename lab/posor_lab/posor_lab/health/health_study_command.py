@@ -8,7 +8,6 @@ truth. Exit code 0: no alarm in the sound years; every change is found, and the 
 
 from __future__ import annotations
 
-import sys
 from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -141,7 +140,3 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _verdict(outcomes: Sequence[Outcome]) -> str:
     return "yes" if all(each.right for each in outcomes) else "NO"
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -7,7 +7,6 @@ The aims are in ``docs/reference/instruments.md``.
 
 from __future__ import annotations
 
-import sys
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
@@ -94,6 +93,3 @@ PROGRAM = TrialProgram(
     choose_trials,
 )
 main = PROGRAM.main
-
-if __name__ == "__main__":
-    sys.exit(main())

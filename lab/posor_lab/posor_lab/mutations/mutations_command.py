@@ -128,7 +128,3 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the program."""
     parse = partial(parse_options, "mutations", "Break the estimator's model and find who notices.", OPTIONS)
     return exit_code_of_findings(lambda: _run(parse(sys.argv[1:] if arguments is None else arguments)))
-
-
-if __name__ == "__main__":
-    sys.exit(main())

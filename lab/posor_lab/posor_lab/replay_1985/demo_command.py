@@ -136,7 +136,3 @@ def _write_report(
     )
     write_files({plan.output / "report.html": page, plan.output / "steps.csv": steps_as_csv(test)})
     return comparison
-
-
-if __name__ == "__main__":
-    sys.exit(main())

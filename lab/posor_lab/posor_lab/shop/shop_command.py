@@ -8,7 +8,6 @@ tenth, both cases are inside their 95 % region as often as stated, and the contr
 
 from __future__ import annotations
 
-import sys
 import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -86,7 +85,3 @@ def main(arguments: Sequence[str] | None = None) -> int:
     title = f"Simulated: five_axis, {options.arms} arms at {POSES} poses; a shift of {options.shift_arms} arms"
     ReportTable(title, header, rows).print(report_console(140))
     return end_study("shop", failures(drawn, shift), options.output, {"drawn": drawn, "shift": shift})
-
-
-if __name__ == "__main__":
-    sys.exit(main())

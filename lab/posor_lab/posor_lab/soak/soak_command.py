@@ -10,7 +10,6 @@ lost. The aims are in ``docs/how_to/fuzz_and_soak.md``.
 from __future__ import annotations
 
 import re
-import sys
 import time
 from array import array
 from collections import Counter
@@ -262,6 +261,3 @@ def soak_findings(figures: SoakFigures) -> Findings:
 DESCRIPTION = "Run a simulated arm in one process for a long time."
 PROGRAM = TrialProgram("soak", DESCRIPTION, OPTIONS, run_program, "arm in one process", "build/soak.json")
 main = PROGRAM.main
-
-if __name__ == "__main__":
-    sys.exit(main())

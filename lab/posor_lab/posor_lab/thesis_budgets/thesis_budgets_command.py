@@ -8,7 +8,6 @@ Exit code 0 only if every difference to a printed cell is explained.
 from __future__ import annotations
 
 import math
-import sys
 from collections import Counter
 from itertools import product
 from pathlib import Path
@@ -117,7 +116,3 @@ def _cell_content(cell: BudgetCell) -> dict[str, Any]:
         "note": cell.reason if explained else "",
         "reason_gives": cell.gives if explained else None,
     }
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -8,7 +8,6 @@ Exit code 0: every row has been computed, whether or not it agrees.
 from __future__ import annotations
 
 import re
-import sys
 from collections import Counter
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -188,7 +187,3 @@ def render_thesis_page(subjects: Sequence[Subject], rows: Sequence[ThesisRow]) -
 def _page_cells(row: ThesisRow) -> tuple[str | Cell, ...]:
     *cells, kind, verdict, reason = format_cells(row)
     return *cells, Cell(verdict, _CSS_CLASSES[row.verdict]), reason, kind
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -9,7 +9,6 @@ limit no protection level is bounded; and the control with wrong natural frequen
 
 from __future__ import annotations
 
-import sys
 import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -122,7 +121,3 @@ def main(arguments: Sequence[str] | None = None) -> int:
     cases = {str(frequency): {name: case._asdict() for name, case in each.items()} for frequency, each in found.items()}
     content = {"arms": options.arms, "limit_hz": limit_hz, "frequencies": cases, "control": control._asdict()}
     return end_study("vibration", failures(found, limit_hz, control), options.output, content)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

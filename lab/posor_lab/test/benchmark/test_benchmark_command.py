@@ -9,7 +9,6 @@ import json
 import math
 import signal
 import subprocess
-import sys
 from pathlib import Path
 from time import monotonic, sleep
 from typing import Any
@@ -18,6 +17,7 @@ import pytest
 from posor.errors import ParameterError
 from posor_lab.benchmark.benchmark_command import main, parse_options
 from posor_lab.benchmark.benchmark_tables import result_tables
+from posor_lab.harness.program import installed
 
 
 @pytest.mark.parametrize(
@@ -69,7 +69,7 @@ def test_small_run_gives_all_figures(tmp_path: Path) -> None:
 
 
 def start_benchmark(output: Path, *options: str) -> subprocess.Popen[str]:
-    command = [sys.executable, "-m", "posor_lab.benchmark.benchmark_command", "--output", str(output), *options]
+    command = [*installed("posor_lab", "bench"), "--output", str(output), *options]
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 

@@ -9,7 +9,6 @@ import io
 import json
 import signal
 import subprocess
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,6 +16,7 @@ from typing import Any
 import pytest
 from posor.calibration.calibration_file import load_calibration
 from posor_lab.campaign.calibrate_demo_command import main
+from posor_lab.harness.program import installed
 from posor_lab.harness.report_page import ReportPage
 
 CAMPAIGNS = 4
@@ -135,7 +135,7 @@ def test_an_output_folder_that_is_a_file_is_refused(tmp_path: Path, capsys: pyte
 @pytest.mark.long
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_an_interrupt_ends_the_run_with_one_line(tmp_path: Path, number: signal.Signals) -> None:
-    command = [sys.executable, "-m", "posor_lab.campaign.calibrate_demo_command", "--output", str(tmp_path / "out")]
+    command = [*installed("posor_lab", "calibrate_demo"), "--output", str(tmp_path / "out")]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as program:
         assert program.stdout is not None
         assert program.stdout.readline().startswith("triad_diodes: recording bags: 10 done")

@@ -7,7 +7,6 @@ from __future__ import annotations
 import os
 import random
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -24,6 +23,7 @@ from posor_lab.fuzz.message_fuzz import (
     record,
 )
 from posor_lab.fuzz.node_fuzz import NodeScanFuzz, NodeTransformFuzz
+from posor_lab.harness.program import installed
 from posor_ros.node_program import ros_context
 
 SEED = 1985
@@ -89,7 +89,7 @@ def test_nodes_answer_every_sound_message_and_no_damaged_one_wrongly(
 def test_kernels_stay_within_their_arrays() -> None:
     """Compiled kernels read past the end of an array in silence; with this setting of numba they raise IndexError."""
     environment = {**os.environ, "NUMBA_BOUNDSCHECK": "1", "POSOR_KERNELS": "numba"}
-    command = [sys.executable, "-m", "posor_lab.fuzz.fuzz_command", "--scans", "60000", "--transforms", "60000"]
+    command = [*installed("posor_lab", "fuzz"), "--scans", "60000", "--transforms", "60000"]
     run = [*command, "--nodes", "0", "--files", "0"]
     found = subprocess.run(run, env=environment, capture_output=True, text=True, check=False)
     assert found.returncode == 0, found.stdout + found.stderr

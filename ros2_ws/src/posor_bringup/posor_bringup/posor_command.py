@@ -144,7 +144,3 @@ def main(arguments: Sequence[str] | None = None) -> int:
     subcommand = SUBCOMMANDS[name]
     sys.argv = [name, *subcommand.arguments, *others]
     return subcommand.program()
-
-
-if __name__ == "__main__":
-    sys.exit(main())

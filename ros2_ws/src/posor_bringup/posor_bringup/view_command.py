@@ -157,7 +157,3 @@ def draw_observation(geometry: ArmGeometry, observation: Observation) -> DrawnAr
 
 def _announce(arm: ArmFile, page: ViewPage) -> None:
     print(f"{arm.name}: page at {page.address}; Ctrl-C ends it", flush=True)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

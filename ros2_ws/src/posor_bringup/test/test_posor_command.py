@@ -13,12 +13,13 @@ from pathlib import Path
 import pytest
 from posor.lazy_program import LazyProgram
 from posor_bringup.posor_command import SUBCOMMANDS, main, words_after
+from posor_lab.harness.program import installed
 
 ROOT = Path(__file__).resolve().parents[4]
 
 
 def posor(*arguments: str) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "posor_bringup.posor_command", *arguments]
+    command = [*installed("posor_bringup", "posor"), *arguments]
     return subprocess.run(command, capture_output=True, text=True, check=False)
 
 
