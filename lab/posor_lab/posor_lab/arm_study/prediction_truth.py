@@ -141,13 +141,7 @@ class PredictionTruth:
         first_ns = int(transforms.stamps_ns[0])
         stamps_ns = first_ns + np.arange(len(run.angles)) * (NS // RATE)
         return predict_recorded(
-            self._chain,
-            self.parameters,
-            stamps_ns,
-            run.angles,
-            transforms,
-            terms=self._terms,
-            acceleration_window=self._window,
+            self._chain, self.parameters, stamps_ns, run.angles, transforms, self._terms, self._window
         )
 
     def samples(self, seed: int) -> dict[tuple[str, bool], Sample]:
