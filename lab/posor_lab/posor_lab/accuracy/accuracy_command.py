@@ -7,7 +7,6 @@ With ``--design FOLDER`` it simulates a POSOR of ``posor design posor`` instead,
 
 from __future__ import annotations
 
-import argparse
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -15,17 +14,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 from posor.arm_names import ARM_FILE
 from posor.chain.arm_file import load_arm_file
-from posor.errors import ParameterError
 from posor.estimation.posor import Posor
 from posor.model.native_coordinates import native_from_rotation, native_jacobian
 from posor.numerics.vector import wrapped_angles
+from posor.reporting.command_line_parser import CommandLineParser, number_above
 from posor.reporting.program_errors import reports_errors
+from posor.reporting.report_console import report_console
+from posor.reporting.report_table import ReportTable
 from posor_design.layout_evaluation import random_poses
 from posor_design.posor_output import JOINT, REQUIREMENT
 from posor_design.requirement import FREEDOMS, load_requirement
 from rich.console import Console
 from rich.progress import Progress
-from rich.table import Table
 
 from posor_lab.accuracy.consistency import FALSE_ALARM, DrawnPosors, Nees, closure, monte_carlo, nees, normalised
 from posor_lab.accuracy.fault_detection import FAULTS, detectable_shifts, detection, ring_observability
@@ -33,8 +33,6 @@ from posor_lab.harness.random_poses import STACKS, errors_in_parent
 from posor_lab.lab_output import check_writable, write_json
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
-
     from posor.numerics.array_types import FloatArray
 
     from posor_lab.accuracy.fault_detection import DetectableShift
@@ -132,7 +130,7 @@ def design_verdict(confirmation: DesignConfirmation) -> str:
 
 
 FULL = {"poses": 100_000, "runs": 10_000, "draws": 10_000, "faults": 1_000, "designs": 2_000}
-SEED = 1985
+SEED, WIDTH = 1985, 118
 LARGEST_SHIFT_M = 1e-3
 
 EXPLANATION = """\
@@ -167,18 +165,11 @@ def _measure_accuracy(scale: float, progress: Progress) -> Report:
     return report
 
 
-def _print_table(console: Console, title: str, columns: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> None:
-    table = Table(*columns, title=title, title_justify="left")
-    for row in rows:
-        table.add_row(*row)
-    console.print(table)
-
-
 def _print_report(report: Report, console: Console) -> None:
     """Print the figures as tables, and the smallest shifts of single readings that are flagged."""
     title = "Accuracy of the estimator over the full range of each design (SI units)"
     columns = ("stack", "closure", "closed form", "NEES / 6 in [95 % band]", "Monte Carlo / stated")
-    _print_table(console, title, columns, (_stack_row(report, stack) for stack in STACKS))
+    ReportTable(title, columns, [_stack_row(report, stack) for stack in STACKS]).print(console)
     rows: list[tuple[str, ...]] = [
         (
             fault,
@@ -189,18 +180,18 @@ def _print_report(report: Report, console: Console) -> None:
         for fault, found in report["health"].items()
     ]
     title = "Faults flagged in their first scan, at 1 kHz"
-    _print_table(console, title, ("fault", "design", "flagged", "false alarms"), rows)
+    ReportTable(title, ("fault", "design", "flagged", "false alarms"), rows).print(console)
     title = (
         "Smallest shift of one reading that is flagged within one scan: as motion faster than the design's\n"
         "limits (1 mm/s, 0.02 rad/s of lean, 3 rad/s of theta), or as a contradiction of the redundant reading"
     )
     rows = [_shift_row(stack, shift) for stack in STACKS for shift in detectable_shifts(stack)]
-    _print_table(console, title, ("stack", "reading", "by motion", "by chi-square"), rows)
+    ReportTable(title, ("stack", "reading", "by motion", "by chi-square"), rows).print(console)
     console.print(EXPLANATION)
     rings = [(probes, ring_observability(probes)) for probes in (3, 4)]
     ratios = [(str(probes), f"{each.min() / each.max():.4f}") for probes, each in rings]
     title = "Observability of x, y and theta by a bumpy ring over the phase of a bump"
-    _print_table(console, title, ("ring probes", "worst phase / best phase"), ratios)
+    ReportTable(title, ("ring probes", "worst phase / best phase"), ratios).print(console)
 
 
 def _stack_row(report: Report, stack: str) -> tuple[str, ...]:
@@ -227,7 +218,7 @@ def _confirm_design(folder: Path, scale: float, output: Path) -> int:
     confirmation = confirm_design(folder, draws, SEED)
     columns = ("freedom", "required", "error rms", "stated rms", "error / required")
     title = f"Simulated errors of {draws} POSORs drawn from {folder}, one pose each (standard uncertainties, SI units)"
-    _print_table(Console(width=118), title, columns, design_rows(confirmation))
+    ReportTable(title, columns, design_rows(confirmation)).print(report_console(WIDTH))
     print(design_verdict(confirmation))
     write_json(output, {"design": asdict(confirmation)})
     return 0 if confirmation.confirmed else 1
@@ -236,18 +227,17 @@ def _confirm_design(folder: Path, scale: float, output: Path) -> int:
 @reports_errors
 def main(arguments: list[str] | None = None) -> int:
     """Run the program; the exit code is 0 if the report could be made, or the requirement of a design is confirmed."""
-    parser = argparse.ArgumentParser(prog="accuracy", description=str(__doc__).splitlines()[0])
+    parser = CommandLineParser(prog="accuracy", description=str(__doc__).splitlines()[0])
     parser.add_argument("--output", type=Path, default=Path("build/accuracy.json"), help="JSON file to write")
-    parser.add_argument("--scale", type=float, default=1.0, help="share of the full size, for a quick look")
+    text = "share of the full size, for a quick look"
+    parser.add_argument("--scale", type=number_above(0.0, 1.0), default=1.0, help=text)
     parser.add_argument("--design", type=Path, metavar="FOLDER", help="output of posor design posor to simulate")
     options = parser.parse_args(arguments)
-    if not 0.0 < options.scale <= 1.0:
-        raise ParameterError(f"--scale {options.scale}", expected="more than 0, at most 1")
     check_writable(options.output)
     if options.design is not None:
         return _confirm_design(options.design, options.scale, options.output)
     with Progress(console=Console(stderr=True)) as progress:
         report = _measure_accuracy(options.scale, progress)
-    _print_report(report, Console(width=118))
+    _print_report(report, report_console(WIDTH))
     write_json(options.output, report)
     return 0

@@ -8,7 +8,6 @@ second of many scans in one call (``Posor.estimate_all``).
 
 from __future__ import annotations
 
-import argparse
 import math
 from pathlib import Path
 from statistics import median
@@ -23,9 +22,10 @@ from posor.model.fault import State
 from posor.model.native_coordinates import rotation_from_native
 from posor.model.scan import STATED_HOME
 from posor.numerics.compiled import MODE
+from posor.reporting.command_line_parser import CommandLineParser
 from posor.reporting.program_errors import reports_errors
-from rich.console import Console
-from rich.table import Table
+from posor.reporting.report_console import report_console
+from posor.reporting.report_table import ReportTable
 
 from posor_lab.harness.random_poses import STACKS, TICK_NS
 from posor_lab.lab_output import check_writable, write_json
@@ -76,16 +76,14 @@ def _measure_stack(stack: DesignName, single_count: int, batch_count: int) -> di
 @reports_errors
 def main(arguments: list[str] | None = None) -> int:
     """Run the benchmark, print a table and write a JSON file."""
-    parser = argparse.ArgumentParser(prog="bench_core", description=str(__doc__).splitlines()[0])
+    parser = CommandLineParser(prog="bench_core", description=str(__doc__).splitlines()[0])
     parser.add_argument("--output", type=Path, default=Path("build/bench_core.json"), help="JSON file to write")
     options = parser.parse_args(arguments)
     check_writable(options.output)
     figures = {stack: _measure_stack(stack, 2_000, 20_000) for stack in STACKS}
     title = f"Speed of the core, kernels by {MODE}; processor time, medians of {ROUNDS} rounds"
     columns = ("stack", "one scan, us", "many scans, scans/s")
-    table = Table(*columns, title=title, title_justify="left")
-    for stack, row in figures.items():
-        table.add_row(stack, f"{row['scalar_us']:.1f}", f"{row['scans_per_s']:,.0f}")
-    Console(width=118).print(table)
+    rows = [(stack, f"{row['scalar_us']:.1f}", f"{row['scans_per_s']:,.0f}") for stack, row in figures.items()]
+    ReportTable(title, columns, rows).print(report_console(118))
     write_json(options.output, figures)
     return 0

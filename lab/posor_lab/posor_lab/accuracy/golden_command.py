@@ -10,7 +10,6 @@ all steps of a scan.
 
 from __future__ import annotations
 
-import argparse
 import json
 import math
 from dataclasses import dataclass
@@ -25,6 +24,7 @@ from posor.errors import DataFileError
 from posor.estimation.posor import Posor
 from posor.model.fault import Fault, State
 from posor.model.scan import Scan, Scans
+from posor.reporting.command_line_parser import CommandLineParser
 from posor.reporting.program_errors import reports_errors
 
 if TYPE_CHECKING:
@@ -199,7 +199,7 @@ def largest_errors(path: Path) -> dict[str, dict[str, float]]:
 @reports_errors
 def main(arguments: list[str] | None = None) -> int:
     """Run the check; the exit code is 0 if all cases could be checked."""
-    parser = argparse.ArgumentParser(prog="golden", description=str(__doc__).splitlines()[0])
+    parser = CommandLineParser(prog="golden", description=str(__doc__).splitlines()[0])
     parser.add_argument("file", type=Path, help="cases, one JSON object per line")
     print(json.dumps(largest_errors(parser.parse_args(arguments).file)))
     return 0

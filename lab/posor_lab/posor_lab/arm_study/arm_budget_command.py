@@ -7,7 +7,6 @@
 
 from __future__ import annotations
 
-import sys
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -17,12 +16,12 @@ from posor.calibration.designs import PROBE_ACCURACY, SMALLEST_DIAMETER
 from posor.chain.arm_file import load_arm_file
 from posor.chain.kinematic_chain import load_chain
 from posor.errors import ChainError, DataFileError, ParameterError
-from posor.reporting.command_line_parser import CommandLineParser
+from posor.reporting.command_line_parser import CommandLineParser, whole_number_from
 from posor.reporting.program_errors import reports_errors
+from posor.reporting.report_console import report_console
+from posor.reporting.report_table import ReportTable
 from posor.uncertainty.budget_poses import model_covariances
 from posor_design.endpoint_budget import Spread, configurations, endpoint_budget
-from rich.console import Console
-from rich.table import Table
 from scipy.constants import inch
 
 from posor_lab.arm_study.endpoint_monte_carlo import monte_carlo
@@ -38,6 +37,7 @@ if TYPE_CHECKING:
     from posor.chain.arm_file import ArmFile
     from posor.chain.kinematic_chain import Chain
     from posor.numerics.array_types import FloatArray
+    from rich.console import Console
 
 CALIBRATION_ERROR = 50.0  # error of the calibration of the measuring system, section 9.3.3 [uin]
 DRAWS = 10_000
@@ -240,42 +240,43 @@ def _print_budgets(budgets: Mapping[str, Mapping[str, Any]], console: Console) -
         if "printed" in budget:
             rows.append(("printed in thesis 9.3.1", budget["printed"]))
         title = f"Endpoint, {configuration}: standard uncertainties (k = 1)"
-        console.print(_table(title, "accuracies of the joints", rows))
+        _table(title, "accuracies of the joints", rows).print(console)
         for title, case in cases.items():
             parts = [(part["name"], part) for part in case["contributions"]]
-            console.print(_table(f"Contributions, {configuration}: {title}", "contribution", parts))
+            _table(f"Contributions, {configuration}: {title}", "contribution", parts).print(console)
 
 
-def _table(title: str, first: str, rows: Iterable[tuple[str, Mapping[str, float]]]) -> Table:
-    table = Table(first, title=title, title_justify="left")
-    for column in ("aX urad", "aY urad", "aZ urad", "dX uin", "dY uin", "dZ uin", "total uin", "total um"):
-        table.add_column(column, justify="right")
-    for name, row in rows:
-        cells = [f"{row[figure]:.{1 if figure.endswith('uin') else 2}f}" for figure in FIGURES]
-        table.add_row(name, *cells, f"{row['displacement_uin'] * MICROINCH * 1e6:.2f}")
-    return table
+def _table(title: str, first: str, rows: Iterable[tuple[str, Mapping[str, float]]]) -> ReportTable:
+    cells = [
+        (
+            name,
+            *(f"{row[figure]:.{1 if figure.endswith('uin') else 2}f}" for figure in FIGURES),
+            f"{row['displacement_uin'] * MICROINCH * 1e6:.2f}",
+        )
+        for name, row in rows
+    ]
+    header = (first, "aX urad", "aY urad", "aZ urad", "dX uin", "dY uin", "dZ uin", "total uin", "total um")
+    return ReportTable(title, header, cells)
 
 
-def _parse_options(arguments: Sequence[str]) -> argparse.Namespace:
+def _parse_options(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser = CommandLineParser(prog="arm_budget", description="Error budget of an arm's endpoint.")
     add, default = parser.add_argument, thesis_arm_path()
     add("--arm", type=Path, default=default, metavar="ARM.yaml", help="default: the five-axis arm")
     add("--output", type=Path, metavar="FILE.json", help="file for the figures")
-    add("--draws", type=int, default=DRAWS, help=f"draws of each Monte Carlo run (default: {DRAWS})")
-    options = parser.parse_args(list(arguments))
-    if options.draws < 1:
-        raise ParameterError(f"--draws {options.draws}", where="arm_budget", expected="1 or more")
-    return options
+    text = f"draws of each Monte Carlo run (default: {DRAWS})"
+    add("--draws", type=whole_number_from(1), default=DRAWS, help=text)
+    return parser.parse_args(arguments)
 
 
 @reports_errors
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the program."""
-    options = _parse_options(sys.argv[1:] if arguments is None else arguments)
+    options = _parse_options(arguments)
     if options.output is not None:
         check_writable(options.output)
     budgets = arm_budget(load_arm_file(options.arm), options.draws)
-    _print_budgets(budgets, Console(width=118, highlight=False))
+    _print_budgets(budgets, report_console(118))
     if options.output is not None:
         write_json(options.output, budgets)
     return 0

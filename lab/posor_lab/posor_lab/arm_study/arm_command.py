@@ -9,14 +9,13 @@ from __future__ import annotations
 
 import math
 import sys
-from argparse import ArgumentTypeError
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from posor.errors import ParameterError
 from posor.output_files import write_files
-from posor.reporting.command_line_parser import CommandLineParser
+from posor.reporting.command_line_parser import CommandLineParser, number_above, whole_number_from
 from posor_bringup.arms import load_checked_arm
 from posor_bringup.bringup_options import LOGS, add_driver_parameters, prepare_output_folder
 from posor_bringup.supervisor import Supervisor
@@ -51,25 +50,15 @@ TRUTH = "independent"  # model of the readings of the live run
 MIN_ARMS = 2  # number of arms with a standard deviation
 
 
-def _parse_seconds(text: str) -> float:
-    try:
-        seconds = float(text)
-    except ValueError:
-        seconds = math.nan
-    if not (math.isfinite(seconds) and seconds > 0.0):
-        raise ArgumentTypeError(f"'{text}' is not a duration, a number greater than 0")
-    return seconds
-
-
 def _parse_options(arguments: Sequence[str]) -> Namespace:
     parser = CommandLineParser(prog="arm", description="Run a simulated arm and report how well its endpoint is known.")
     add = parser.add_argument
     add("--arm", default="five_axis", metavar="ARM", help="name or path (default: five_axis)")
     add("--controller", type=Path, metavar="FILE.py", help="endpoint controller for a second cycle")
     default = "length of each cycle (default: that of the scenario)"
-    add("--seconds", type=_parse_seconds, metavar="S", help=default)
+    add("--seconds", type=number_above(0.0, unit="s"), metavar="S", help=default)
     default = f"arms drawn for the coverage, 0: none (default: {ARMS})"
-    add("--arms", type=int, default=ARMS, metavar="N", help=default)
+    add("--arms", type=whole_number_from(0), default=ARMS, metavar="N", help=default)
     add("--coverage-only", action="store_true", help="draw arms, start no node")
     default = "report; the figures go to FOLDER.json (default: build/arm)"
     add("--shared-terms", action="store_true", help="of an arm whose files state errors common to all parts")
@@ -77,7 +66,7 @@ def _parse_options(arguments: Sequence[str]) -> Namespace:
     add("--no-live", action="store_true", help="lines instead of a live table")
     add_driver_parameters(parser)
     options = parser.parse_args(list(arguments))
-    if options.arms < 0 or 0 < options.arms < MIN_ARMS:
+    if 0 < options.arms < MIN_ARMS:
         raise ParameterError(f"--arms {options.arms}", where="arm", expected=f"0, or at least {MIN_ARMS}")
     if options.coverage_only and not options.arms:
         raise ParameterError("--coverage-only with --arms 0", where="arm", expected=f"at least {MIN_ARMS} arms")

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from posor.chain.arm_file import load_arm_file
-from posor.reporting.command_line_parser import CommandLineParser
+from posor.reporting.command_line_parser import CommandLineParser, whole_number_from
 from posor.reporting.program_errors import reports_errors
 from posor.reporting.report_console import report_console
 from posor.reporting.report_table import ReportTable
@@ -40,9 +40,10 @@ def calibrated_arms(path: Path, used: int, tested: int, arms: int) -> list[Outco
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the program; exit code 0: the errors are of the stated size, or the files are written."""
     parser = CommandLineParser(prog="calibration_truth", description="Calibrated arms against the independent truth.")
-    parser.add_argument("--arms", type=int, default=ARMS, help="arms drawn (default: %(default)s)")
-    parser.add_argument("--poses", type=int, default=USED, help="poses of each calibration (default: %(default)s)")
-    parser.add_argument("--tested", type=int, default=TESTED, help="poses that are compared (default: %(default)s)")
+    count = whole_number_from(1)
+    parser.add_argument("--arms", type=count, default=ARMS, help="arms drawn (default: %(default)s)")
+    parser.add_argument("--poses", type=count, default=USED, help="poses of each calibration (default: %(default)s)")
+    parser.add_argument("--tested", type=count, default=TESTED, help="poses that are compared (default: %(default)s)")
     parser.add_argument("--output", type=Path, default=Path("build/calibration_truth.json"))
     text = "write arm, bag, table and map of one simulated calibration, in place of the comparison"
     parser.add_argument("--files", type=Path, metavar="FOLDER", help=text)

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from posor.arm_names import find_arm
-from posor.reporting.command_line_parser import CommandLineParser
+from posor.reporting.command_line_parser import CommandLineParser, number_from, whole_number_from
 from posor.reporting.program_errors import reports_errors
 from posor.reporting.report_console import report_console
 from posor.reporting.report_table import ReportTable
@@ -94,9 +94,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = CommandLineParser(
         prog="prediction_truth", description="Predicted endpoints against the independent truth."
     )
-    parser.add_argument("--arms", type=int, default=ARMS, help="arms drawn (default: %(default)s)")
+    parser.add_argument("--arms", type=whole_number_from(1), default=ARMS, help="arms drawn (default: %(default)s)")
     text = "part of the scenario that is run [s]; 0: all of it"
-    parser.add_argument("--seconds", type=float, default=0.0, help=text)
+    parser.add_argument("--seconds", type=number_from(0.0, unit="s"), default=0.0, help=text)
     parser.add_argument("--output", type=Path, default=Path("build/prediction.json"))
     options = parser.parse_args(arguments)
     check_writable(options.output)

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from posor.arm_names import find_arm
-from posor.reporting.command_line_parser import CommandLineParser
+from posor.reporting.command_line_parser import CommandLineParser, whole_number_from
 from posor.reporting.program_errors import reports_errors
 from posor.reporting.report_console import report_console
 from posor.reporting.report_table import ReportTable
@@ -59,8 +59,9 @@ def figures(drawn: Drawn) -> dict[str, Any]:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the program; exit code 0: U is confirmed to 5 % for all arms."""
     parser = CommandLineParser(prog="statement_truth", description="U of statements against the independent truth.")
-    parser.add_argument("--draws", type=int, default=DRAWS, help="arms drawn of each (default: %(default)s)")
-    parser.add_argument("--poses", type=int, default=POSES, help="poses of each arm (default: %(default)s)")
+    count = whole_number_from(1)
+    parser.add_argument("--draws", type=count, default=DRAWS, help="arms drawn of each (default: %(default)s)")
+    parser.add_argument("--poses", type=count, default=POSES, help="poses of each arm (default: %(default)s)")
     parser.add_argument("--output", type=Path, default=Path("build/statement_truth.json"))
     options = parser.parse_args(arguments)
     check_writable(options.output)

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from posor.errors import ParameterError
 from posor.reporting.program_errors import reports_errors
+from posor.reporting.report_console import report_console
 from posor_bringup.bringup_options import prepare_output_folder
 from posor_ros.node_program import ros_context
 from rich.console import Console
@@ -131,7 +132,7 @@ def _measure_sections(options: Namespace, results: dict[str, Any], stop: StopSig
 def _write_results(options: Namespace, results: dict[str, Any], console: Console) -> None:
     """Print the tables, write the JSON file and the page of the growth."""
     for table in result_tables(results).values():
-        Console(width=WIDTH).print(table.to_rich())
+        table.print(report_console(WIDTH))
     if "growth" in results:
         page = options.output.with_name(f"{options.output.stem}_growth.html")
         page.write_text(growth_page(results["growth"], options.joints, GROWTH_HZ), encoding="utf-8")

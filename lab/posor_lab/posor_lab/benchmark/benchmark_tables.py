@@ -7,13 +7,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import partial, reduce
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import yaml
-from rich.table import Table
+from posor.reporting.report_table import ReportTable
 
 from posor_lab.benchmark.benchmark_sections import FAULT_INTERVAL
 from posor_lab.benchmark.graph_measurement import VIEW
@@ -34,27 +33,10 @@ CAUSES = {
 TEXTS: Mapping[str, Any] = yaml.safe_load(Path(__file__).with_suffix(".yaml").read_text(encoding="utf-8"))
 
 
-@dataclass(frozen=True)
-class FigureTable:
-    """A table; its first column is text, all others are figures."""
-
-    title: str
-    header: Sequence[str]
-    rows: Sequence[Sequence[str]]
-
-    def to_rich(self) -> Table:
-        """Return the table for the terminal."""
-        table = Table(title=self.title, title_justify="left")
-        for column, name in enumerate(self.header):
-            table.add_column(name, justify="right" if column else "left")
-        for row in self.rows:
-            table.add_row(*row)
-        return table
-
-    def to_markdown(self) -> str:
-        """Return the table for a page, without the title."""
-        marks = ["---", *["---:"] * (len(self.header) - 1)]
-        return "".join(f"| {' | '.join(row)} |\n" for row in (self.header, marks, *self.rows))
+def to_markdown(table: ReportTable) -> str:
+    """Return a table for a page, without its title; its first column is text, all others are figures."""
+    marks = ["---", *["---:"] * (len(table.header) - 1)]
+    return "".join(f"| {' | '.join(row)} |\n" for row in (table.header, marks, *table.rows))
 
 
 def host_lines(host: Mapping[str, Any]) -> list[str]:
@@ -66,11 +48,11 @@ def host_lines(host: Mapping[str, Any]) -> list[str]:
     return lines
 
 
-def result_tables(results: Mapping[str, Any]) -> dict[str, FigureTable]:
+def result_tables(results: Mapping[str, Any]) -> dict[str, ReportTable]:
     """Return the tables of all measured sections by name."""
     name = next((key.removeprefix(GRAPH) for key in results if key.startswith(GRAPH)), "")
     single = [(text, _format_figure(results[key])) for key, text in TEXTS["single"].items() if key in results]
-    tables: dict[str, FigureTable | None] = {}
+    tables: dict[str, ReportTable | None] = {}
     if name:
         tables["graph"] = _graph_table(name, results)
     for key, make in TABLES.items():
@@ -79,12 +61,12 @@ def result_tables(results: Mapping[str, Any]) -> dict[str, FigureTable]:
     if "offline_scans_per_s" in results:
         tables["offline"] = _offline_table(results)
     if single:
-        tables["single"] = FigureTable("Single figures", ("", "figure"), single)
+        tables["single"] = ReportTable("Single figures", ("", "figure"), single)
     tables["aims"] = aims_table([results])
     return {key: table for key, table in tables.items() if table is not None}
 
 
-def _graph_table(name: str, results: Mapping[str, Any]) -> FigureTable:
+def _graph_table(name: str, results: Mapping[str, Any]) -> ReportTable:
     runs = {"graph": results[f"{GRAPH}{name}"]}
     if "faults" in results:
         runs[f"graph, one scan in {FAULT_INTERVAL} of one joint faulty"] = results["faults"]
@@ -92,7 +74,7 @@ def _graph_table(name: str, results: Mapping[str, Any]) -> FigureTable:
     return _latency_table(f"{name} Hz: from a scan's stamp to the endpoint's pose in another process", runs)
 
 
-def aims_table(runs: Sequence[Mapping[str, Any]]) -> FigureTable | None:
+def aims_table(runs: Sequence[Mapping[str, Any]]) -> ReportTable | None:
     """Return the aims with the figures of each run; None: no aim was measured, by all runs and long enough."""
     rows = []
     for aim in TEXTS["aims"]:
@@ -107,7 +89,7 @@ def aims_table(runs: Sequence[Mapping[str, Any]]) -> FigureTable | None:
         wanted = f"at {'least' if at_least else 'most'} {bound:,g}"
         rows.append((aim["text"], wanted, *map(_format_figure, figures), verdict))
     names = ["measured"] if len(runs) == 1 else [f"run {number}" for number in range(1, len(runs) + 1)]
-    return FigureTable("Aims", ("", "wanted", *names, "holds"), rows) if rows else None
+    return ReportTable("Aims", ("", "wanted", *names, "holds"), rows) if rows else None
 
 
 def _aim_figure(aim: Mapping[str, Any], run: Mapping[str, Any]) -> float:
@@ -132,12 +114,12 @@ def _format_percentiles(figures: Mapping[str, Any]) -> list[str]:
     return [f"{figures[key]:.0f}" for key in PERCENTILES]
 
 
-def _latency_table(title: str, runs: Mapping[str, Mapping[str, Any]]) -> FigureTable:
+def _latency_table(title: str, runs: Mapping[str, Mapping[str, Any]]) -> ReportTable:
     rows = [
         (name, *_format_percentiles(run), _format_lost(run), f"{run['cpu_cores']:.2f}", f"{run['memory_mb']:.0f}")
         for name, run in runs.items()
     ]
-    return FigureTable(title, ("", *PERCENTILES.values(), "lost", "cores", "MB"), rows)
+    return ReportTable(title, ("", *PERCENTILES.values(), "lost", "cores", "MB"), rows)
 
 
 def _format_lost(run: Mapping[str, Any]) -> str:
@@ -146,16 +128,16 @@ def _format_lost(run: Mapping[str, Any]) -> str:
     return f"{run['lost']} of {run['expected']}" + (f" ({counted})" if counted and run["lost"] else "")
 
 
-def _empty_loop_table(loops: Mapping[str, Mapping[str, Any]]) -> FigureTable:
+def _empty_loop_table(loops: Mapping[str, Mapping[str, Any]]) -> ReportTable:
     rows = [
         (text, *_format_percentiles(loop), f"{loop['missed']} of {loop['expected']}", f"{loop['stolen_s']:.2f}")
         for text, loop in ((text, loops[way]) for way, text in TEXTS["empty_loop"].items())
     ]
     header = ("late by", *PERCENTILES.values(), "ticks missed", "stolen, s")
-    return FigureTable("Empty loop: a thread that waits for the same ticks and does nothing", header, rows)
+    return ReportTable("Empty loop: a thread that waits for the same ticks and does nothing", header, rows)
 
 
-def _page_table(title: str, runs: Mapping[str, Mapping[str, Any]]) -> FigureTable:
+def _page_table(title: str, runs: Mapping[str, Mapping[str, Any]]) -> ReportTable:
     rows = []
     for text, run in ((text, runs[use]) for use, text in TEXTS["page"].items()):
         view = run["processes"].get(VIEW)
@@ -164,7 +146,7 @@ def _page_table(title: str, runs: Mapping[str, Mapping[str, Any]]) -> FigureTabl
         rows.append((text, *_format_percentiles(run), *ratios, _format_lost(run), *used))
     ratio_names = ("p99 of publication, to that without", "p99 to that without")
     header = ("", *PERCENTILES.values(), *ratio_names, "lost", "view, % of a core", "view, MB")
-    return FigureTable(title, header, rows)
+    return ReportTable(title, header, rows)
 
 
 def _format_ratio(ratio: Mapping[str, float | None]) -> str:
@@ -173,28 +155,28 @@ def _format_ratio(ratio: Mapping[str, float | None]) -> str:
     return f"{ratio['median']:.2f}{interval}"
 
 
-def _profile_table(profile: Mapping[str, Any]) -> FigureTable:
+def _profile_table(profile: Mapping[str, Any]) -> ReportTable:
     rows = [(name, f"{stage['calls']:.1f}", f"{stage['us']:.1f}") for name, stage in profile["stages"].items()]
     rows.append(("all stages", "", f"{sum(stage['us'] for stage in profile['stages'].values()):.1f}"))
     rows += [(text, "", f"{profile[key]['p50']:.1f}") for key, text in TEXTS["milestones"].items()]
-    return FigureTable("Time of the stages of a tick", ("", "calls per tick", "us per tick"), rows)
+    return ReportTable("Time of the stages of a tick", ("", "calls per tick", "us per tick"), rows)
 
 
-def _offline_table(results: Mapping[str, Any]) -> FigureTable:
+def _offline_table(results: Mapping[str, Any]) -> ReportTable:
     speeds = [(text, results[key]) for key, text in TEXTS["offline"].items()]
     rows = [(text, f"{speed:,.0f}", f"{speeds[0][1] / speed:.1f}") for text, speed in speeds]
-    return FigureTable("Offline processing", ("loop", "scans/s per core", "`reprocess` is faster by"), rows)
+    return ReportTable("Offline processing", ("loop", "scans/s per core", "`reprocess` is faster by"), rows)
 
 
-TABLES: Mapping[str, Callable[[Any], FigureTable]] = {  # tables of single sections of the results, by their keys
+TABLES: Mapping[str, Callable[[Any], ReportTable]] = {  # tables of single sections of the results, by their keys
     "empty_loop": _empty_loop_table,
     "layouts": partial(_latency_table, "Nodes that share a process"),
-    "tick": lambda costs: FigureTable(
+    "tick": lambda costs: ReportTable(
         "Processor time of the nodes in a tick, scans published in a loop",
         ("", "least, us", "median, us", "up to the pose: least, us", "median, us"),
         [(TEXTS["tick"][kind], *map(_format_figure, cost.values())) for kind, cost in costs.items()],
     ),
-    "start": lambda costs: FigureTable(
+    "start": lambda costs: ReportTable(
         "Start of a node, from exec to the line 'ready', medians",
         ("", "time, s", "processor time, s", "memory, MB", "private dirty memory, MB"),
         [(TEXTS["start"][name], *map(_format_figure, cost.values())) for name, cost in costs.items()],

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 from posor.errors import ParameterError
 from posor.reporting.program_errors import reports_errors
 
-from posor_lab.benchmark.benchmark_tables import GRAPH, aims_table, host_lines, result_tables
+from posor_lab.benchmark.benchmark_tables import GRAPH, aims_table, host_lines, result_tables, to_markdown
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -35,11 +35,11 @@ def fill_page(page: str, runs: Sequence[Mapping[str, Any]]) -> str:
     Raises ParameterError: the name of a placeholder is unknown.
     """
     results = median_run(runs)
-    texts = {name: table.to_markdown() for name, table in result_tables(results).items()}
+    texts = {name: to_markdown(table) for name, table in result_tables(results).items()}
     texts["host"] = "\n".join(host_lines(results["host"])) + "\n"
     aims = aims_table(runs)
     if aims is not None:
-        texts["aims"] = aims.to_markdown()
+        texts["aims"] = to_markdown(aims)
     return replace_tables(page, texts, NAMES)
 
 

@@ -14,12 +14,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from posor.reporting.program_errors import reports_errors
+from posor.reporting.report_console import report_console
 from posor_bringup.bringup_options import prepare_output_folder
 from posor_ros.node_program import ros_context
 from rich.console import Console
 
 from posor_lab.benchmark.benchmark_sections import BenchmarkArms
-from posor_lab.benchmark.benchmark_tables import host_lines
+from posor_lab.benchmark.benchmark_tables import host_lines, to_markdown
 from posor_lab.benchmark.graph_load import GraphLoad
 from posor_lab.benchmark.graph_measurement import GraphMeasurement
 from posor_lab.benchmark.performance_page import replace_tables
@@ -77,9 +78,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     tables = scaling_tables(results)
     console.print("\n".join(host_lines(host)))
     for table in tables.values():
-        Console(width=WIDTH).print(table.to_rich())
+        table.print(report_console(WIDTH))
     if options.page:
-        page, texts = Path(options.page), {name: table.to_markdown() for name, table in tables.items()}
+        page, texts = Path(options.page), {name: to_markdown(table) for name, table in tables.items()}
         texts["host"] = "\n".join(host_lines(host)) + "\n"
         page.write_text(replace_tables(page.read_text(encoding="utf-8"), texts, tuple(texts)), encoding="utf-8")
     write_json(options.output, results)

@@ -7,9 +7,8 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any
 
+from posor.reporting.report_table import ReportTable
 from posor.ros_names import ENDPOINT_STATE_TOPIC, ENDPOINT_TOPIC, RAW_TOPIC, TRANSFORM_TOPIC
-
-from posor_lab.benchmark.benchmark_tables import FigureTable
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -58,7 +57,7 @@ def kinds_of_topics(arm: Mapping[str, Any], rate: float) -> dict[str, dict[str, 
     return dict(sorted(kinds.items(), key=lambda item: -item[1]["wire_per_s"]))
 
 
-def scaling_tables(results: Mapping[str, Any]) -> dict[str, FigureTable]:
+def scaling_tables(results: Mapping[str, Any]) -> dict[str, ReportTable]:
     """Return the tables by name."""
     cell, arm, cluster = (results[key] for key in ("cell", "arm", "cluster"))
     kinds = kinds_of_topics(arm, cell["rate"])
@@ -73,7 +72,7 @@ def scaling_tables(results: Mapping[str, Any]) -> dict[str, FigureTable]:
     }
 
 
-def _messages(kinds: Mapping[str, Mapping[str, float]]) -> FigureTable:
+def _messages(kinds: Mapping[str, Mapping[str, float]]) -> ReportTable:
     rows = [
         (
             kind,
@@ -87,10 +86,10 @@ def _messages(kinds: Mapping[str, Mapping[str, float]]) -> FigureTable:
     total = [sum(each[key] for each in kinds.values()) for key in ("topics", "per_s", "wire_per_s")]
     rows.append(("all", f"{total[0]:.0f}", "", f"{total[1]:,.0f}", f"{1e-6 * total[2]:.2f}"))
     header = ("topic", "topics", "bytes of a message, at most", "messages/s", "MB/s on Ethernet")
-    return FigureTable("Messages of one arm, all recorded", header, rows)
+    return ReportTable("Messages of one arm, all recorded", header, rows)
 
 
-def _processor(cell: Mapping[str, Any], arm: Mapping[str, Any]) -> FigureTable:
+def _processor(cell: Mapping[str, Any], arm: Mapping[str, Any]) -> ReportTable:
     rows = []
     for text, tick_s in (("endpoint received", arm["tick_s_received"]), ("all topics recorded", arm["tick_s"])):
         cores = cell["rate"] * tick_s
@@ -99,10 +98,10 @@ def _processor(cell: Mapping[str, Any], arm: Mapping[str, Any]) -> FigureTable:
         rows.append((text, f"{1e6 * tick_s:.0f}", f"{cores:.2f}", f"{arms}", hosts))
     header = ("processes beside the arm", "us per tick", "cores per arm", "arms per host", "hosts of the cell")
     title = f"Processor time; hosts of {cell['cores']} cores, used to {100 * cell['share']:.0f} %"
-    return FigureTable(title, header, rows)
+    return ReportTable(title, header, rows)
 
 
-def _bandwidth(cell: Mapping[str, Any], kinds: Mapping[str, Mapping[str, float]]) -> FigureTable:
+def _bandwidth(cell: Mapping[str, Any], kinds: Mapping[str, Mapping[str, float]]) -> ReportTable:
     rows = []
     for split, topics in SPLITS.items():
         wire, messages = (sum(kinds[topic][key] for topic in topics) for key in ("wire_per_s", "per_s"))
@@ -115,10 +114,10 @@ def _bandwidth(cell: Mapping[str, Any], kinds: Mapping[str, Mapping[str, float]]
             )
         )
     header = ("split", "MB/s per arm", "messages/s of the cell", "% of 1 Gbit/s")
-    return FigureTable("What leaves the hosts of the arms", header, rows)
+    return ReportTable("What leaves the hosts of the arms", header, rows)
 
 
-def _discovery(cell: Mapping[str, Any], arm: Mapping[str, Any]) -> FigureTable:
+def _discovery(cell: Mapping[str, Any], arm: Mapping[str, Any]) -> ReportTable:
     arms, processes = cell["arms"], arm["participants"]
     participants, endpoints = arms * processes, arms * arm["endpoints"]
     ways = {
@@ -128,15 +127,15 @@ def _discovery(cell: Mapping[str, Any], arm: Mapping[str, Any]) -> FigureTable:
     }
     rows = [(way, f"{pairs:,}", f"{announced:,}") for way, (pairs, announced) in ways.items()]
     title = f"Discovery of {participants} participants with {arm['endpoints']} writers and readers each"
-    return FigureTable(title, ("way", "connections", "announcements at a start of the cell"), rows)
+    return ReportTable(title, ("way", "connections", "announcements at a start of the cell"), rows)
 
 
-def _clock(cell: Mapping[str, Any]) -> FigureTable:
+def _clock(cell: Mapping[str, Any]) -> ReportTable:
     rows = [(way, f"{1e6 * cell['speed'] * offset:,.1f}") for way, offset in OFFSETS.items()]
-    return FigureTable("Clocks of two hosts", ("difference", f"error at {cell['speed']:g} m/s, um"), rows)
+    return ReportTable("Clocks of two hosts", ("difference", f"error at {cell['speed']:g} m/s, um"), rows)
 
 
-def _cluster(cluster: Mapping[str, Any]) -> FigureTable:
+def _cluster(cluster: Mapping[str, Any]) -> ReportTable:
     size = cluster["bag_bytes"]
     rows = [
         (
@@ -148,10 +147,10 @@ def _cluster(cluster: Mapping[str, Any]) -> FigureTable:
         for workers, run in cluster["runs"].items()
     ]
     header = ("Dask workers", "MB/s of raw scans", "seconds of an arm per second", "core hours per TB")
-    return FigureTable("Reprocessing on a cluster on this host", header, rows)
+    return ReportTable("Reprocessing on a cluster on this host", header, rows)
 
 
-def _years(cell: Mapping[str, Any], cluster: Mapping[str, Any]) -> FigureTable:
+def _years(cell: Mapping[str, Any], cluster: Mapping[str, Any]) -> ReportTable:
     workers, run = max(cluster["runs"].items(), key=lambda item: int(item[0]))
     size, price = cluster["bag_bytes"], cell["price"]
     tb_year = 1e-12 * YEAR * cell["arms"] * size / cluster["bag_seconds"]
@@ -165,4 +164,4 @@ def _years(cell: Mapping[str, Any], cluster: Mapping[str, Any]) -> FigureTable:
         ("cost of the year", f"{hours * price * tb_year:.0f}"),
         ("worker days of the year", f"{wall_days:,.0f}"),
     )
-    return FigureTable("Years of bags, all hours recorded", ("", "figure"), figures)
+    return ReportTable("Years of bags, all hours recorded", ("", "figure"), figures)

@@ -15,8 +15,7 @@ import numpy as np
 from posor.chain.arm_file import load_arm_file
 from posor.correction.correct_command import PROGRAM_LIMITS
 from posor.correction.joint_correction import CorrectionLimits
-from posor.errors import ParameterError
-from posor.reporting.command_line_parser import CommandLineParser
+from posor.reporting.command_line_parser import CommandLineParser, whole_number_from
 from posor.reporting.program_errors import reports_errors
 from posor.reporting.report_console import report_console
 from posor.reporting.report_table import ReportTable
@@ -93,11 +92,10 @@ def findings(gains: dict[str, tuple[float, float]], stops: dict[str, float]) -> 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the program."""
     parser = CommandLineParser(prog="correction", description="Correction of simulated robots.")
-    parser.add_argument("--robots", type=int, default=ROBOTS, help="drawn robots (default: %(default)s)")
+    text = "drawn robots (default: %(default)s)"
+    parser.add_argument("--robots", type=whole_number_from(1), default=ROBOTS, help=text)
     parser.add_argument("--output", type=Path, default=Path("build/correction.json"))
     options = parser.parse_args(arguments)
-    if options.robots < 1:
-        raise ParameterError(f"--robots {options.robots}", where="correction", expected="at least 1")
     check_writable(options.output)
     seeds = range(SEED, SEED + options.robots)
     robots, stops = ordered_map(study_robot, seeds), stop_times(SEED)

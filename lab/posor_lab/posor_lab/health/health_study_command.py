@@ -13,8 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from posor.errors import ParameterError
-from posor.reporting.command_line_parser import CommandLineParser
+from posor.reporting.command_line_parser import CommandLineParser, whole_number_from
 from posor.reporting.program_errors import reports_errors
 from posor.reporting.report_console import report_console
 from posor.reporting.report_table import ReportTable
@@ -100,7 +99,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the program."""
     parser = CommandLineParser(prog="health", description="Health tests of arms that age, simulated.")
     text = "simulated sound years of each arm, ten for each drawn arm (default: %(default)s)"
-    parser.add_argument("--years", type=int, default=YEARS, help=text)
+    parser.add_argument("--years", type=whole_number_from(LIFE), default=YEARS, help=text)
     parser.add_argument("--arm", action="append", choices=ARMS, help="only this arm; may be repeated")
     parser.add_argument("--output", type=Path, default=Path("build/health.json"))
     text = "write a history in which a probe creeps, in place of the study: creep.parquet"
@@ -113,8 +112,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         write_history(options.files / "creep.parquet", _arm(name).history(_arm(name).tests(SEED, TESTS, ageing)))
         print(f"creep.parquet: {TESTS} tests of {name}, {part} creeps")
         return 0
-    if options.years < LIFE:
-        raise ParameterError(f"{options.years} years", where="health", expected=f"at least {LIFE}")
     check_writable(options.output)
     found = {name: study(name, options.years) for name in options.arm or ARMS}
     for name, outcomes in found.items():

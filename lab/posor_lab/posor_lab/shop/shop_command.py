@@ -13,8 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from posor.chain.arm_file import load_arm_file
-from posor.errors import ParameterError
-from posor.reporting.command_line_parser import CommandLineParser
+from posor.reporting.command_line_parser import CommandLineParser, whole_number_from
 from posor.reporting.program_errors import reports_errors
 from posor.reporting.report_console import report_console
 from posor.reporting.report_table import ReportTable
@@ -66,12 +65,12 @@ def failures(drawn: Mapping[str, Any], shift: Mapping[str, Any]) -> list[str]:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the program."""
     parser = CommandLineParser(prog="shop", description="Endpoint in a shop whose temperature changes, simulated.")
-    parser.add_argument("--arms", type=int, default=ARMS, help="arms with drawn temperatures (default: %(default)s)")
-    parser.add_argument("--shift-arms", type=int, default=SHIFT_ARMS, help="arms during a shift (default: %(default)s)")
+    count = whole_number_from(MIN_ARMS)
+    parser.add_argument("--arms", type=count, default=ARMS, help="arms with drawn temperatures (default: %(default)s)")
+    text = "arms during a shift (default: %(default)s)"
+    parser.add_argument("--shift-arms", type=count, default=SHIFT_ARMS, help=text)
     parser.add_argument("--output", type=Path, default=Path("build/shop.json"))
     options = parser.parse_args(arguments)
-    if min(options.arms, options.shift_arms) < MIN_ARMS:
-        raise ParameterError("too few arms", where="shop", expected=f"at least {MIN_ARMS} of either kind")
     check_writable(options.output)
     with tempfile.TemporaryDirectory() as folder:
         path = write_shop_arm(load_arm_file("five_axis"), Path(folder))

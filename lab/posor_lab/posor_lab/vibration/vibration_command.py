@@ -14,8 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from posor.chain.arm_file import load_arm_file
-from posor.errors import ParameterError
-from posor.reporting.command_line_parser import CommandLineParser
+from posor.reporting.command_line_parser import CommandLineParser, whole_number_from
 from posor.reporting.program_errors import reports_errors
 from posor.reporting.report_console import report_console
 from posor.reporting.report_table import ReportTable
@@ -78,12 +77,11 @@ def draw(found: Mapping[float, Mapping[str, Case]], limit_hz: float, path: Path)
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the program."""
     parser = CommandLineParser(prog="vibration", description="Endpoint of an arm that vibrates, simulated.")
-    parser.add_argument("--arms", type=int, default=ARMS, help="arms drawn at each frequency (default: %(default)s)")
+    text = "arms drawn at each frequency (default: %(default)s)"
+    parser.add_argument("--arms", type=whole_number_from(MIN_ARMS), default=ARMS, help=text)
     parser.add_argument("--output", type=Path, default=Path("build/vibration.json"))
     parser.add_argument("--figure", type=Path, help="also draw the table into this file (PNG or SVG)")
     options = parser.parse_args(arguments)
-    if options.arms < MIN_ARMS:
-        raise ParameterError("too few arms", where="vibration", expected=f"at least {MIN_ARMS}")
     for path in filter(None, (options.output, options.figure)):
         check_writable(path)
     with tempfile.TemporaryDirectory() as name:

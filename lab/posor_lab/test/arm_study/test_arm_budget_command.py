@@ -181,8 +181,7 @@ def test_program_prints_the_budget_and_writes_it(tmp_path: Path, capsys: pytest.
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
-        (["--draws", "0"], "arm_budget: --draws 0; expected 1 or more."),
-        (["--draws", "many"], "arm_budget: argument --draws: invalid int value: 'many'; expected options as"),
+        (["--draws", "0"], "arm_budget: argument --draws: '0' is not a whole number in digits of at least 1; expected"),
         (["--arms", "x"], "arm_budget: unrecognized arguments: --arms x; expected options as"),
         (["--arm", "no/arm.yaml"], "arm 'no/arm.yaml': no such arm; expected the path of an arm file"),
     ],
