@@ -105,7 +105,6 @@ class DrawnPosors:
     """
 
     def __init__(self, posor: Posor, random: np.random.Generator) -> None:
-        """Prepare the draws."""
         self._stack, self._random, self._truth = posor.stack, random, TruePosor(posor.calibration)
         environment = posor.calibration.environment or Environment()
         parts = [environment.supply, environment.temperature]

@@ -46,7 +46,6 @@ class ArmRecord:
     reasons: tuple[Mapping[str, str], ...]  # for each tick without a pose the reasons, by joint, ``CHAIN`` or ``TRUTH``
 
     def __len__(self) -> int:
-        """Return the number of ticks."""
         return len(self.times_s)
 
     @property

@@ -131,7 +131,6 @@ class BenchmarkArms:
         record_scans(self[max_joints], self.bag)
 
     def __getitem__(self, joints: int) -> ArmFile:
-        """Return the arm with a number of joints."""
         if joints not in self._arms:
             self._arms[joints] = generate_arm(self.folder / f"arm_{joints}", joints, self.bag)
         return self._arms[joints]
@@ -170,7 +169,6 @@ class BenchmarkSections:
     def __init__(
         self, plan: BenchmarkPlan, measurement: GraphMeasurement, arms: BenchmarkArms, print_line: Callable[[str], None]
     ) -> None:
-        """Prepare; nothing is measured yet."""
         self._plan, self._measurement, self._arms, self._print_line = plan, measurement, arms, print_line
         self._measured: dict[tuple[NodeKind, Layout, int, int], dict[str, Any]] = {}
 

@@ -39,7 +39,6 @@ class DeviceServer:
     """Runs from ``start`` to ``stop``, which sets ``stopping``, or in a ``with`` block; once if it has ports."""
 
     def __init__(self) -> None:
-        """Begin without tasks."""
         self.stopping = Event()
         self._tasks: list[Callable[[], None]] = []
         self._threads: list[Thread] = []

@@ -189,7 +189,6 @@ class StormCount:
     different: int = 0  # transforms of a node that differ from the estimator's
 
     def __add__(self, other: StormCount) -> StormCount:
-        """Return the sums."""
         return StormCount(**{each.name: getattr(self, each.name) + getattr(other, each.name) for each in fields(self)})
 
     @property

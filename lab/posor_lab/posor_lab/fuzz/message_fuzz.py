@@ -159,7 +159,6 @@ class MessageFuzz(ABC):
     """Counts the outcomes of damaged messages, by ``OUTCOMES``; keeps the first ``examples`` of a wrong pose."""
 
     def __init__(self, seed: str) -> None:
-        """Count from 0."""
         self.outcomes, self.examples = Counter(dict.fromkeys(OUTCOMES, 0)), list[str]()
         self.chance = random.Random(seed)  # noqa: S311  damage
 

@@ -57,7 +57,6 @@ class MutatingFinder(MetaPathFinder):
     """Finds the module of a mutation."""
 
     def __init__(self, mutation: Mutation) -> None:
-        """Change the source of one module."""
         self._mutation = mutation
 
     def find_spec(

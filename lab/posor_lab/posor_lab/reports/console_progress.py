@@ -48,7 +48,6 @@ class LiveView:
         self._live = Live(console=self.console)
 
     def __enter__(self) -> Self:
-        """Start drawing."""
         if self.is_live:
             self._live.start()
         return self
@@ -79,7 +78,6 @@ class StageProgress:
         self._progress = Progress(*columns, console=console, disable=not console.is_terminal)
 
     def __enter__(self) -> Self:
-        """Start drawing."""
         self._progress.start()
         return self
 

@@ -71,11 +71,9 @@ class GraphReceiver(Node):
         self.receive_until(lambda: time.monotonic() >= end_s)
 
     def __enter__(self) -> Self:
-        """Return itself."""
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Leave the graph."""
         self._executor.remove_node(self)
         self._executor.shutdown()
         self.destroy_node()

@@ -90,7 +90,6 @@ class SoakReceiver(GraphReceiver):
     """Keeps the stamps of an arm's endpoint, of its states without a pose with their reason, and the diagnostics."""
 
     def __init__(self, arm: ArmFile) -> None:
-        """Subscribe to the topics of the arm."""
         super().__init__("soak")
         self.poses, self.states = array("q"), array("q")
         self.reasons: dict[int, str] = {}

@@ -172,7 +172,6 @@ class Supervisor:
         self._running: list[RunningProgram] = []
 
     def __enter__(self) -> Self:
-        """Return the supervisor."""
         return self
 
     def __exit__(

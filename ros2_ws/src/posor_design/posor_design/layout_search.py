@@ -94,7 +94,6 @@ class LayoutSearch:
     """The search for one requirement; ``progress`` is called after each combination with the share that is done."""
 
     def __init__(self, requirement: Requirement, progress: Callable[[float], object] = lambda _share: None) -> None:
-        """Prepare the search."""
         self.requirement = requirement
         self.evaluations = 0
         self._causes: dict[LayoutKind, tuple[str, ...]] = {}

@@ -54,7 +54,6 @@ class TickClock(ABC):
     """
 
     def __init__(self) -> None:
-        """Start in epoch 0."""
         self.turn_ns = 0
         self.epoch = 0
         self.steps = 0

@@ -26,7 +26,6 @@ class ScanRows:
     """The rows of all joints of an arm, in the order of the chain, with their formats."""
 
     def __init__(self, estimator: EndpointEstimator) -> None:
-        """Begin without formats."""
         self._estimator = estimator
         self._rows: list[tuple[str, JointTransformFormat, memoryview]] = []
         self._pass: ArmPass | None = None

@@ -19,7 +19,6 @@ class PolledSubscription:
     """Messages of a topic as bytes; no executor may spin the node."""
 
     def __init__(self, node: Node, message_type: type[Any], topic: str, qos: QoSProfile) -> None:
-        """Subscribe on a node."""
         events = SubscriptionEventCallbacks(use_default_callbacks=False)
         self._end = node.create_subscription(message_type, topic, lambda _: None, qos, raw=True, event_callbacks=events)
 

@@ -58,7 +58,6 @@ class BlockSynchroniser:
     """
 
     def __init__(self, joints: Sequence[str], effects: int = 0) -> None:
-        """Prepare for rows with a number of fault effects."""
         self._joints, self._rows = tuple(joints), joint_rows(effects)
         self._open = [np.empty(0, dtype=self._rows) for _ in self._joints]
         self._last_complete: list[Rows] = []

@@ -253,7 +253,6 @@ class Definitions:
     """Schemas and channels of a file, of which those of one number must be equal."""
 
     def __init__(self, index: Iterable[McapRecord] = ()) -> None:
-        """Begin with the definitions in an index."""
         self._known = {(type(each), each.id): each for each in index if isinstance(each, (Schema, Channel))}
 
     def add(self, record: Record) -> None:

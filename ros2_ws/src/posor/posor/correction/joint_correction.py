@@ -62,7 +62,6 @@ class AngleHistory:
     """Joint angles of the last while, and their values between two times."""
 
     def __init__(self) -> None:
-        """Begin without samples."""
         self._samples: deque[tuple[int, FloatArray]] = deque(maxlen=MOST_SAMPLES)
 
     def add(self, time_ns: int, angles: FloatArray) -> None:

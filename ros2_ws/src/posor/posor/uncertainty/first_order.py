@@ -74,7 +74,6 @@ class ErrorBudget:
     correlated: tuple[str, ...]
 
     def __post_init__(self) -> None:
-        """Make the arrays read-only."""
         for part in (self, *self.contributions):
             freeze_arrays(part)
 

@@ -75,7 +75,6 @@ class Reliability:
     effects: NDArray[np.float32]
 
     def __post_init__(self) -> None:
-        """Make the arrays read-only."""
         freeze_arrays(self)
 
     def cause_effects(self) -> dict[str, FloatArray]:

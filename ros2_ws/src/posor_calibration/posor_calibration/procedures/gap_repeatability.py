@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 
 NAME = "gap_repeatability"
 DRIFT, HYSTERESIS = "drift", "hysteresis"
-MIN_VISITS = 2
 RECTANGULAR = float(np.sqrt(12.0))  # width of a rectangular distribution over its standard deviation (JCGM 100, 4.3.7)
 
 
@@ -60,19 +59,12 @@ class RepeatedProbe:
 def measure_repeatability(recording: Recording, calibration: Calibration, options: GapRepeatabilityOptions) -> Outcome:
     """Find repeatability, hysteresis and drift of all gap probes; raises as ``Procedure.identify``."""
     means, probes = read_gap_data(recording, calibration, options, NAME)
-    places = group_places(means.reference, options.same)
-    counts = np.bincount(places)
-    if counts.max() < MIN_VISITS:
-        raise FitError(
-            f"each of the {len(counts)} places is visited once",
-            where=recording.source,
-            expected=f"repeated visits of places within {options.same:g} m (option same)",
-        )
+    places = group_places(means.reference, options.same, "m", recording.source)
     seconds = (means.scans.stamps_ns - means.scans.stamps_ns[0]) / NS
     duration = float(seconds[-1])
     results = [_fit_probe(probe, data, means, places) for probe, data in probes]
     return Outcome(
-        method=f"{len(means)} visits of {len(counts)} places, with drift and hysteresis fitted (thesis 7.5.3)",
+        method=f"{len(means)} visits of {places.max() + 1} places, with drift and hysteresis fitted (thesis 7.5.3)",
         fits={result.probe.name: result.fit for result in results},
         replacements=tuple(r for result in results for r in _replacements(result, duration, options)),
         tables=(_tabulate(results, duration),),
@@ -89,8 +81,11 @@ def measure_repeatability(recording: Recording, calibration: Calibration, option
     )
 
 
-def group_places(reference: FloatArray, same: float) -> IntArray:
-    """Return the place of each dwell, (d,): the place of the first dwell that is nearer than ``same``."""
+def group_places(reference: FloatArray, same: float, unit: str, source: str) -> IntArray:
+    """Return the place of each dwell, (d,): the place of the first dwell that is nearer than ``same``.
+
+    Raises FitError: no place is visited again; ``source``: the recording.
+    """
     places: list[FloatArray] = []
     out = np.empty(len(reference), dtype=np.int64)
     for n, value in enumerate(reference):
@@ -98,7 +93,35 @@ def group_places(reference: FloatArray, same: float) -> IntArray:
         out[n] = near[0] if near else len(places)
         if not near:
             places.append(value)
+    if len(places) == len(out):
+        expected = f"repeated visits of places within {same:g} {unit} (option same)"
+        raise FitError(f"each of the {len(out)} places is visited once", where=source, expected=expected)
     return out
+
+
+def fit_visits(
+    values: FloatArray, sigmas: FloatArray, times: FloatArray, places: IntArray, sides: FloatArray, unit: str, what: str
+) -> tuple[Fit, FloatArray]:
+    """Return the fit of a drift, a hysteresis and the value at each place to visits (d,), and what is left.
+
+    ``times``: about their mean [s]. ``sides``: from which a place is approached, 1 or -1, (d,); without places that are
+    approached from both there is no hysteresis.
+    """
+    columns, names, units = [times], [DRIFT], [f"{unit}/s"]
+    if any(np.ptp(sides[places == place]) > 0.0 for place in np.unique(places)):
+        columns.append(0.5 * sides)
+        names.append(HYSTERESIS)
+        units.append(unit)
+    for place in np.unique(places):
+        columns.append((places == place).astype(float))
+        names.append(f"place {place + 1}")
+        units.append(unit)
+    design = np.column_stack(columns)
+    scales = np.full(len(names), float(np.max(np.abs(values))) or 1.0 / MICRO)
+    scales[0] /= float(np.ptp(times))
+    start = np.zeros(len(names))
+    found = fit_linear(design, values, sigmas, start, names, units, scales, trust_sigmas=False, what=what)
+    return found, values - design @ found.values
 
 
 def _fit_probe(probe: SingleProbe, data: GapData, means: DwellMeans, places: IntArray) -> RepeatedProbe:
@@ -106,24 +129,9 @@ def _fit_probe(probe: SingleProbe, data: GapData, means: DwellMeans, places: Int
     times = (data.scans.stamps_ns - data.scans.stamps_ns.mean()) / NS
     sides = np.sign(np.diff(data.reference, prepend=data.reference[0]))
     sides[0] = sides[1]
-    columns, names, units = [times], [DRIFT], ["m/s"]
-    if any(np.ptp(sides[places == place]) > 0.0 for place in np.unique(places)):
-        columns.append(0.5 * sides)
-        names.append(HYSTERESIS)
-        units.append("m")
-    for place in np.unique(places):
-        columns.append((places == place).astype(float))
-        names.append(f"place {place + 1}")
-        units.append("m")
-    design = np.column_stack(columns)
     slopes = probe.slopes(data.scans)
     sigmas = np.hypot(data.reference_sigmas, slopes * data.volt_sigmas)
-    scales = np.full(len(names), float(np.max(np.abs(deviations))) or 1.0 / MICRO)
-    scales[0] /= float(np.ptp(times))
-    what = f"{NAME} of {probe.name}"
-    start = np.zeros(len(names))
-    found = fit_linear(design, deviations, sigmas, start, names, units, scales, trust_sigmas=False, what=what)
-    residuals = deviations - design @ found.values
+    found, residuals = fit_visits(deviations, sigmas, times, places, sides, "m", f"{NAME} of {probe.name}")
     variance = float(np.sum(np.square(residuals))) / found.freedoms
     slope = float(np.mean(slopes))
     within = float(np.nan_to_num(means.deviations["gap_voltages"][probe.index]))

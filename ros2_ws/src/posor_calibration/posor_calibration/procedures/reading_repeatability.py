@@ -24,14 +24,13 @@ from pydantic import Field
 from posor_calibration.data_checks import check_channels_vary, check_count
 from posor_calibration.diode_spots import current_ratios
 from posor_calibration.dwells import RestOptions
-from posor_calibration.least_squares import Fit, fit_linear
 from posor_calibration.procedure import Outcome, Procedure, Replacement, Table
-from posor_calibration.procedures.gap_repeatability import DRIFT, MIN_VISITS, group_places
+from posor_calibration.procedures.gap_repeatability import DRIFT, fit_visits, group_places
 
 if TYPE_CHECKING:
     from posor.bags.recording import Recording
     from posor.calibration.calibration_file import Calibration
-    from posor.numerics.array_types import FloatArray, IntArray
+    from posor.numerics.array_types import FloatArray
 
 MIN_DWELLS = 6
 DIODES, RING = "diode_repeatability", "ring_repeatability"
@@ -99,21 +98,17 @@ def _measure(
             parts.append(part)
             used.append(dwell)
     check_count(len(parts), MIN_DWELLS, "dwells of the reference with scans", what)
-    places = group_places(np.array([dwell.mean for dwell in used]), options.same)
-    if np.bincount(places).max() < MIN_VISITS:
-        raise FitError(
-            f"each of the {places.max() + 1} places is visited once",
-            where=recording.source,
-            expected=f"repeated visits of places within {options.same:g} (option same)",
-        )
+    unit_of_places = "m" if kind == POINT else "rad"
+    places = group_places(np.array([dwell.mean for dwell in used]), options.same, unit_of_places, recording.source)
     counts = np.array([len(part) for part in parts])
     squares = np.sum([np.sum(np.square(part - part.mean(axis=0)), axis=0) for part in parts], axis=0)
     within = np.sqrt(squares / np.sum(counts - 1))
     means = np.array([part.mean(axis=0) for part in parts])
     times = np.array([0.5 * (dwell.begin_ns + dwell.end_ns - stamps[0] * 2) / NS for dwell in used])
+    centred, sides = times - times.mean(), np.zeros(len(times))
     fits = {
-        name: _fit_visits(means[:, column], within[column] / np.sqrt(counts), times, places, unit, f"{what}, {name}")
-        for column, name in enumerate(names)
+        name: fit_visits(means[:, k], within[k] / np.sqrt(counts), centred, places, sides, unit, f"{what}, {name}")[0]
+        for k, name in enumerate(names)
     }
     # Analysis of variance: what the visits scatter beyond the scatter within the dwells is noise of each scan too.
     excess = np.array([max(fit.spread**2 - 1.0, 0.0) for fit in fits.values()])
@@ -135,18 +130,6 @@ def _measure(
         ),
         tables=(Table("repeatability", columns, ("", *(unit,) * 4), rows),),
     )
-
-
-def _fit_visits(
-    means: FloatArray, sigmas: FloatArray, times: FloatArray, places: IntArray, unit: str, what: str
-) -> Fit:
-    """Return the fit of a drift and of the reading at each place to the means of the visits (d,)."""
-    design = np.column_stack([times - times.mean(), *((places == place) * 1.0 for place in range(places.max() + 1))])
-    names = [DRIFT, *(f"place {place + 1}" for place in range(places.max() + 1))]
-    scales = np.full(len(names), float(np.max(np.abs(means))))
-    scales[0] /= float(np.ptp(times))
-    units = [f"{unit}/s", *[unit] * (len(names) - 1)]
-    return fit_linear(design, means, sigmas, np.zeros(len(names)), names, units, scales, trust_sigmas=False, what=what)
 
 
 DIODE_REPEATABILITY = Procedure(

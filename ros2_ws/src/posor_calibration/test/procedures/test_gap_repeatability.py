@@ -93,4 +93,4 @@ def test_runs_from_one_side_only_have_no_hysteresis() -> None:
 
 def test_dwells_near_one_another_are_the_same_place() -> None:
     reference = np.array([[0.0], [1.0], [0.001], [1.002], [2.0], [-0.001]])
-    assert group_places(reference, 0.01).tolist() == [0, 1, 0, 1, 2, 0]
+    assert group_places(reference, 0.01, "m", "simulated").tolist() == [0, 1, 0, 1, 2, 0]

@@ -40,11 +40,9 @@ class PoseArray:
         return cls(np.tile(pose.rotation, (count, 1, 1)), np.tile(pose.translation, (count, 1)))
 
     def __len__(self) -> int:
-        """Return n."""
         return len(self.rotations)
 
     def __getitem__(self, index: int) -> pin.SE3:
-        """Return one pose."""
         return pin.SE3(self.rotations[index], self.translations[index])
 
     def select(self, indices: IntArray | BoolArray) -> PoseArray:
