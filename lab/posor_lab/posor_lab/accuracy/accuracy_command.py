@@ -19,8 +19,7 @@ from posor.model.native_coordinates import native_from_rotation, native_jacobian
 from posor.numerics.vector import wrapped_angles
 from posor.reporting.command_line_parser import CommandLineParser, number_above
 from posor.reporting.program_errors import reports_errors
-from posor.reporting.report_console import report_console
-from posor.reporting.report_table import ReportTable
+from posor.reporting.report_table import ReportTable, report_console
 from posor_design.layout_evaluation import random_poses
 from posor_design.posor_output import JOINT, REQUIREMENT
 from posor_design.requirement import FREEDOMS, load_requirement

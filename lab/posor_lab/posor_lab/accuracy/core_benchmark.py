@@ -24,8 +24,7 @@ from posor.model.scan import STATED_HOME
 from posor.numerics.compiled import MODE
 from posor.reporting.command_line_parser import CommandLineParser
 from posor.reporting.program_errors import reports_errors
-from posor.reporting.report_console import report_console
-from posor.reporting.report_table import ReportTable
+from posor.reporting.report_table import ReportTable, report_console
 
 from posor_lab.harness.random_poses import STACKS, TICK_NS
 from posor_lab.lab_output import check_writable, write_json

@@ -18,8 +18,7 @@ from posor.chain.kinematic_chain import load_chain
 from posor.errors import ChainError, DataFileError, ParameterError
 from posor.reporting.command_line_parser import CommandLineParser, whole_number_from
 from posor.reporting.program_errors import reports_errors
-from posor.reporting.report_console import report_console
-from posor.reporting.report_table import ReportTable
+from posor.reporting.report_table import ReportTable, report_console
 from posor.uncertainty.budget_poses import model_covariances
 from posor_design.endpoint_budget import Spread, configurations, endpoint_budget
 from scipy.constants import inch

@@ -16,8 +16,7 @@ from typing import TYPE_CHECKING
 from posor.chain.arm_file import load_arm_file
 from posor.reporting.command_line_parser import CommandLineParser, whole_number_from
 from posor.reporting.program_errors import reports_errors
-from posor.reporting.report_console import report_console
-from posor.reporting.report_table import ReportTable
+from posor.reporting.report_table import ReportTable, report_console
 
 from posor_lab.arm_study.calibration_truth import CalibrationTruth, Consistency, Outcome, write_assembled_arm
 from posor_lab.arm_study.tracker_recording import write_calibration_recording

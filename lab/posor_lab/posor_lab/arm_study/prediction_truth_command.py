@@ -16,8 +16,7 @@ import numpy as np
 from posor.arm_names import find_arm
 from posor.reporting.command_line_parser import CommandLineParser, number_from, whole_number_from
 from posor.reporting.program_errors import reports_errors
-from posor.reporting.report_console import report_console
-from posor.reporting.report_table import ReportTable
+from posor.reporting.report_table import ReportTable, report_console
 
 from posor_lab.accuracy.consistency import REGION_LIMIT, MeanEstimate
 from posor_lab.arm_study.prediction_truth import AHEAD, BETWEEN, GAPS, SCANS, PredictionTruth

@@ -18,8 +18,7 @@ import numpy as np
 from posor.arm_names import find_arm
 from posor.reporting.command_line_parser import CommandLineParser, whole_number_from
 from posor.reporting.program_errors import reports_errors
-from posor.reporting.report_console import report_console
-from posor.reporting.report_table import ReportTable
+from posor.reporting.report_table import ReportTable, report_console
 
 from posor_lab.arm_study.statement_truth import Drawn, StatementTruth, write_four_joint_arm
 from posor_lab.lab_output import check_writable, write_json

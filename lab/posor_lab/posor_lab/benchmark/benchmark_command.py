@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from posor.errors import ParameterError
 from posor.reporting.program_errors import reports_errors
-from posor.reporting.report_console import report_console
+from posor.reporting.report_table import report_console
 from posor_bringup.bringup_options import prepare_output_folder
 from posor_ros.node_program import ros_context
 from rich.console import Console

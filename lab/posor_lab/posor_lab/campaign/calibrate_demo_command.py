@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, get_args
 from posor.errors import ParameterError
 from posor.lazy_program import interrupts_handled
 from posor.output_files import write_files
-from posor.reporting.report_console import report_console
+from posor.reporting.report_table import report_console
 from posor_bringup.bringup_options import prepare_output_folder
 
 from posor_lab.campaign.campaign_page import campaign_page

@@ -17,8 +17,7 @@ from posor.correction.correct_command import PROGRAM_LIMITS
 from posor.correction.joint_correction import CorrectionLimits
 from posor.reporting.command_line_parser import CommandLineParser, whole_number_from
 from posor.reporting.program_errors import reports_errors
-from posor.reporting.report_console import report_console
-from posor.reporting.report_table import ReportTable
+from posor.reporting.report_table import ReportTable, report_console
 
 from posor_lab.correction.correction_study import CorrectionStudy, PathErrors, failures, stop_after
 from posor_lab.correction.simulated_robot import SimulatedRobot

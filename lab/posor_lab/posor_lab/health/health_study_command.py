@@ -15,8 +15,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from posor.reporting.command_line_parser import CommandLineParser, whole_number_from
 from posor.reporting.program_errors import reports_errors
-from posor.reporting.report_console import report_console
-from posor.reporting.report_table import ReportTable
+from posor.reporting.report_table import ReportTable, report_console
 from posor_calibration.health.health_chart import REFERENCE_TESTS, chart_tests
 from posor_calibration.health.health_history import write_history
 

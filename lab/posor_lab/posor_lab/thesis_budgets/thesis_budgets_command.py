@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from posor.reporting.command_line_parser import CommandLineParser
 from posor.reporting.program_errors import reports_errors
-from posor.reporting.report_console import report_console
+from posor.reporting.report_table import report_console
 from rich.table import Table
 
 from posor_lab.lab_output import check_writable, write_json

@@ -17,7 +17,7 @@ from posor.reporting.command_line_parser import CommandLineParser
 from posor.reporting.html_page import Cell, Section, render_page
 from posor.reporting.html_page import table as html_table
 from posor.reporting.program_errors import reports_errors
-from posor.reporting.report_console import report_console
+from posor.reporting.report_table import report_console
 from rich.box import SIMPLE_HEAD
 from rich.markup import escape
 from rich.table import Table

@@ -19,8 +19,7 @@ from posor.chain.identity import file_sha256
 from posor.errors import ParameterError
 from posor.reporting.command_line_parser import CommandLineParser, number_from, whole_number_from
 from posor.reporting.program_errors import reports_errors
-from posor.reporting.report_console import report_console
-from posor.reporting.report_table import ReportTable
+from posor.reporting.report_table import ReportTable, report_console
 from posor.tables.table_readings import load_readings
 from posor_calibration.arm.arm_files import JSON_FILE, Provenance, calibration_json, check_output, make_files, save_arm
 from posor_calibration.arm.arm_fit import ArmProblem, Tool, calibrate_arm

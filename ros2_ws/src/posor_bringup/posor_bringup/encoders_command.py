@@ -23,8 +23,7 @@ from posor.numerics.vector import wrapped_angles
 from posor.output_files import make_folder, write_files
 from posor.reporting.command_line_parser import CommandLineParser, whole_number_from
 from posor.reporting.program_errors import reports_errors
-from posor.reporting.report_console import report_console
-from posor.reporting.report_table import ReportTable
+from posor.reporting.report_table import ReportTable, report_console
 
 if TYPE_CHECKING:
     import argparse

@@ -24,8 +24,7 @@ from posor.output_files import make_folder, write_files
 from posor.reporting.command_line_parser import CommandLineParser, number_above, number_from
 from posor.reporting.json_text import json_text
 from posor.reporting.program_errors import reports_errors
-from posor.reporting.report_console import report_console
-from posor.reporting.report_table import ReportTable
+from posor.reporting.report_table import ReportTable, report_console
 from posor.tables.named_rows import read_named_rows
 from posor_calibration.dwells import find_dwells
 from posor_design.iso9283 import COMPONENTS, LEAST_CYCLES, PATH_CYCLES, POSE_CYCLES

@@ -16,7 +16,7 @@ from posor.chain.arm_file import load_arm_file
 from posor.output_files import make_folder
 from posor.reporting.command_line_parser import CommandLineParser, number_from, whole_number_from
 from posor.reporting.program_errors import reports_errors
-from posor.reporting.report_console import report_console
+from posor.reporting.report_table import report_console
 from posor.tables.number_text import parse_number
 from posor_design.arm_uncertainty import ArmUncertainty
 from posor_design.statement import make_statement

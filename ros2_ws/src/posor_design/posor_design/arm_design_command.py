@@ -13,7 +13,7 @@ from posor.arm_names import ARM_FILE, describe_argument
 from posor.chain.arm_file import load_arm_file
 from posor.errors import ParameterError
 from posor.reporting.command_line_parser import CommandLineParser
-from posor.reporting.report_console import report_console
+from posor.reporting.report_table import report_console
 from posor.uncertainty.common_errors import CommonErrors
 
 from posor_design.arm_allotment import allot

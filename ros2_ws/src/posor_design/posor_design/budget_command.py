@@ -18,7 +18,7 @@ from posor.reporting.command_line_parser import CommandLineParser, whole_number_
 from posor.reporting.json_text import json_text
 from posor.reporting.program_errors import reports_errors
 from posor.reporting.progress import progress_display
-from posor.reporting.report_console import report_console
+from posor.reporting.report_table import report_console
 from posor.tables.number_text import parse_number
 from posor.uncertainty.budget_poses import middle_pose, pose_from_native, scan_at
 from posor.uncertainty.budget_quantities import NATIVE, PlatePoint

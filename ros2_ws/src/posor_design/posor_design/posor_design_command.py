@@ -12,7 +12,7 @@ from posor.arm_names import ARM_FILE
 from posor.calibration.file_model import first_problem
 from posor.errors import ParameterError, similar_name
 from posor.reporting.command_line_parser import CommandLineParser
-from posor.reporting.report_console import report_console
+from posor.reporting.report_table import report_console
 from posor.uncertainty.budget_quantities import NATIVE
 from pydantic import ValidationError
 

@@ -1,12 +1,14 @@
 # Copyright 2026 POSOR maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""A table of a report, with the same cells on a console and on a page."""
+"""A table of a report, with the same cells on a console and on a page; the console of programs that print one."""
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from rich.console import Console
 from rich.table import Table
 
 from posor.reporting.html_page import Section, paragraph, table
@@ -15,9 +17,12 @@ from posor.reporting.number_columns import align_numbers
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from rich.console import Console
-
     from posor.reporting.plot import Plot
+
+
+def report_console(width: int) -> Console:
+    """Return a console on standard output, as wide as the terminal, elsewhere of ``width`` columns."""
+    return Console(highlight=False, emoji=False, width=None if sys.stdout.isatty() else width)
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from posor.reporting.report_console import report_console
+from posor.reporting.report_table import report_console
 
 if TYPE_CHECKING:
     import pytest
