@@ -10,11 +10,14 @@ from collections.abc import Mapping, Sequence
 from functools import cache
 from operator import attrgetter
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import yaml
 from posor.errors import ParameterError
 from posor.output_files import write_files
+
+if TYPE_CHECKING:
+    from argparse import ArgumentParser, Namespace
 
 
 def check_writable(path: Path) -> Path:
@@ -31,6 +34,17 @@ def check_writable(path: Path) -> Path:
     except OSError as error:
         raise ParameterError(f"cannot be written: {error.strerror}", where=f"--output {path}") from error
     return path
+
+
+def parse_study(parser: ArgumentParser, output: str, arguments: Sequence[str] | None) -> Namespace:
+    """Return the options of a study with ``--output``, its JSON file; ``output``: the default.
+
+    Raises ParameterError: an option is unknown or invalid, or the file cannot be written.
+    """
+    parser.add_argument("--output", type=Path, default=Path(output), help="JSON file to write (default: %(default)s)")
+    options = parser.parse_args(arguments)
+    check_writable(options.output)
+    return options
 
 
 def write_json(path: Path, content: Any) -> None:

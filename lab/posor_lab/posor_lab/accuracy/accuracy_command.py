@@ -29,7 +29,7 @@ from rich.progress import Progress
 from posor_lab.accuracy.consistency import FALSE_ALARM, DrawnPosors, Nees, closure, monte_carlo, nees, normalised
 from posor_lab.accuracy.fault_detection import FAULTS, detectable_shifts, detection, ring_observability
 from posor_lab.harness.random_poses import STACKS, errors_in_parent
-from posor_lab.lab_output import check_writable, write_json
+from posor_lab.lab_output import parse_study, write_json
 
 if TYPE_CHECKING:
     from posor.numerics.array_types import FloatArray
@@ -227,12 +227,10 @@ def _confirm_design(folder: Path, scale: float, output: Path) -> int:
 def main(arguments: list[str] | None = None) -> int:
     """Run the program; the exit code is 0 if the report could be made, or the requirement of a design is confirmed."""
     parser = CommandLineParser(prog="accuracy", description=str(__doc__).splitlines()[0])
-    parser.add_argument("--output", type=Path, default=Path("build/accuracy.json"), help="JSON file to write")
     text = "share of the full size, for a quick look"
     parser.add_argument("--scale", type=number_above(0.0, 1.0), default=1.0, help=text)
     parser.add_argument("--design", type=Path, metavar="FOLDER", help="output of posor design posor to simulate")
-    options = parser.parse_args(arguments)
-    check_writable(options.output)
+    options = parse_study(parser, "build/accuracy.json", arguments)
     if options.design is not None:
         return _confirm_design(options.design, options.scale, options.output)
     with Progress(console=Console(stderr=True)) as progress:

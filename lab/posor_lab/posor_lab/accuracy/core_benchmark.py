@@ -9,7 +9,6 @@ second of many scans in one call (``Posor.estimate_all``).
 from __future__ import annotations
 
 import math
-from pathlib import Path
 from statistics import median
 from time import thread_time
 from typing import TYPE_CHECKING
@@ -27,7 +26,7 @@ from posor.reporting.program_errors import reports_errors
 from posor.reporting.report_table import ReportTable, report_console
 
 from posor_lab.harness.random_poses import STACKS, TICK_NS
-from posor_lab.lab_output import check_writable, write_json
+from posor_lab.lab_output import parse_study, write_json
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -76,9 +75,7 @@ def _measure_stack(stack: DesignName, single_count: int, batch_count: int) -> di
 def main(arguments: list[str] | None = None) -> int:
     """Run the benchmark, print a table and write a JSON file."""
     parser = CommandLineParser(prog="bench_core", description=str(__doc__).splitlines()[0])
-    parser.add_argument("--output", type=Path, default=Path("build/bench_core.json"), help="JSON file to write")
-    options = parser.parse_args(arguments)
-    check_writable(options.output)
+    options = parse_study(parser, "build/bench_core.json", arguments)
     figures = {stack: _measure_stack(stack, 2_000, 20_000) for stack in STACKS}
     title = f"Speed of the core, kernels by {MODE}; processor time, medians of {ROUNDS} rounds"
     columns = ("stack", "one scan, us", "many scans, scans/s")

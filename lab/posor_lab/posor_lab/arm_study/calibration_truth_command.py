@@ -20,7 +20,7 @@ from posor.reporting.report_table import ReportTable, report_console
 
 from posor_lab.arm_study.calibration_truth import CalibrationTruth, Consistency, Outcome, write_assembled_arm
 from posor_lab.arm_study.tracker_recording import write_calibration_recording
-from posor_lab.lab_output import check_writable, write_json
+from posor_lab.lab_output import parse_study, write_json
 from posor_lab.reports.process_pool import draw_batches
 
 if TYPE_CHECKING:
@@ -43,16 +43,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--arms", type=count, default=ARMS, help="arms drawn (default: %(default)s)")
     parser.add_argument("--poses", type=count, default=USED, help="poses of each calibration (default: %(default)s)")
     parser.add_argument("--tested", type=count, default=TESTED, help="poses that are compared (default: %(default)s)")
-    parser.add_argument("--output", type=Path, default=Path("build/calibration_truth.json"))
     text = "write arm, bag, table and map of one simulated calibration, in place of the comparison"
     parser.add_argument("--files", type=Path, metavar="FOLDER", help=text)
-    options = parser.parse_args(arguments)
+    options = parse_study(parser, "build/calibration_truth.json", arguments)
     arm = load_arm_file(ARM)
     if options.files is not None:
         write_calibration_recording(arm, options.files, options.poses, SEED)
         print(f"arm.yaml, bag, tracker.csv, map.yaml: {options.files}")
         return 0
-    check_writable(options.output)
     with tempfile.TemporaryDirectory() as folder:
         path = write_assembled_arm(arm, Path(folder))
         found = Consistency.of(calibrated_arms(path, options.poses, options.tested, options.arms))

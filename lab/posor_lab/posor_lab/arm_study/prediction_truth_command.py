@@ -9,7 +9,6 @@ most 1.5 times that at scans, the errors are in the stated region as often as st
 from __future__ import annotations
 
 from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,11 +19,12 @@ from posor.reporting.report_table import ReportTable, report_console
 
 from posor_lab.accuracy.consistency import REGION_LIMIT, MeanEstimate
 from posor_lab.arm_study.prediction_truth import AHEAD, BETWEEN, GAPS, SCANS, PredictionTruth
-from posor_lab.lab_output import check_writable, end_study
+from posor_lab.lab_output import end_study, parse_study
 from posor_lab.reports.process_pool import draw_batches
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
+    from pathlib import Path
 
     from posor_lab.arm_study.prediction_truth import Sample
 
@@ -96,9 +96,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--arms", type=whole_number_from(1), default=ARMS, help="arms drawn (default: %(default)s)")
     text = "part of the scenario that is run [s]; 0: all of it"
     parser.add_argument("--seconds", type=number_from(0.0, unit="s"), default=0.0, help=text)
-    parser.add_argument("--output", type=Path, default=Path("build/prediction.json"))
-    options = parser.parse_args(arguments)
-    check_writable(options.output)
+    options = parse_study(parser, "build/prediction.json", arguments)
     path = find_arm(ARM)
     found = sample_predictions(path, options.arms, options.seconds)
     cost_s = PredictionTruth(path, 1.0).reading_cost()

@@ -21,7 +21,7 @@ from posor.reporting.program_errors import reports_errors
 from posor.reporting.report_table import ReportTable, report_console
 
 from posor_lab.arm_study.statement_truth import Drawn, StatementTruth, write_four_joint_arm
-from posor_lab.lab_output import check_writable, write_json
+from posor_lab.lab_output import parse_study, write_json
 from posor_lab.reports.process_pool import draw_batches
 
 if TYPE_CHECKING:
@@ -61,9 +61,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     count = whole_number_from(1)
     parser.add_argument("--draws", type=count, default=DRAWS, help="arms drawn of each (default: %(default)s)")
     parser.add_argument("--poses", type=count, default=POSES, help="poses of each arm (default: %(default)s)")
-    parser.add_argument("--output", type=Path, default=Path("build/statement_truth.json"))
-    options = parser.parse_args(arguments)
-    check_writable(options.output)
+    options = parse_study(parser, "build/statement_truth.json", arguments)
     found: dict[str, Any] = {}
     with tempfile.TemporaryDirectory() as folder:
         paths = {name: find_arm(name) for name in ARMS}

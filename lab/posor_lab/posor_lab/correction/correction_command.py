@@ -8,7 +8,6 @@ time.
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -21,7 +20,7 @@ from posor.reporting.report_table import ReportTable, report_console
 
 from posor_lab.correction.correction_study import CorrectionStudy, PathErrors, failures, stop_after
 from posor_lab.correction.simulated_robot import SimulatedRobot
-from posor_lab.lab_output import check_writable, end_study
+from posor_lab.lab_output import end_study, parse_study
 from posor_lab.reports.process_pool import ordered_map
 
 if TYPE_CHECKING:
@@ -93,9 +92,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = CommandLineParser(prog="correction", description="Correction of simulated robots.")
     text = "drawn robots (default: %(default)s)"
     parser.add_argument("--robots", type=whole_number_from(1), default=ROBOTS, help=text)
-    parser.add_argument("--output", type=Path, default=Path("build/correction.json"))
-    options = parser.parse_args(arguments)
-    check_writable(options.output)
+    options = parse_study(parser, "build/correction.json", arguments)
     seeds = range(SEED, SEED + options.robots)
     robots, stops = ordered_map(study_robot, seeds), stop_times(SEED)
     gains = least_gains(robots)

@@ -20,7 +20,7 @@ from posor_calibration.health.health_chart import REFERENCE_TESTS, chart_tests
 from posor_calibration.health.health_history import write_history
 
 from posor_lab.health.ageing_arm import Ageing, AgeingArm
-from posor_lab.lab_output import check_writable, write_json
+from posor_lab.lab_output import parse_study, write_json
 from posor_lab.reports.process_pool import ordered_map
 
 if TYPE_CHECKING:
@@ -100,10 +100,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     text = "simulated sound years of each arm, ten for each drawn arm (default: %(default)s)"
     parser.add_argument("--years", type=whole_number_from(LIFE), default=YEARS, help=text)
     parser.add_argument("--arm", action="append", choices=ARMS, help="only this arm; may be repeated")
-    parser.add_argument("--output", type=Path, default=Path("build/health.json"))
     text = "write a history in which a probe creeps, in place of the study: creep.parquet"
     parser.add_argument("--files", type=Path, metavar="FOLDER", help=text)
-    options = parser.parse_args(arguments)
+    options = parse_study(parser, "build/health.json", arguments)
     if options.files is not None:
         name = (options.arm or ARMS)[0]
         part, ageing = cases_of(name, SEED)[2]
@@ -111,7 +110,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         write_history(options.files / "creep.parquet", _arm(name).history(_arm(name).tests(SEED, TESTS, ageing)))
         print(f"creep.parquet: {TESTS} tests of {name}, {part} creeps")
         return 0
-    check_writable(options.output)
     found = {name: study(name, options.years) for name in options.arm or ARMS}
     for name, outcomes in found.items():
         sound = [each for each in outcomes if each.case == "sound"]

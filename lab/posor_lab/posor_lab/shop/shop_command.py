@@ -17,7 +17,7 @@ from posor.reporting.command_line_parser import CommandLineParser, whole_number_
 from posor.reporting.program_errors import reports_errors
 from posor.reporting.report_table import ReportTable, report_console
 
-from posor_lab.lab_output import check_writable, end_study
+from posor_lab.lab_output import end_study, parse_study
 from posor_lab.shop.shop_arm import write_shop_arm
 from posor_lab.shop.shop_study import SWING_K, WITH, WITHOUT, WRONG_SIGN, sample_shop
 
@@ -68,9 +68,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--arms", type=count, default=ARMS, help="arms with drawn temperatures (default: %(default)s)")
     text = "arms during a shift (default: %(default)s)"
     parser.add_argument("--shift-arms", type=count, default=SHIFT_ARMS, help=text)
-    parser.add_argument("--output", type=Path, default=Path("build/shop.json"))
-    options = parser.parse_args(arguments)
-    check_writable(options.output)
+    options = parse_study(parser, "build/shop.json", arguments)
     with tempfile.TemporaryDirectory() as folder:
         path = write_shop_arm(load_arm_file("five_axis"), Path(folder))
         drawn = figures(sample_shop(path, options.arms, POSES, SEED))

@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections import Counter
 from itertools import product
-from pathlib import Path
 from string import ascii_lowercase
 from typing import TYPE_CHECKING, Any
 
@@ -19,7 +18,7 @@ from posor.reporting.program_errors import reports_errors
 from posor.reporting.report_table import report_console
 from rich.table import Table
 
-from posor_lab.lab_output import check_writable, write_json
+from posor_lab.lab_output import parse_study, write_json
 from posor_lab.thesis_budgets.budget_tables import DIODE_TOTAL, budget_tables, fits_of_linearisation, rig_theta
 from posor_lab.thesis_table.thesis_row import Agreement
 
@@ -38,8 +37,7 @@ _ZERO = 5e-7  # smaller factors are printed as 0: they come from the inclination
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the program."""
     parser = CommandLineParser(prog="budgets", description="Error budgets of the thesis, cell by cell from the model.")
-    parser.add_argument("--output", type=Path, default=Path("build/budgets.json"), help="JSON file to write")
-    output = check_writable(parser.parse_args(arguments).output)
+    output = parse_study(parser, "build/budgets.json", arguments).output
     tables = budget_tables()
     by_x, by_y, theta = rig_theta(tables["7.9"])
     derived = {

@@ -18,7 +18,7 @@ from posor.reporting.command_line_parser import CommandLineParser, whole_number_
 from posor.reporting.program_errors import reports_errors
 from posor.reporting.report_table import ReportTable, report_console
 
-from posor_lab.lab_output import check_writable, end_study
+from posor_lab.lab_output import check_writable, end_study, parse_study
 from posor_lab.vibration.vibrating_arm import write_vibrating_arm
 from posor_lab.vibration.vibration_study import AMPLITUDE_M, DYNAMIC, STATIC, VibrationStudy, sample_vibration
 
@@ -78,11 +78,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = CommandLineParser(prog="vibration", description="Endpoint of an arm that vibrates, simulated.")
     text = "arms drawn at each frequency (default: %(default)s)"
     parser.add_argument("--arms", type=whole_number_from(MIN_ARMS), default=ARMS, help=text)
-    parser.add_argument("--output", type=Path, default=Path("build/vibration.json"))
     parser.add_argument("--figure", type=Path, help="also draw the table into this file (PNG or SVG)")
-    options = parser.parse_args(arguments)
-    for path in filter(None, (options.output, options.figure)):
-        check_writable(path)
+    options = parse_study(parser, "build/vibration.json", arguments)
+    if options.figure is not None:
+        check_writable(options.figure)
     with tempfile.TemporaryDirectory() as name:
         arm, folder = load_arm_file(ARM), Path(name)
         path = write_vibrating_arm(arm, folder / "stated")
