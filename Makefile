@@ -50,7 +50,7 @@ help:
 	@echo "make bench [BENCH='--quick ...']                       latency, lost ticks and cost of the graph, offline speed"
 	@echo "make scaling [SCALING='--arms 12 ...']                  figures of a cell of many arms, from those of one arm and a small cluster"
 	@echo "make bench-core                                        speed of the numerical core"
-	@echo "make lines                                             lines of source, tests and documentation of each package"
+	@echo "make lines                                             lines of source, code, tests and documentation of each package"
 	@echo "make rooms                                             draw the packages and the imports between them"
 	@echo "make data                                              regenerate bags and calibrations from tables and designs"
 	@echo "make docs                                              pages of parameters and calculators, and the site build/docs/index.html"
