@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import math
 import time
-from contextlib import contextmanager
 from threading import Event, Lock, Thread
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -16,22 +15,20 @@ from posor.numerics.stamps import NS
 from posor_drivers.instruments.channel_exposures import Exposures
 from posor_drivers.instruments.clock_mapping import ClockMapping
 from posor_drivers.instruments.device import DeviceError
+from posor_drivers.instruments.frame_store import CAPACITY, FrameStore
 from posor_drivers.instruments.interpolation import MOST_WEIGHT, FrameWeights, frame_weights
+from posor_drivers.instruments.value_ages import ValueAges
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-    from pathlib import Path
+    from collections.abc import Sequence
 
-    from posor.numerics.array_types import FloatArray, IntArray
+    from posor.numerics.array_types import FloatArray
 
     from posor_drivers.instruments.device import Device, Frames
 
-CAPACITY = 1 << 13
-"""Frames that are kept; at 4 kHz two seconds."""
 COUNTS = ("frames", "frames_lost", "frames_late", "frames_dropped", "frames_repeated", "connections")
 """Counts in the diagnostics: frames stored; frames missing; of those stored, the ones that arrived after their
 successors; frames that arrived too late; frames that arrived again."""
-NO_FRAME = np.iinfo(np.int64).min
 CONNECT_TIMEOUT_S = 1.0
 READ_TIMEOUT_S = 0.1
 PAUSE_S = 0.004
@@ -48,8 +45,8 @@ RESTART_S = 0.1
 """Time in which only frames that are further back arrive, after which the device has restarted."""
 UNIFORM = math.sqrt(3.0)
 """Half-width of a uniform distribution, in standard deviations."""
-RATE_FRAMES = 100
-"""Of a polled device, over which its rate is averaged."""
+REPEATED = 1.5
+"""Periods for which a channel keeps a value that it repeats."""
 MAX_DRIFT = 0.01
 """Share by which the frame rate may differ from the stated one."""
 
@@ -70,6 +67,14 @@ class StampError(NamedTuple):
 
     uncertainty_s: float  # standard uncertainty [s]
     limit_s: float  # largest error [s]
+
+
+class _Place(NamedTuple):
+    """Where a time lies among the frames."""
+
+    number: int  # of the nearest frame
+    rows: list[int]  # of the frame before, the nearest one and the one after
+    weights: FrameWeights
 
 
 class DeviceReader:
@@ -115,13 +120,23 @@ class DeviceReader:
         with self._lock:
             values: dict[str, float | int] = dict(self._counts)
             if self._timed:
-                values["frame_rate"] = self._timed_rate()
+                values["frame_rate"] = self._frames.timed_rate(self._first, int(self._last or 0))
             elif (line := self._mapping.line) is not None:
                 values["frame_rate"] = NS / line.period_ns
                 values["clock_drift"] = line.period_ns * self.device.frame_rate / NS - 1.0
             if (error := self._stamp_error()) is not None:
                 values |= {"clock_uncertainty": error.uncertainty_s, "clock_limit": error.limit_s}
-            return DeviceState(self._fault or self._trigger_fault, self._identity, values)
+            return DeviceState(self._fault or self._trigger_fault or self._held_values(), self._identity, values)
+
+    def _held_values(self) -> str:
+        """Return a sentence on the channel that keeps its values longest; empty: all have new ones in each frame."""
+        kept_s, period_s = self._ages.kept_s, 1.0 / self.device.frame_rate
+        if kept_s.max() < REPEATED * period_s:
+            return ""
+        name = self.device.channels[int(kept_s.argmax())].name
+        what = f"channel '{name}' keeps its values for {1e3 * kept_s.max():.3g} ms"
+        expected = f"new ones after {1e3 * period_s:.3g} ms, in each frame; this time is part of the stamps' error"
+        return str(self.device.error(what, expected))
 
     def take_state(self) -> DeviceState:
         """Return the present state; once, the last fault since the call before, even if it has passed meanwhile."""
@@ -149,8 +164,8 @@ class DeviceReader:
                 found = self._place(time_ns - shift_ns)
                 if found is None:
                     return None
-                rows, weights = found
-                before, nearest, after = (self._values[row] for row in rows)
+                _, rows, weights = found
+                before, nearest, after = (self._frames.values[row] for row in rows)
                 for column in whole:
                     if not before[column] == nearest[column] == after[column]:
                         return None
@@ -165,20 +180,28 @@ class DeviceReader:
         if self._failure is not None:
             raise self._failure
 
-    def stamp_error_at(self, time_ns: int) -> StampError | None:
+    def stamp_error_at(self, time_ns: int, columns: Sequence[int] = ()) -> StampError | None:
         """Return the error of the times of the frames around a ROS time [ns], with that of the stated least delay.
 
-        None where they are not known.
+        ``columns``: the channels whose values change with the pose; the error contains their ages. None where the times
+        are not known.
         """
         with self._lock:
-            found = self._timed_place(time_ns) if self._timed else None
-            return self._stamp_error(None if found is None else self._rows_around(found[0]))
+            found = self._place(time_ns + (self._half_span_ns if self._tolerance_s is not None else 0))
+            error = None if found is None else self._stamp_error(found.rows)
+            if found is None or error is None:
+                return None
+            age_s, weight = self._ages.age_s(found.number + 1, columns), MOST_WEIGHT
+            if self._tolerance_s is not None:
+                weight = 1.0
+            return StampError(math.hypot(error.uncertainty_s, age_s / UNIFORM), error.limit_s + weight * age_s)
 
     def _stamp_error(self, rows: list[int] | None = None) -> StampError | None:
-        """Return the error of the times of frames; of frames that have a time, by their rows, else the newest."""
+        """Return the error of the times of frames, without their ages; by their rows, else of the newest."""
         delay_sigma_s = float(self.device.settings.delay.sigmas)
         if self._timed:
-            uncertainty_s = self._time_uncertainty_s if rows is None else float(self._uncertainties_s[rows].max())
+            stated_s = self._time_uncertainty_s if rows is None else self._frames.uncertainties_s[rows].max()
+            uncertainty_s = float(stated_s)
             limit_s = UNIFORM * uncertainty_s * (1.0 if rows is None else MOST_WEIGHT)
         elif (line := self._mapping.line) is not None:
             uncertainty_s, limit_s = line.uncertainty_s, line.limit_s
@@ -210,8 +233,8 @@ class DeviceReader:
             (shift, np.flatnonzero(shifts_ns == shift) if each[1:] else slice(None)) for shift in each
         ]
 
-    def _place(self, time_ns: int) -> tuple[list[int], FrameWeights] | None:
-        """Return the rows of the three frames nearest to a time, and their weights; None where one is missing."""
+    def _place(self, time_ns: int) -> _Place | None:
+        """Return the three frames nearest to a time; None where one is missing."""
         found = self._timed_place(time_ns) if self._timed else self._mapped_place(time_ns)
         if found is None:
             return None
@@ -223,8 +246,16 @@ class DeviceReader:
                 expected = f"expected at most {1e3 * self._tolerance_s:g} ms, as it is triggered"
                 self._trigger_fault = f"{what}; {expected}"
                 return None
-        rows = self._rows_around(number)
-        return None if rows is None else (rows, weights)
+        rows = self._frames.rows_around(number)
+        return None if rows is None else _Place(number, rows, weights)
+
+    def _timed_place(self, time_ns: int) -> tuple[int, FrameWeights, float] | None:
+        """Return the same by the times that the frames have; None where a frame is missing, or two are far apart."""
+        found = None if self._last is None else self._frames.nearest(time_ns, self._last)
+        if found is None or max(found.since_before_ns, found.until_after_ns) > self.device.longest_interval_s * NS:
+            return None
+        weights = frame_weights(found.since_before_ns, found.until_after_ns, found.offset_ns)
+        return found.number, weights, found.offset_ns / NS
 
     def _mapped_place(self, time_ns: int) -> tuple[int, FrameWeights, float] | None:
         """Return the number of the frame nearest to a ROS time by the clock line, weights, and time after it [s]."""
@@ -236,41 +267,6 @@ class DeviceReader:
         offset = position - number
         return number, frame_weights(1.0, 1.0, offset), offset * line.period_ns / NS
 
-    def _timed_place(self, time_ns: int) -> tuple[int, FrameWeights, float] | None:
-        """Return the nearest frame among those that have a time of their own, weights, and time after it [s].
-
-        None where a frame is missing, or where two are far apart or, after the clock was set back, in another order.
-        """
-        last = self._last
-        if last is None:
-            return None
-        period_ns = NS / self.device.frame_rate
-        number = last - math.ceil((self._times_ns[last % CAPACITY] - time_ns) / period_ns)
-        while (row := self._row_of(number)) is not None and self._times_ns[row] > time_ns:  # frames after a late one
-            number -= 1
-        while (following := self._row_of(number + 1)) is not None and self._times_ns[following] <= time_ns:
-            number += 1
-        row = self._row_of(number)
-        if row is None or following is None or self._times_ns[row] > time_ns:
-            return None
-        if self._times_ns[following] - time_ns < time_ns - self._times_ns[row]:
-            number += 1
-        rows = self._rows_around(number)
-        if rows is None:
-            return None
-        before_ns, nearest_ns, after_ns = self._times_ns[rows].tolist()
-        steps = nearest_ns - before_ns, after_ns - nearest_ns
-        if min(steps) <= 0 or max(steps) > self.device.longest_interval_s * NS:
-            return None
-        return number, frame_weights(*steps, time_ns - nearest_ns), (time_ns - nearest_ns) / NS
-
-    def _timed_rate(self) -> float:
-        """Return the mean rate of the last frames that have a time of their own [Hz]; 0 where there is only one."""
-        last = self._first if self._last is None else self._last
-        first = max(self._first, last - RATE_FRAMES)
-        elapsed_ns = self._times_ns[last % CAPACITY] - self._times_ns[first % CAPACITY]
-        return (last - first) * NS / float(elapsed_ns) if last > first else 0.0
-
     def newest_values(self) -> FloatArray | None:
         """Return the values of the newest frame, (c,); None where there is none."""
         found = self.newest_frame()
@@ -280,24 +276,13 @@ class DeviceReader:
         """Return number and values (c,) of the newest frame; None where there is none. Raises as ``state``."""
         self._raise_failure()
         with self._lock:
-            return None if self._last is None else (self._last, self._values[self._last % CAPACITY].copy())
-
-    def _row_of(self, number: int) -> int | None:
-        """Return the row of a frame in the store, if it is there."""
-        row = number % CAPACITY
-        return row if self._numbers[row] == number else None
-
-    def _rows_around(self, number: int) -> list[int] | None:
-        """Return the rows of a frame and its two neighbours, if they are there."""
-        rows = [self._row_of(each) for each in (number - 1, number, number + 1)]
-        present = [row for row in rows if row is not None]
-        return present if len(present) == len(rows) else None
+            return None if self._last is None else (self._last, self._frames.values[self._last % CAPACITY].copy())
 
     def _forget_frames(self) -> None:
         self._mapping = ClockMapping(self.device.frame_rate)
-        self._numbers = np.full(CAPACITY, NO_FRAME, dtype=np.int64)
-        self._values = np.full((CAPACITY, len(self.device.channels)), np.nan)
-        self._times_ns, self._uncertainties_s = np.zeros(CAPACITY, dtype=np.int64), np.zeros(CAPACITY)
+        channels = len(self.device.channels)
+        self._frames = FrameStore(channels, self.device.frame_rate)
+        self._ages = ValueAges(self._frames, channels)
         self._timed, self._time_uncertainty_s = False, 0.0
         self._first = 0
         self._last: int | None = None
@@ -363,7 +348,7 @@ class DeviceReader:
         highest = np.maximum.accumulate(np.append(self._last, counters))
         new = counters > highest[:-1]
         if new.any():
-            self._write(frames, np.flatnonzero(new)[-CAPACITY:])
+            self._frames.write(frames, np.flatnonzero(new)[-CAPACITY:], self._delay_ns)
             counts["frames"] += int(np.count_nonzero(new))
             counts["frames_lost"] += int(highest[-1] - self._last - np.count_nonzero(new))
             self._last = int(highest[-1])
@@ -381,17 +366,17 @@ class DeviceReader:
     def _store_late(self, frames: Frames, n: int) -> None:
         """Store or drop a frame that does not come after all others."""
         number, newest, counts = int(frames.counters[n]), int(self._last or 0), self._counts
-        row, back = self._row_of(number), newest - number
+        row, back = self._frames.row_of(number), newest - number
         restarted = False
         if row is not None:
-            same = np.array_equal(self._values[row], frames.values[n], equal_nan=True)
+            same = np.array_equal(self._frames.values[row], frames.values[n], equal_nan=True)
             counts["frames_repeated"] += 1
             if not back and not same:
                 what = f"frame {number} arrived twice, with different values"
                 raise self.device.error(what, "each number once, from one device")
             restarted = not same
         elif back < min(CAPACITY, LATE_S * self.device.frame_rate):
-            self._write(frames, np.array([n]))
+            self._frames.write(frames, np.array([n]), self._delay_ns)
             counts["frames"] += 1
             counts["frames_late"] += 1
             counts["frames_lost"] -= number > self._first
@@ -402,13 +387,6 @@ class DeviceReader:
         if restarted:
             what = f"the frame counter went back from {newest} to {number}"
             raise self.device.error(what, "ascending numbers; the device may have restarted")
-
-    def _write(self, frames: Frames, which: IntArray) -> None:
-        rows = frames.counters[which] % CAPACITY
-        self._numbers[rows], self._values[rows] = frames.counters[which], frames.values[which]
-        if frames.times_ns is not None:
-            self._times_ns[rows] = frames.times_ns[which] - self._delay_ns
-            self._uncertainties_s[rows] = frames.time_uncertainty_s
 
     def _check_mapping(self) -> None:
         """State why the frames cannot be used yet, or that they can.
@@ -424,31 +402,3 @@ class DeviceReader:
             self._mapping, self._fault = ClockMapping(nominal), str(error)
             raise error
         self._fault = "" if line else f"{self.device.name}: finding its clock"
-
-
-_sharing = Lock()
-_readers: dict[tuple[str, str, str], DeviceReader] = {}
-_users: dict[tuple[str, str, str], int] = {}
-
-
-@contextmanager
-def shared_reader(file: Path, device: Device[Any]) -> Iterator[DeviceReader]:
-    """Yield the running reader of a device, which all users of it in this process share.
-
-    A device of the same name and with the same settings in the same instruments file is the same.
-    """
-    key = (str(file.resolve()), device.name, device.settings.model_dump_json())
-    with _sharing:
-        if key not in _readers:
-            _readers[key] = DeviceReader(device)
-            _readers[key].start()
-        _users[key] = _users.get(key, 0) + 1
-        reader = _readers[key]
-    try:
-        yield reader
-    finally:
-        with _sharing:
-            _users[key] -= 1
-            if not _users[key]:
-                del _readers[key], _users[key]
-                reader.stop()

@@ -46,7 +46,7 @@ from posor.tables.table_map import READINGS
 from pydantic import Field, model_validator
 
 from posor_drivers.instruments.device import Device, DeviceSettings, device_class, settings_of_kinds
-from posor_drivers.instruments.device_reader import CAPACITY
+from posor_drivers.instruments.frame_store import CAPACITY
 from posor_drivers.instruments.reference_entry import ChannelEntry, ReferenceEntry
 from posor_drivers.quantity_limits import NOT_NEGATIVE, Delay, TickRate
 

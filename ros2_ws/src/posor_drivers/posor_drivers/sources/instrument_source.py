@@ -5,9 +5,9 @@
 At each tick of the ROS clock the channels are interpolated between the three frames nearest to the tick, so the scans
 of joints with devices of their own have common stamps. Each channel is interpolated by its own times of exposure. What
 remains is stated in the scan: offsets of triggered devices, and exposures that are unknown. The error of the stamp is
-that of the device whose clock is known least well, and that of the clock of this host. A scan whose frames are missing
-is not published, nor one between frames with different light sources. A reading that a device flags as invalid, such as
-one out of range, is NaN, and the scan has the flag SATURATED.
+that of the device whose clock is known least well, with the ages of its values, and that of the clock of this host. A
+scan whose frames are missing is not published, nor one between frames with different light sources. A reading that a
+device flags as invalid, such as one out of range, is NaN, and the scan has the flag SATURATED.
 """
 
 from __future__ import annotations
@@ -22,12 +22,13 @@ from posor.node_parameters import TopicName  # noqa: TC002  pydantic needs it
 from posor.numerics.stamps import NS, tick_stamp_ns
 from posor.parameter_model import ParameterGroup
 from posor.ros_names import RAW_SCAN, RAW_TOPIC, TEMPERATURE_TOPIC
+from posor.sensors.base import READING_KINDS
 from pydantic import Field
 
 from posor_drivers.host_clock import HostClock
 from posor_drivers.instruments.calibrated_readings import check_readings
 from posor_drivers.instruments.channel_exposures import Exposures
-from posor_drivers.instruments.device_reader import StampError, shared_reader
+from posor_drivers.instruments.device_reader import StampError
 from posor_drivers.instruments.instruments_file import (
     WHOLE_NUMBERS,
     InstrumentsFile,
@@ -36,6 +37,7 @@ from posor_drivers.instruments.instruments_file import (
     load_instruments,
 )
 from posor_drivers.instruments.reference_entry import ReferenceEntry
+from posor_drivers.instruments.shared_readers import shared_reader
 from posor_drivers.instruments.tick_messages import LitSourceError, ReferenceReading, ScanWriter, ThermometerReading
 from posor_drivers.sources.source import LiveSource, SourceMessage, SourceStatus, Topic
 
@@ -126,6 +128,11 @@ class InstrumentSource(LiveSource[InstrumentParameters]):
             device.name: [n for n, each in enumerate(device.channels) if f"{device.name}/{each.name}" in whole]
             for device in devices
         }
+        moving = {entry.channel for kind, _, entry in joint.entries() if kind in READING_KINDS}
+        self._moving = {
+            device.name: [n for n, each in enumerate(device.channels) if f"{device.name}/{each.name}" in moving]
+            for device in devices
+        }
         self._rate = round(self._file.rate.number)
         self._latency_ns = round(self._file.latency.number * NS)
         self._readers = [self._threads.enter_context(shared_reader(Path(where), device)) for device in devices]
@@ -151,7 +158,7 @@ class InstrumentSource(LiveSource[InstrumentParameters]):
 
     def _stamp_error(self, stamp_ns: int) -> StampError | None:
         """Return the error of a stamp of scans; None: a device has lost its connection meanwhile."""
-        found = [reader.stamp_error_at(stamp_ns) for reader in self._scan_readers]
+        found = [reader.stamp_error_at(stamp_ns, self._moving[reader.device.name]) for reader in self._scan_readers]
         errors = [each for each in found if each is not None]
         if len(errors) < len(found):
             return None

@@ -18,7 +18,8 @@ from typing import Any
 import numpy as np
 import pytest
 from posor_drivers.instruments.device import DeviceError
-from posor_drivers.instruments.device_reader import DeviceReader, shared_reader
+from posor_drivers.instruments.device_reader import DeviceReader
+from posor_drivers.instruments.shared_readers import shared_reader
 from posor_drivers.instruments.stream_device import StreamDevice, StreamSettings
 from posor_lab.device_servers.stream_server import LEAD, StreamServer
 from pydantic import ValidationError

@@ -1,0 +1,161 @@
+# Copyright 2026 POSOR maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Devices whose values are older than their frames: the stated error of the stamps contains the ages."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from posor.calibration.design_parts import quantity_entry
+from posor.numerics.array_types import FloatArray
+from posor_drivers.instruments.device import Device, Frames
+from posor_drivers.instruments.device_reader import DeviceReader
+from posor_drivers.instruments.frame_store import FrameStore
+from posor_drivers.instruments.labjack_device import LabJackDevice, LabJackSettings
+from posor_drivers.instruments.stream_device import StreamDevice, StreamSettings
+from posor_drivers.instruments.value_ages import CHECKED_FRAMES, RENEWED_FRAMES, ValueAges
+from posor_lab.device_servers.labjack_server import LabJackServer
+from posor_lab.device_servers.stream_server import LEAD, StreamServer
+
+from .device_states import running, wait_for, wait_for_frames
+
+PERIOD_S = 1e-3
+CYCLE_NS = 4_000_000_000
+
+
+def ages_of(values: FloatArray, numbers: Any = None) -> tuple[ValueAges, FloatArray]:
+    """Return the greatest age in each frame of one channel and the two before, from the third frame on [s]."""
+    store = FrameStore(1, 1.0 / PERIOD_S)
+    ages = ValueAges(store, 1)
+    numbers = np.arange(len(values)) if numbers is None else np.asarray(numbers)
+    found = []
+    for n, number in enumerate(numbers.tolist()):
+        store.write(Frames(numbers, np.reshape(values, (-1, 1))), np.array([n]), 0)
+        found += [ages.age_s(number, [0])] if n > 1 else []
+    return ages, np.array(found)
+
+
+def renewed_after(runs: Any) -> FloatArray:
+    """Return values of frames that are repeated so many times in turn."""
+    return np.repeat(np.arange(len(runs), dtype=np.float64), runs)
+
+
+def test_a_value_is_as_old_as_the_first_of_equal_frames_and_a_period() -> None:
+    runs = np.random.default_rng(1).integers(3, 9, 100)
+    runs[50] = 2000  # a joint at rest, or a converter that pauses
+    ages, found_s = ages_of(renewed_after(runs))
+    each_s = PERIOD_S * np.concatenate([np.arange(1, run + 1) for run in runs])
+    expected_s = np.max([each_s[:-2], each_s[1:-1], each_s[2:]], axis=0)
+    np.testing.assert_allclose(found_s[runs[0] :], expected_s[runs[0] :])
+    assert ages.kept_s[0] == pytest.approx(PERIOD_S * max(runs[-10:]))
+
+
+def test_a_channel_with_new_values_in_each_frame_may_repeat_them_later() -> None:
+    values = np.concatenate([np.arange(RENEWED_FRAMES + 1.0), np.full(3000, 7.0)])
+    ages, found_s = ages_of(values)
+    assert not found_s[RENEWED_FRAMES - 2 :].any()
+    assert ages.kept_s[0] == 0.0
+
+
+@pytest.mark.parametrize("step", [0.3, 1.0, 3.0])
+def test_the_noise_of_a_coarse_converter_shows_new_values_at_once(step: float) -> None:
+    """Also where the value is in the middle between two steps, and does not move."""
+    noise = np.random.default_rng(2).standard_normal(1000)
+    _, found_s = ages_of(np.round(noise / step))
+    assert found_s[0] > 0.0
+    assert not found_s[-10:].any()
+
+
+def test_a_channel_that_becomes_slower_is_doubtful_again() -> None:
+    slower = renewed_after(np.full(2 * CHECKED_FRAMES // 7 + 10, 7))
+    _, found_s = ages_of(np.concatenate([np.arange(100.0), 100.0 + slower]))
+    assert not found_s[RENEWED_FRAMES:100].any()
+    assert found_s[-1] == pytest.approx(7 * PERIOD_S)
+
+
+def test_values_beside_lost_frames_and_invalid_ones_are_not_new() -> None:
+    _, found_s = ages_of(np.arange(100.0), numbers=2 * np.arange(100))
+    np.testing.assert_allclose(found_s, 2.0 * PERIOD_S)
+    _, found_s = ages_of(np.full(100, np.nan))
+    assert found_s[-1] == pytest.approx(99 * PERIOD_S)
+
+
+def triangle(time_ns: int) -> float:
+    """Return a value that changes by one per second, and turns back before the resolution of 32 bits counts."""
+    return abs(time_ns % CYCLE_NS - CYCLE_NS // 2) * 1e-9
+
+
+def renewing(interval_ns: int) -> Callable[[int], list[float]]:
+    """Return values that a device renews at an interval."""
+    return lambda time_ns: [triangle(time_ns - time_ns % interval_ns)] * 2
+
+
+def stream(server: StreamServer) -> Device[Any]:
+    content = {
+        "kind": "stream",
+        "transport": "tcp",
+        "host": "127.0.0.1",
+        "port": server.port,
+        "rate": quantity_entry(1000, "Hz"),
+        "format": f"{LEAD}2d",
+        "fields": ["magic", "counter", "gap1", "gap2"],
+        "channels": {"gap1": {"unit": "V"}, "gap2": {"unit": "V"}},
+    }
+    return StreamDevice("box", StreamSettings.model_validate(content))
+
+
+def labjack(server: LabJackServer) -> Device[Any]:
+    channels = {name: {"input": n} for n, name in enumerate(("gap1", "gap2"))}
+    content = {"kind": "labjack", "host": "127.0.0.1", "port": server.port, "rate": quantity_entry(250, "Hz")}
+    return LabJackDevice("box", LabJackSettings.model_validate(content | {"channels": channels}))
+
+
+def read_ticks(reader: DeviceReader) -> FloatArray:
+    """Return how old the values of 300 ticks are, and the limits of their stamps with and without ages, (n, 3) [s]."""
+    wait_for_frames(reader)
+    found: dict[int, tuple[float, float, float]] = {}
+
+    def take() -> bool:
+        at_ns = time.time_ns() // 10_000_000 * 10_000_000 - 100_000_000
+        values, alone = reader.values_at(at_ns), reader.stamp_error_at(at_ns)
+        error = reader.stamp_error_at(at_ns, [0, 1])
+        if values is not None and error is not None and alone is not None:
+            found[at_ns] = abs(triangle(at_ns) - values[0]), error.limit_s, alone.limit_s
+        return len(found) >= 300
+
+    wait_for(take, "values at ticks")
+    return np.array(list(found.values()))
+
+
+@pytest.mark.parametrize("interval_ns", [1_500_000, 7_000_000, 20_000_000])
+def test_the_error_of_the_stamps_contains_the_ages_of_a_stream(interval_ns: int) -> None:
+    with StreamServer(renewing(interval_ns)) as server, running(stream(server)) as reader:
+        errors_s, limits_s, alone_s = read_ticks(reader).T
+        sentence = reader.state.fault
+    assert np.all(errors_s <= limits_s)
+    assert np.any(errors_s > alone_s)
+    assert np.median(limits_s - alone_s) < 2e-9 * (interval_ns + 1_000_000)
+    assert sentence == (
+        f"box: channel 'gap1' keeps its values for {-(-interval_ns // 1_000_000)} ms; "
+        "expected new ones after 1 ms, in each frame; this time is part of the stamps' error."
+    )
+
+
+def test_the_error_of_the_stamps_contains_the_ages_of_registers_that_are_asked_for_too_often() -> None:
+    with LabJackServer(renewing(20_000_000)) as server, running(labjack(server)) as reader:
+        errors_s, limits_s, alone_s = read_ticks(reader).T
+        assert "keeps its values for" in reader.state.fault
+    assert np.all(errors_s <= limits_s + 1e-6)
+    assert np.any(errors_s > alone_s)
+
+
+@pytest.mark.parametrize("interval_ns", [1, 1_000_000])
+def test_new_values_in_each_frame_add_nothing_to_the_error_of_the_stamps(interval_ns: int) -> None:
+    with StreamServer(renewing(interval_ns)) as server, running(stream(server)) as reader:
+        _, limits_s, alone_s = read_ticks(reader).T
+        assert np.median(limits_s - alone_s) == 0.0
+        assert not reader.state.fault
