@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import math
 import socket
 import struct
 import time
@@ -32,20 +33,29 @@ class StreamServer(DeviceServer):
         skip: Number of frames to leave out next.
         hold: Number of frames to send before the next one, which is late then; a negative one is sent twice.
         first: Counter of the first frame after a connection.
+        lost_triggers: Number of triggers that are lost next; -1: a false one comes half a period before the next.
         clients: Number of connections so far.
 
     """
 
     def __init__(
-        self, values: Callable[[int], Sequence[float]], rate: float = 1000.0, *, drift: float = 0.0, udp_port: int = 0
+        self,
+        values: Callable[[int], Sequence[float]],
+        rate: float = 1000.0,
+        *,
+        drift: float = 0.0,
+        udp_port: int = 0,
+        triggered: bool = False,
     ) -> None:
         """Open a port of this host, or send datagrams to ``udp_port``.
 
         ``values`` are those of a frame by its ROS time [ns]; the server's clock is slow by the share ``drift``.
+        ``triggered``: the frames are those of the ticks of the ROS clock at this rate.
         """
         super().__init__()
         self.magic, self.merged, self.skip, self.hold, self.first, self.clients = MAGIC, 1, 0, 0, 0, 0
         self.stalled, self._dropped = Event(), Event()
+        self.lost_triggers, self._triggered = 0, triggered
         self._values, self._period_ns = values, 1e9 / rate * (1.0 + drift)
         if udp_port:
             self.add_task(self._send_datagrams)
@@ -67,9 +77,13 @@ class StreamServer(DeviceServer):
     def _send_frames(self, send: Callable[[bytes], object]) -> None:
         """Send until the end, the client's end, or ``drop_client``."""
         disable_timer_slack()
-        start_ns, number, held, late, due = time.time_ns(), 0, b"", b"", 0
+        start_ns, number, held, late, due, triggers_lost = time.time_ns(), 0, b"", b"", 0, 0.0
+        if self._triggered:
+            start_ns += -start_ns % round(self._period_ns)
         while not (self.stopping.is_set() or self._dropped.is_set()):
-            exposed_ns = start_ns + round(number * self._period_ns)
+            triggers_lost = math.floor(triggers_lost) + (self.lost_triggers if self.lost_triggers >= 0 else -0.5)
+            self.lost_triggers = 0
+            exposed_ns = start_ns + round((number + triggers_lost) * self._period_ns)
             values = self._values(exposed_ns)  # before its time, so that sending is the least delay
             frame = struct.Struct(f"{LEAD}{len(values)}d")
             if (wait_s := exposed_ns * 1e-9 - time.time()) > 0.0:

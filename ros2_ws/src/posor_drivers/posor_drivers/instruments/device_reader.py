@@ -17,6 +17,7 @@ from posor_drivers.instruments.clock_mapping import ClockMapping
 from posor_drivers.instruments.device import DeviceError
 from posor_drivers.instruments.frame_store import CAPACITY, FrameStore
 from posor_drivers.instruments.interpolation import MOST_WEIGHT, FrameWeights, frame_weights
+from posor_drivers.instruments.trigger_arrivals import TriggerArrivals
 from posor_drivers.instruments.value_ages import ValueAges
 
 if TYPE_CHECKING:
@@ -194,7 +195,19 @@ class DeviceReader:
             age_s, weight = self._ages.age_s(found.number + 1, columns), MOST_WEIGHT
             if self._tolerance_s is not None:
                 weight = 1.0
+                age_s += self._trigger_shift_s(found.number)
             return StampError(math.hypot(error.uncertainty_s, age_s / UNIFORM), error.limit_s + weight * age_s)
+
+    def _trigger_shift_s(self, number: int) -> float:
+        """Return the time by which a triggered frame may be off its tick [s]; state that a trigger may be lost."""
+        if self._timed or (line := self._mapping.line) is None:
+            return 0.0
+        periods = self._triggers.periods_off(number, line)
+        if periods:
+            what = f"frame {number} may be {1e-6 * periods * line.period_ns:.3g} ms off its tick, by all arrivals since"
+            expected = "an arrival between its tick and the next one; a trigger may be lost"
+            self._trigger_fault = str(self.device.error(what, expected))
+        return periods * line.period_ns / NS
 
     def _stamp_error(self, rows: list[int] | None = None) -> StampError | None:
         """Return the error of the times of frames, without their ages; by their rows, else of the newest."""
@@ -283,6 +296,7 @@ class DeviceReader:
         channels = len(self.device.channels)
         self._frames = FrameStore(channels, self.device.frame_rate)
         self._ages = ValueAges(self._frames, channels)
+        self._triggers = TriggerArrivals(self._tolerance_s or 0.0)
         self._timed, self._time_uncertainty_s = False, 0.0
         self._first = 0
         self._last: int | None = None
@@ -360,8 +374,18 @@ class DeviceReader:
             self._timed, self._time_uncertainty_s = True, frames.time_uncertainty_s
             self._fault = ""
         elif new.any():
+            self._check_triggers(arrived_ns - self._half_span_ns)
             self._mapping.add(self._last, arrived_ns - self._half_span_ns)
             self._check_mapping()
+
+    def _check_triggers(self, arrived_ns: int) -> None:
+        """Keep the arrival of the newest triggered frame. Raises DeviceError: it cannot be that of its tick."""
+        if self._tolerance_s is None or self._last is None:
+            return
+        self._triggers.add(self._last, arrived_ns)
+        if self._mapping.line is not None and (early_s := self._triggers.false_trigger(self._mapping.line)):
+            what = f"frame {self._last} has arrived {1e3 * early_s:.3g} ms before its tick"
+            raise self.device.error(what, "one frame for each tick; the device may have counted a false trigger")
 
     def _store_late(self, frames: Frames, n: int) -> None:
         """Store or drop a frame that does not come after all others."""
