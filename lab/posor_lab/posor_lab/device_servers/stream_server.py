@@ -81,8 +81,8 @@ class StreamServer(DeviceServer):
         if self._triggered:
             start_ns += -start_ns % round(self._period_ns)
         while not (self.stopping.is_set() or self._dropped.is_set()):
-            triggers_lost = math.floor(triggers_lost) + (self.lost_triggers if self.lost_triggers >= 0 else -0.5)
-            self.lost_triggers = 0
+            lost, self.lost_triggers = self.lost_triggers, 0
+            triggers_lost = math.floor(triggers_lost) + (lost if lost >= 0 else -0.5)
             exposed_ns = start_ns + round((number + triggers_lost) * self._period_ns)
             values = self._values(exposed_ns)  # before its time, so that sending is the least delay
             frame = struct.Struct(f"{LEAD}{len(values)}d")
