@@ -8,6 +8,7 @@ splits and merges packets, and everything else from another device. The poses ar
 
 from __future__ import annotations
 
+import math
 from contextlib import ExitStack
 from dataclasses import replace
 from typing import TYPE_CHECKING
@@ -103,7 +104,9 @@ class DeviceRun(InjectionRun):
     def _result(self, row: FaultRow, span: Span) -> RowResult:
         """Return the messages published about a fault, and when poses came again."""
         arrivals = self.receiver.between(ENDPOINT_COVARIANCE_TOPIC, span.end_ns, span.until_ns)
-        back_s, found = (arrivals[0].time_ns - span.end_ns) / NS, super()._result(row, span)
+        back_s, found = math.inf, super()._result(row, span)
+        if arrivals:
+            back_s = (arrivals[0].time_ns - span.end_ns) / NS
         problem = f"no pose within {BACK_WITHIN_S:g} s of its end" if back_s > BACK_WITHIN_S else ""
         return replace(found, seen=f"{found.seen}; poses after {back_s:.2f} s", problem=problem)
 
