@@ -116,4 +116,6 @@ def add_common_effects(workspace: Any) -> None:
         for axis in range(2):
             workspace.systematic_readings[r, r] += square(by_ambient[r, axis])
             if partner != r:
+    if anew:  # the readings before may have contradicted one another because of it
+        workspace.tracker.largest_residual, workspace.tracker.residual_theta = 0.0, math.nan
                 workspace.systematic_readings[r, partner] += by_ambient[r, axis] * by_ambient[partner, axis]

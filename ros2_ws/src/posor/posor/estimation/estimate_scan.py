@@ -304,7 +304,7 @@ def solve_and_check(
         return RETRY
     if workspace.is_dark:
         return _write_dark(workspace, scan, theta, estimate)
-    check_residuals(workspace)
+    check_residuals(workspace, theta, estimate.residual)
     check_motion(workspace, theta, estimate)
     check_count(workspace, theta)
     check_home_mark(workspace, theta, scan.at_home)

@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from posor.model.scan import Scan
 
 RELEASE = (  # what releases a latch
-    "until the earlier motion is regained, the readings agree again, a reference confirms theta, "
-    "or ~/acknowledge is called"
+    "until the earlier motion is regained, the readings agree again where they contradicted one another, a reference "
+    "confirms theta, or ~/acknowledge is called"
 )
 
 

@@ -6,7 +6,10 @@ A fault latches the joint. REGAINABLE_FAULTS hold the tracker at the last accept
 the next scans regains the extrapolated motion within the gate of one scan interval, by a jump back from the poses
 rejected meanwhile. Waiting does not widen this gate: later, a reference releases a latch that concerns theta
 only, and an operator releases any latch. Where a home mark or an encoder disagrees, the tracker keeps predicting, and
-the reference releases the latch.
+the reference releases the latch. Contradictory readings may agree at another theta although their fault is still there:
+a common gain of the gap probes moves all of them to another plane, which only their curvature and the spots contradict.
+RESIDUAL is therefore released by scans that pass where chi-square was largest, or after a dark scan that has shown
+other ambient light.
 
 The chi-square of the redundant readings takes their whole uncertainty into account. The residuals e of the fit lie, as
 far as no pose explains them, in the residual space (parity space) Z of the readings, ``J' Z = 0``, which has as many
@@ -36,6 +39,7 @@ if TYPE_CHECKING:
 
 MARKS = 6  # consecutive scans with agreeing home marks that count theta; so many disagreeing marks are a fault
 RESIDUAL_RUN = 10  # scans in a row that fail the residual test before the joint is latched, or pass before release
+SAME_THETA = 2e-3  # distance within which a fault shows alike [rad]: 1/25 of a bump, or 0.1 mm of a spot
 REFERENCE_SIGMAS = 5.0  # standard deviations within which a reference of theta agrees
 NOISE_ALLOWANCE = 5.0  # standard deviations of noise that are added to the largest motion before a jump is a fault
 
@@ -86,10 +90,15 @@ def bump_is_unknown(workspace: Any) -> bool:
 
 
 @in_place
-def check_residuals(workspace: Any) -> None:
-    """Latch the joint after RESIDUAL_RUN failed residual tests in a row; release it after as many passed tests."""
+def check_residuals(workspace: Any, theta: float, residual: float) -> None:
+    """Latch the joint after RESIDUAL_RUN failed residual tests in a row; release it after as many passed tests.
+
+    ``residual``: chi-square of the scan. Only tests within SAME_THETA of the largest one release the latch.
+    """
     tracker, checks = workspace.tracker, workspace.checks
     if checks.contradictory:
+        if tracker.contradictions == 0 or residual > tracker.largest_residual:
+            tracker.largest_residual, tracker.residual_theta = residual, theta
         checks.faults |= RESIDUAL
         checks.recounted = 0
         if tracker.latch & RESIDUAL:
@@ -100,7 +109,10 @@ def check_residuals(workspace: Any) -> None:
             if workspace.settings.max_velocity < math.inf and tracker.contradictions >= RESIDUAL_RUN:
                 latch(tracker, RESIDUAL, 1, checks.elapsed)
     elif tracker.contradictions > 0:
-        tracker.contradictions = tracker.contradictions - 1 if tracker.latch & RESIDUAL else 0
+        if not tracker.latch & RESIDUAL:
+            tracker.contradictions = 0
+        elif not abs(wrapped(theta - tracker.residual_theta)) > SAME_THETA:  # NaN: at any theta
+            tracker.contradictions -= 1
         if tracker.contradictions == 0:
             tracker.latch &= ~RESIDUAL
     checks.confirmed = checks.recounted

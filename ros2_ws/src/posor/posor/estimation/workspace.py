@@ -154,6 +154,8 @@ TRACKER = np.dtype(  # what is known from the previous scans
         ("offset", TIME_OFFSET),
         ("ambient", AMBIENT),
         ("last_raw", "f8", (READINGS, 2)),  # raw readings of the scan before, two of each diode axis [V], [A]
+        ("largest_residual", "f8"),  # of them, and of others during their latch: the largest chi-square
+        ("residual_theta", "f8"),  # theta of that scan [rad]
         ("repeats", "i8", (READINGS,)),  # how often each has repeated without a break
         ("signatures", "f8", (LONGEST_LOOP,)),  # of all raw readings of the last scans, by number modulo LONGEST_LOOP
         ("signature_count", "i8"),

@@ -17,11 +17,12 @@ from posor.estimation.clocks import LATE_RUN
 from posor.estimation.estimate import Estimates
 from posor.estimation.forward import scans_at
 from posor.estimation.posor import Posor
-from posor.estimation.scan_checks import RESIDUAL_RUN
+from posor.estimation.scan_checks import RESIDUAL_RUN, SAME_THETA
 from posor.model.fault import Fault, State
 from posor.model.native_coordinates import rotation_from_native
 from posor.model.scan import NO_SOURCE, STATED_HOME, Scans
 from posor.numerics.array_types import FloatArray
+from posor.numerics.vector import thetas_of
 from posor_lab.harness.random_poses import TICK_NS, errors_in_parent, turning_scans
 
 INCH = 0.0254
@@ -165,8 +166,10 @@ def test_light_sources_that_slip_are_lost(slip: int, first: int) -> None:
     found = posor.estimate_all(scans)
     assert not wrong(found, translations, rotations).any()
     assert (found.states[first:700] == State.LOST).all()
-    if first == 0:
-        assert (found.states[710:] == State.OK).mean() > 0.99  # nothing was accepted before
+    if first == 0:  # nothing was accepted before; the angles at which the slip was seen were wrong
+        assert posor.latched in {Fault.NONE, Fault.RESIDUAL}
+        posor.acknowledge()
+        assert np.isin(posor.estimate_all(scans.part(710, 1000)).states, [State.OK, State.DEGRADED]).mean() > 0.99
 
 
 def even_ring() -> Posor:
@@ -278,17 +281,18 @@ def test_unlit_sources_latch_when_they_last() -> None:
     assert posor.estimate(scans[300]).state is State.OK
 
 
-def test_a_lasting_contradiction_is_latched_until_it_has_passed_for_as_long() -> None:
+def test_a_lasting_contradiction_is_latched_until_it_has_passed_for_as_long_where_it_was() -> None:
     posor = sized("triad_light_ring")
-    scans, _, _ = oscillating(posor)
+    scans, rotations, _ = oscillating(posor)
     scans.diode_currents[100 : 100 + RESIDUAL_RUN, 0, 0] *= 1.01
     scans.diode_currents[300:305, 0, 0] *= 1.01
-    found = posor.estimate_all(scans.part(0, 500))
-    assert (found.states[100 : 100 + RESIDUAL_RUN] == State.LOST).all()
+    found = posor.estimate_all(scans)
     assert found.faults[100] & Fault.RESIDUAL
     assert found.faults[100 + RESIDUAL_RUN] & Fault.LATCHED
-    if not found.faults[100] & Fault.INNOVATION:
-        assert (found.states[102 + 2 * RESIDUAL_RUN : 300] == State.OK).mean() > 0.98
+    passes = np.flatnonzero(np.abs(thetas_of(rotations) - thetas_of(rotations[100:101])) < SAME_THETA)
+    released = passes[passes > 300][RESIDUAL_RUN]  # the joint comes by a few scans at a time
+    assert (found.states[100:1000] == State.LOST).all()
+    assert (found.states[released + 30 :] == State.OK).mean() > 0.98
 
 
 def test_without_limits_of_motion_nothing_is_latched() -> None:
