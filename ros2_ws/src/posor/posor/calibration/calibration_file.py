@@ -272,7 +272,9 @@ class Calibration(FrozenModel):
             if not content[key]:
                 del content[key]
         later = ((sensor, key) for sensor in content["sensors"] for key in ("ambient", "reference"))
-        for part, key in (*later, (content["motion"] or {}, "acceleration")):
+        motion = content["motion"] or {}
+        dark_scans = [(sensor.get("ambient") or {}, "source_light") for sensor in content["sensors"]]
+        for part, key in (*later, (motion, "acceleration"), *dark_scans):
             if key in part and part[key] is None:
                 del part[key]
         text = json.dumps(content, sort_keys=True, separators=(",", ":"))

@@ -15,6 +15,14 @@ the last dark scan subtracts them with the variance s^2 = P + d^2 t, independent
 the scans between two dark scans share it. A lit scan before the first dark scan is LOST; one long after the last is
 DEGRADED.
 
+Light of the sources may be left in a dark scan, because an amplifier is slow. The share q of the light of the lit scan
+before, with the sum S and the difference D of a pair of contacts, changes a ratio of a later scan with the sum T by
+``q (u S - D) / T``: the further the spot has moved, the more. The standard uncertainty of q that the calibration states
+(``source_light``) makes this a part of the systematic covariance, common to all spots. Between two dark scans the
+differences A - C and B - D of the dark currents then change as those of the light do. Where they do, with a share
+beyond its uncertainty, lit scans are LOST until two dark scans differ less although the spots have moved. A lamp
+changes all four contacts of a diode alike, and the differences hardly.
+
 A dark scan has a pose too: that of the gap probes, and in the other directions the previous pose, moved on, with the
 largest motion as spread. It is DEGRADED and does not enter the tracker. With sensors in plain Python it is LOST.
 """
@@ -34,8 +42,12 @@ if TYPE_CHECKING:
     from posor.estimation.workspace import Model
 
 DARK_SIGMAS = 5.0  # standard deviations by which a dark current differs where the ambient light has changed
-NO_POSE, NO_DARK_SCAN = -106, -107
-"""Codes of a dark scan without a previous pose or of a latched joint, and of a lit scan before any dark scan."""
+LIGHT_SIGMAS = 10.0  # the same of all differences together, where light of the sources is left
+EXPLAINED_BY_LIGHT = 0.9  # share of the square of the differences that such light explains at least
+SEEN_SHARE = 5e-3  # share of the light that two dark scans must be able to show before they show that none is left
+NO_POSE, NO_DARK_SCAN, LIGHT_LEFT = -106, -107, -108
+"""Codes of a dark scan without a previous pose or of a latched joint, and of lit scans before any dark scan and after
+dark scans that hold light of the sources."""
 
 
 @in_place
@@ -70,22 +82,28 @@ def subtract_ambient(workspace: Any, scan: Any) -> float:
     settings, ambient = workspace.settings, workspace.tracker.ambient
     needed = settings.dark_age > 0.0 and scan.status & DARK_SUBTRACTED == 0
     known, age = needed and ambient.known == 1, max(0.0, float(scan.stamp_ns - ambient.stamp_ns) / NS)
-    workspace.ambient_unknown = 1 if needed and not known else 0
+    workspace.ambient_unknown = 1 if needed and (not known or ambient.light_left) else 0
     workspace.ambient_old = 1 if known and age > settings.dark_age else 0
     for k in range(scan.current_count):
         workspace.lit_currents[k] = scan.diode_currents[k] - (ambient.currents[k] if known else 0.0)
+        ambient.light[k] = workspace.lit_currents[k]
     return math.sqrt(ambient.variance + square(settings.dark_drift) * age) if known else 0.0
 
 
 @in_place
 def write_ambient_effects(workspace: Any, r: int, diode: int, sigma: float) -> None:
     """Write what the ambient light does to readings r and r + 1, a spot whose ratios and slope are in the workspace."""
-    spot, currents = workspace.spot, workspace.lit_currents
+    spot, currents, before = workspace.spot, workspace.lit_currents, workspace.tracker.ambient.light_before
+    workspace.light_effects[r] = workspace.light_effects[r + 1] = 0.0
     for axis in range(2):
-        total = currents[CONTACTS * diode + axis] + currents[CONTACTS * diode + axis + 2]
+        k = CONTACTS * diode + axis
+        total = currents[k] + currents[k + 2]
         of_ratio = sigma * math.sqrt(2.0 * (1.0 + square(spot.ratios[axis]))) / total
-        for k in range(2):
-            workspace.ambient_effects[r + k, axis] = spot.slope[k, axis] * of_ratio
+        of_light = spot.ratios[axis] * (before[k] + before[k + 2]) - (before[k] - before[k + 2])
+        of_light *= workspace.settings.source_light / total if sigma > 0.0 else 0.0
+        for i in range(2):
+            workspace.ambient_effects[r + i, axis] = spot.slope[i, axis] * of_ratio
+            workspace.light_effects[r + i] += spot.slope[i, axis] * of_light
 
 
 @in_place
@@ -98,24 +116,54 @@ def follow_ambient(workspace: Any, scan: Any) -> None:
     for k in range(scan.current_count):
         off = abs(scan.diode_currents[k] - ambient.currents[k])
         anew = anew or off > DARK_SIGMAS * math.sqrt(variance + noise)
+    if anew:  # the readings before may have contradicted one another because of it
+        workspace.tracker.largest_residual, workspace.tracker.residual_theta = 0.0, math.nan
+    if ambient.known:
+        _find_source_light(workspace, scan, 2.0 * (variance + noise))
     gain = 1.0 if anew else variance / (variance + noise)
     for k in range(scan.current_count):
         ambient.currents[k] += gain * (scan.diode_currents[k] - ambient.currents[k])
+        ambient.light_before[k] = ambient.light[k]
     ambient.known, ambient.stamp_ns, ambient.variance = 1, scan.stamp_ns, gain * noise
 
 
 @in_place
+def _find_source_light(workspace: Any, scan: Any, variance: float) -> None:
+    """Note whether the currents of this dark scan differ from those before as the light of the sources does.
+
+    ``variance``: of the change of the difference of two contacts [A^2].
+    """
+    ambient, count = workspace.tracker.ambient, 0
+    dark_square = light_square = product = 0.0
+    for k in range(scan.current_count):
+        if k % CONTACTS < 2:  # noqa: PLR2004  A and B; C and D are two further
+            dark = scan.diode_currents[k] - ambient.currents[k] - scan.diode_currents[k + 2] + ambient.currents[k + 2]
+            light = ambient.light[k] - ambient.light_before[k] - ambient.light[k + 2] + ambient.light_before[k + 2]
+            dark_square += dark * dark
+            light_square += light * light
+            product += dark * light
+            count += 1
+    if light_square == 0.0:
+        return
+    share, least = product / light_square, LIGHT_SIGMAS * math.sqrt(variance * count / light_square)
+    largest = max(least, DARK_SIGMAS * workspace.settings.source_light)
+    if share > largest and product * share > EXPLAINED_BY_LIGHT * dark_square:
+        ambient.light_left = 1
+    elif abs(share) <= largest and least <= SEEN_SHARE:
+        ambient.light_left = 0
+
+
+@in_place
 def add_common_effects(workspace: Any) -> None:
-    """Add the covariance from gain and ambient light to ``systematic_readings``."""
+    """Add the covariance from gain, ambient light and light that is left to ``systematic_readings``."""
     m, by_gain, by_ambient = workspace.reading_count, workspace.gain_effects, workspace.ambient_effects
+    by_light = workspace.light_effects
     for r in range(m):
         for q in range(m):
-            workspace.systematic_readings[r, q] += by_gain[r] * by_gain[q]
+            workspace.systematic_readings[r, q] += by_gain[r] * by_gain[q] + by_light[r] * by_light[q]
     for r in range(m):
         partner = workspace.spot_partners[r]
         for axis in range(2):
             workspace.systematic_readings[r, r] += square(by_ambient[r, axis])
             if partner != r:
-    if anew:  # the readings before may have contradicted one another because of it
-        workspace.tracker.largest_residual, workspace.tracker.residual_theta = 0.0, math.nan
                 workspace.systematic_readings[r, partner] += by_ambient[r, axis] * by_ambient[partner, axis]

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any
 
-from posor.estimation.ambient import NO_DARK_SCAN, NO_POSE, add_common_effects, follow_ambient
+from posor.estimation.ambient import LIGHT_LEFT, NO_DARK_SCAN, NO_POSE, add_common_effects, follow_ambient
 from posor.estimation.clocks import (
     IN_ORDER,
     TIME_FAULT,
@@ -149,7 +149,8 @@ def _can_be_solved(workspace: Any, scan: Any, estimate: Any) -> bool:
     """Return whether a scan in order can be solved; a dark scan only from a pose, but its ambient light is followed."""
     tracker = workspace.tracker
     if workspace.ambient_unknown:
-        estimate.faults, estimate.code = AMBIENT_FAULT, NO_DARK_SCAN
+        estimate.faults = AMBIENT_FAULT
+        estimate.code = LIGHT_LEFT if tracker.ambient.light_left else NO_DARK_SCAN
         return False
     if not workspace.is_dark:
         return not _needs_acknowledgement(tracker)

@@ -8,7 +8,7 @@ import math
 from typing import TYPE_CHECKING, Any
 
 from posor.calibration.plausible_range import ANY_FINITE
-from posor.estimation.ambient import NO_DARK_SCAN, NO_POSE
+from posor.estimation.ambient import LIGHT_LEFT, NO_DARK_SCAN, NO_POSE
 from posor.estimation.clocks import CONTRADICTORY, LATE, SCATTER_LIMIT
 from posor.estimation.estimate import NO_STAMP, OTHER_FRAME
 from posor.estimation.exposure import LONGEST_OFFSET_S
@@ -46,6 +46,8 @@ def fault_sentence(stack: Stack, settings: Any, tracker: Any, scan: Scan, estima
         LATE: "its number does not come after that of a scan before; expected scans in the order of their numbers",
         CONTRADICTORY: "its stamp contradicts its number, given the scans before; expected the time of exposure",
         NO_DARK_SCAN: "the ambient light is unknown; expected a dark scan before, or STATUS_DARK_SUBTRACTED",
+        LIGHT_LEFT: "light of the sources is left in the dark scans, whose currents change as the spots move; expected "
+        "sources that are out for longer before a dark scan, or source_light of 'ambient' in the calibration",
         NO_POSE: "no light source is lit (a dark scan) while no pose is known; expected lit scans around it",
         INVALID_TIME: "its exposures or its stamp's uncertainty are invalid; expected no offset or one for each "
         f"channel, at most {LONGEST_OFFSET_S:g} s or NaN, and times that are not negative",

@@ -110,6 +110,7 @@ def _write_common_effects(model: Model, settings: Any, calibration: Calibration)
         elif isinstance(sensor, GapProbesCalibration) and sensor.reference is not None:
             reference = sensor.reference
             settings["reference_voltage"] = reference.voltage.number
+            settings["source_light"] = 0.0 if ambient.source_light is None else ambient.source_light.number
             settings["reference_sigma"] = reference.relative_sigma
             settings["gain_spread"], settings["gain_limit"] = reference.spread.number, reference.limit.number
     workspace["has_common_effects"] = settings["dark_age"] > 0.0 or settings["reference_voltage"] > 0.0

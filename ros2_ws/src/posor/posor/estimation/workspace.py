@@ -50,6 +50,7 @@ SETTINGS = np.dtype(  # settings of the tracker and of the tests
         ("dark_drift", "f8"),  # of the ambient light [A/s^.5]
         ("reference_voltage", "f8"),  # known voltage that the probes' converter reads [V]; zero: none
         ("reference_sigma", "f8"),  # relative standard uncertainty of the gain where it is read
+        ("source_light", "f8"),  # standard uncertainty of the share of the sources' light in a dark scan
         ("gain_spread", "f8"),  # the same where it is not
         ("gain_limit", "f8"),  # largest deviation of the gain from one
         ("tilt_lags", "i8"),  # 1: the tilts are turned by the theta of the previous scan (program of 1985)
@@ -116,6 +117,9 @@ AMBIENT = np.dtype(  # ambient light (``estimation.ambient``)
         ("currents", "f8", (CONTACTS * MAX_DIODES,)),  # of the contacts [A]
     ],
     align=True,
+        ("light", "f8", (CONTACTS * MAX_DIODES,)),  # currents of the last lit scan without ambient light [A]
+        ("light_before", "f8", (CONTACTS * MAX_DIODES,)),  # those of the lit scan before the last dark scan [A]
+        ("light_left", "i8"),  # 1: dark scans hold light of the sources
 )
 
 TRACKER = np.dtype(  # what is known from the previous scans
@@ -195,7 +199,7 @@ WORKSPACE = np.dtype(  # memory of fixed capacity for one POSOR
         ("is_retry", "i8"),  # 1: the scan is estimated once more, from a start
         ("unmeasured", "i8"),  # see estimation.linearise
         ("is_dark", "i8"),  # 1: no light source is lit, and the calibration has dark scans
-        ("ambient_unknown", "i8"),  # 1: the diode currents hold ambient light, and there was no dark scan
+        ("ambient_unknown", "i8"),  # 1: the diode currents hold ambient light, and there was no valid dark scan
         ("ambient_old", "i8"),  # 1: the last dark scan was too long ago
         ("has_common_effects", "i8"),  # 1: the calibration has dark scans or a reference voltage
         ("lit_currents", "f8", (CONTACTS * MAX_DIODES,)),  # diode currents without the ambient light [A]
@@ -203,6 +207,7 @@ WORKSPACE = np.dtype(  # memory of fixed capacity for one POSOR
         ("spot_partners", "i8", (READINGS,)),  # the other coordinate of the same spot, else the reading itself
         ("gain_effects", "f8", (READINGS,)),  # of the uncertainty of the converter's gain [m]
         # Exposure of each reading (``estimation.exposure``)
+        ("light_effects", "f8", (READINGS,)),  # of light of the sources in the last dark scan [m]
         ("has_offsets", "i8"),  # 1: not all channels were read at the stamp
         ("offsets", "f8", (READINGS,)),  # [s]
         ("cross_offsets", "f8", (READINGS,)),  # by the rate of the partner, the other coordinate of a spot [s]

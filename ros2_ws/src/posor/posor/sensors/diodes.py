@@ -99,13 +99,15 @@ class AmbientLight(FrozenModel):
     A scan flagged STATUS_DARK_SUBTRACTED holds no ambient light. Any other needs a dark scan, in which no source is
     lit, at most ``max_age`` ago. ``noise`` is the standard deviation of a contact's current in a dark scan; ``drift``
     that of the change of the ambient light within a second (it grows with the root of time); ``remaining`` the largest
-    ambient current that is left, as a share of ``minimum_sum``.
+    ambient current that is left, as a share of ``minimum_sum``; ``source_light`` the standard uncertainty of the share
+    of the sources' light that is still in a dark scan (missing: zero).
     """
 
     noise: Annotated[Quantity, measured("A")]
     drift: Annotated[Quantity, measured("A/s^0.5")]
     max_age: Annotated[Quantity, measured("s")]
     remaining: Annotated[Quantity, measured("1")]
+    source_light: Annotated[Quantity, measured("1")] | None = None
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -113,6 +115,8 @@ class AmbientLight(FrozenModel):
         check_positive("drift", self.drift, or_zero=True)
         check_positive("max_age", self.max_age)
         check_positive("remaining", self.remaining, below=1.0)
+        if self.source_light is not None:
+            check_positive("source_light", self.source_light, below=1.0)
         return self
 
 

@@ -149,6 +149,60 @@ def test_light_in_a_dark_scan_is_a_fault_of_the_source(posor: Posor) -> None:
     assert posor.dark_currents == pytest.approx(np.full((3, 4), AMBIENT_A), abs=5.0 * NOISE_A)
 
 
+def with_light_left(scans: Scans, dark: Any, share: float, which: Any) -> Scans:
+    """Return the scans with dark ones, of which ``which`` hold a share of the light of the scan before."""
+    out = lit_by(scans, dark=dark).editable()
+    out.diode_currents[which] += share * scans.diode_currents[np.asarray(which) - 1]
+    return out
+
+
+@pytest.mark.parametrize("share", [0.01, 0.1])
+def test_light_that_is_left_in_dark_scans_is_seen_until_two_hold_none(posor: Posor, share: float) -> None:
+    scans, natives = moving(posor)
+    dark, left = np.arange(0, COUNT, 100), [100, 200]
+    found = posor.estimate_all(with_light_left(scans, dark, share, left))
+    lit = np.setdiff1d(np.arange(COUNT), dark)
+    assert np.all(found.states[lit[lit < 100]] == State.OK)
+    during = lit[(lit > 100) & (lit < 300)]
+    assert np.all(found.states[during] == State.LOST)
+    assert np.all(found.faults[during] == Fault.AMBIENT)
+    assert found.reason(150) == (
+        "scan 150: light of the sources is left in the dark scans, whose currents change as the spots move; expected "
+        "sources that are out for longer before a dark scan, or source_light of 'ambient' in the calibration."
+    )
+    after = lit[lit > 500]
+    assert np.all(found.states[after] == State.OK)
+    assert sigmas_off(found, natives, after) < 5.0
+
+
+def test_a_lamp_is_not_light_of_the_sources(posor: Posor) -> None:
+    scans, natives = moving(posor)
+    lamp = np.random.default_rng(4).uniform(0.5, 1.5, (3, 1)) * np.array([1.02, 1.0, 0.98, 1.0]) * AMBIENT_A
+    lit = lit_by(scans, 0.0).editable()
+    lit.diode_currents[199:] += lamp  # unlike on the diodes, and a little on their contacts
+    found = posor.estimate_all(lit)
+    assert np.all(found.states[201:400] == State.OK)
+    assert sigmas_off(found, natives, slice(201, 400)) < 5.0
+
+
+def test_a_stated_share_of_light_that_is_left_is_in_the_covariance(posor: Posor) -> None:
+    content, share = posor.calibration.model_dump(mode="json"), 0.01
+    scans, natives = moving(posor)
+    left = with_light_left(scans, DARK, share, DARK[1:])
+    content["sensors"][1]["ambient"]["source_light"] = {"value": share, "unit": "1"}
+    stated, lit = Posor(calibration_from(content)), np.setdiff1d(np.arange(COUNT), DARK)
+    found = stated.estimate_all(left)
+    assert np.all(found.states[lit] == State.OK)
+    assert sigmas_off(found, natives, lit) < 5.0
+    theta_off = np.abs(found.natives[lit, 5] - natives[lit, 5])
+    assert theta_off.max() > 1e-4  # the light is left
+    deviations = np.sqrt(found.covariances_systematic[lit, 5, 5])
+    before = DARK[np.searchsorted(DARK, lit) - 1] - 1
+    moved, same = np.abs(natives[lit, 5] - natives[before, 5]), lit > DARK[1]
+    same &= np.all(left.lit_sources[lit] == left.lit_sources[before], axis=1)
+    np.testing.assert_allclose(deviations[same], share * moved[same], rtol=0.1, atol=1e-5)
+
+
 def test_the_systematic_covariance_holds_the_uncertainty_of_the_dark_currents(posor: Posor) -> None:
     still, places = np.tile(rotation_from_native(*LEAN, 0.1), (2, 1, 1)), np.array([[0.0, 0.0, STANDOFF]] * 2)
     both = scans_at(posor.stack, still, places, np.array([1, 2]) * PERIOD_NS)
@@ -219,6 +273,7 @@ WRONG: tuple[tuple[int, str, str, float, str], ...] = (
     (1, "ambient", "noise", 0.0, "noise 0 A"),
     (1, "ambient", "max_age", -1.0, "max_age -1 s"),
     (1, "ambient", "remaining", 1.0, "remaining 1 1"),
+    (1, "ambient", "source_light", 0.0, "source_light 0 1"),
     (0, "reference", "voltage", 0.0, "voltage 0 V"),
     (0, "reference", "limit", 1.0, "limit 1 1"),
     (0, "reference", "spread", -0.1, "spread -0.1 1"),
@@ -230,6 +285,8 @@ def test_invalid_numbers_are_refused(
     calibration: Calibration, sensor: int, part: str, key: str, value: float, what: str
 ) -> None:
     content = calibration.model_dump(mode="json")
+    content["sensors"][1]["ambient"]["source_light"] = {"value": 1e-4, "unit": "1"}
+    calibration_from(content)
     content["sensors"][sensor][part][key]["value"] = value
     with pytest.raises(ValueError, match=what):
         calibration_from(content)
