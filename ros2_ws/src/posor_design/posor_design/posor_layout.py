@@ -36,6 +36,7 @@ from posor.calibration.designs import (
     converter_steps,
     design_calibration,
     environment_ranges,
+    travel_limits,
     velocity_limits,
 )
 
@@ -56,6 +57,8 @@ NOMINAL_RANGE = 0.6e-3
 """Motion to either side that the probes of ``designs`` (range 1) measure from their middle [m], with a reserve."""
 SPEED_RESERVE = 1.5
 """Limits of velocity of the calibration over the required speed, and over what the motion of the range has with it."""
+TRAVEL_RESERVE = 1.5
+"""Travel of the calibration over the required range, whose leans about X and Y may come together."""
 _LEAST_LIMITS = (0.02, 0.02)  # of translation [m/s] and lean [rad/s]
 _STEP_NOISE = math.sqrt(1.0 / 12.0)  # standard deviation of the rounding error of a converter, in its steps
 
@@ -128,7 +131,7 @@ class PosorLayout:
                 f"noise of one scan at {rate:g} Hz, {self.noise:g} times the reference; converters of {bits} bits",
             ),
             frames,
-            _velocity_limits(requirement),
+            _motion(requirement, self.gap),
             environment_ranges(SIZED_GAP_PROBE.supply_sigma),
             converter_steps(bits),
             [gaps, ring],
@@ -177,12 +180,17 @@ class PosorLayout:
         return diodes(kind, places, places)
 
 
-def _velocity_limits(requirement: Requirement) -> dict[str, object]:
-    """Return the limits of velocity: error motions of once a turn over the whole range have twice its half width."""
+def _motion(requirement: Requirement, gap: float) -> dict[str, object]:
+    """Return the limits of velocity and the travel about ``gap`` [m], none where the requirement leaves no room for it.
+
+    Error motions of once a turn over the whole range have a velocity of twice its half width.
+    """
     limits, speed = requirement.range, SPEED_RESERVE * requirement.speed.number
     shift, tilt = max(limits.runout.number, limits.gap.number), limits.tilt.number
     least_translation, least_lean = _LEAST_LIMITS
-    return velocity_limits(max(least_translation, 2.0 * shift * speed), max(least_lean, 2.0 * tilt * speed), speed)
+    out = velocity_limits(max(least_translation, 2.0 * shift * speed), max(least_lean, 2.0 * tilt * speed), speed)
+    room, lean = TRAVEL_RESERVE * limits.gap.number, TRAVEL_RESERVE * tilt
+    return {**out, "travel": travel_limits(gap, room, lean)} if room > 0.0 and lean > 0.0 else out
 
 
 def gap_azimuths(count: int, obstacles: tuple[float, ...]) -> tuple[float, ...]:

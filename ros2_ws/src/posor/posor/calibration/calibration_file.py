@@ -7,8 +7,8 @@ Versions of the format:
 1. First version: ``sensors`` by type, ``sessions``, ``tilt_angle``, ``motion``. Still read.
 2. ``fits``: recording, method, residuals and covariances of fitted values.
 3. ``environment``: valid ranges of supply and temperature; ``converter``: its steps; ``shared``: errors that several
-    quantities share, also of other files; ``acceleration`` of ``motion``; ``causes``: causes of faults and their
-    bounds.
+    quantities share, also of other files; ``acceleration`` and ``travel`` of ``motion``; ``causes``: causes of faults
+    and their bounds.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from posor.calibration.file_model import EntryError, FrozenModel, select_model_b
 from posor.calibration.fit_record import FitRecord
 from posor.calibration.parameter_entries import parameter_entries
 from posor.calibration.plausible_range import ANY_FINITE, TEMPERATURE, PlausibleRange
-from posor.calibration.quantity import Quantity, measured
+from posor.calibration.quantity import Quantity, check_positive, measured
 from posor.calibration.session import Session
 from posor.calibration.shared_terms import SharedQuantity, SharedTerm, check_shared_terms
 from posor.calibration.yaml_document import parse_document, read_text
@@ -85,18 +85,38 @@ class Acceleration(FrozenModel):
     theta: Annotated[Quantity, measured("rad/s^2")]
 
 
+class Travel(FrozenModel):
+    """Poses of the target that the bearing of the joint permits; one beyond them is wrong, whatever the readings say.
+
+    ``gap`` is the lowest and the highest translation along Z of the receiving plate, ``lean`` the largest inclination
+    of the target's Z axis from that Z, in any direction.
+    """
+
+    gap: Annotated[Quantity, measured("m", 2)]
+    lean: Annotated[Quantity, measured("rad")]
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        low, high = self.gap.array
+        if not low < high:
+            raise EntryError(f"gap {self.gap.value}", key=("gap",), expected="[lowest, highest]")
+        check_positive("lean", self.lean, below=1.0)
+        return self
+
+
 class Motion(FrozenModel):
     """Largest velocity of the target relative to the receiving plate.
 
-    A pose further from the last one than the velocity allows is a fault. In directions that the readings do not
-    determine, the last pose is used with an uncertainty that grows at this rate. ``translation`` applies to X, Y and Z,
-    ``lean`` to rotations about X and Y, ``theta`` to rotation about the target's Z.
+    A pose further from the last one than the velocity allows, or beyond the ``travel``, is a fault. In directions that
+    the readings do not determine, the last pose is used with an uncertainty that grows at this rate. ``translation``
+    applies to X, Y and Z, ``lean`` to rotations about X and Y, ``theta`` to rotation about the target's Z.
     """
 
     translation: Annotated[Quantity, measured("m/s")]
     lean: Annotated[Quantity, measured("rad/s")]
     theta: Annotated[Quantity, measured("rad/s")]
     acceleration: Acceleration | None = None
+    travel: Travel | None = None
 
 
 class EnvironmentRange(FrozenModel):
@@ -211,9 +231,10 @@ class Calibration(FrozenModel):
                 what = f"{key} in a file of version {self.version}"
                 raise EntryError(what, key=(key,), expected=f"version {VERSION}")
         check_causes(self.causes)
-        if self.motion is not None and self.motion.acceleration is not None and self.version < VERSION:
-            what = f"acceleration in a file of version {self.version}"
-            raise EntryError(what, key=("motion", "acceleration"), expected=f"version {VERSION}")
+        for key in ("acceleration", "travel"):
+            if getattr(self.motion, key, None) is not None and self.version < VERSION:
+                what = f"{key} in a file of version {self.version}"
+                raise EntryError(what, key=("motion", key), expected=f"version {VERSION}")
         return self
 
     @model_validator(mode="after")
@@ -274,7 +295,7 @@ class Calibration(FrozenModel):
         later = ((sensor, key) for sensor in content["sensors"] for key in ("ambient", "reference"))
         motion = content["motion"] or {}
         dark_scans = [(sensor.get("ambient") or {}, "source_light") for sensor in content["sensors"]]
-        for part, key in (*later, (motion, "acceleration"), *dark_scans):
+        for part, key in (*later, (motion, "acceleration"), (motion, "travel"), *dark_scans):
             if key in part and part[key] is None:
                 del part[key]
         text = json.dumps(content, sort_keys=True, separators=(",", ":"))

@@ -104,6 +104,11 @@ def velocity_limits(translation: float, lean: float = 0.02, theta: float = 3.0) 
     }
 
 
+def travel_limits(gap: float, room: float, lean: float) -> Part:
+    """Return the travel of a bearing: ``room`` [m] to either side of the nominal ``gap`` [m]; largest lean [rad]."""
+    return {"gap": quantity_entry([gap - room, gap + room], "m"), "lean": quantity_entry(lean, "rad")}
+
+
 def assumed_motion(translation: float) -> Part:
     """Return the largest velocities and accelerations of a design; ``translation``: velocity [m/s]."""
     acceleration = {

@@ -83,7 +83,7 @@ LEAST_AGE_STEP_S = 5e-3  # smallest change of the least age that counts as a ste
 SCATTER_SIGMAS = 5.0  # standard deviations of the scatter that a stamp may deviate from the line
 DEVIATION_SIGMAS = 3.0  # the deviation of one stamp counts as at most as many standard deviations
 TIME_SHARE = 0.5  # TIME is set where the part from time exceeds this share of the rest of the standard uncertainty
-TIME_FAULT, INNOVATION_FAULT = int(Fault.TIME), int(Fault.INNOVATION)
+TIME_FAULT, INNOVATION_FAULT, TRAVEL_FAULT = int(Fault.TIME), int(Fault.INNOVATION), int(Fault.TRAVEL)
 NOISE_SIGMAS = 5.0 * math.sqrt(2.0)  # of the difference of two poses
 SCATTER_LIMIT = 0.02  # scatter in periods above which an unstated stamp is replaced by its number times the period
 
@@ -349,8 +349,12 @@ def _begin_again(model: Model, scan: Any, stamp: float, deviation: float) -> Non
 
 @in_place
 def _begin_recording(tracker: Any) -> None:
-    """Forget pose, count and latch, because the elapsed times were wrong since the first scan."""
-    tracker.initialised, tracker.counted, tracker.theta, tracker.latch = 0, 0, 0.0, 0
+    """Forget pose, count and latch, because the elapsed times were wrong since the first scan.
+
+    A pose beyond the travel is wrong at any time.
+    """
+    tracker.initialised, tracker.counted, tracker.theta = 0, 0, 0.0
+    tracker.latch &= TRAVEL_FAULT
 
 
 @in_place

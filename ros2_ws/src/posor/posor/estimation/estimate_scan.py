@@ -42,6 +42,7 @@ from posor.estimation.scan_checks import (
     check_motion,
     check_reference,
     check_residuals,
+    check_travel,
     chi_square,
     count_theta,
     latch,
@@ -303,6 +304,7 @@ def solve_and_check(
     checks.contradictory = 0 if estimate.residual <= settings.residual_limit else 1
     if checks.contradictory and may_retry:
         return RETRY
+    check_travel(workspace, estimate)
     if workspace.is_dark:
         return _write_dark(workspace, scan, theta, estimate)
     check_residuals(workspace, theta, estimate.residual)
@@ -330,6 +332,11 @@ def _write_dark(workspace: Any, scan: Any, theta: float, estimate: Any) -> int:
     """Write the pose of a dark scan, which is DEGRADED and leaves the tracker as it is; return DONE."""
     tracker, checks = workspace.tracker, workspace.checks
     tracker.reference_sigma = 0.0
+    if checks.beyond_travel:
+        check_motion(workspace, theta, estimate)
+        _keep_pose(workspace, theta)
+        write_lost(estimate, checks.faults | _lasting_faults(workspace, scan))
+        return DONE
     _bound_stamp_shift(workspace, scan, theta, estimate)
     _write_pose(workspace, tracker.theta + wrapped(theta - tracker.theta), estimate)
     estimate.state, estimate.faults = DEGRADED, checks.faults | _lasting_faults(workspace, scan)

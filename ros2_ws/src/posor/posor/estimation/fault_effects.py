@@ -13,6 +13,8 @@ an intersection of two ellipsoids. They change the pose by G D b, with G the gai
 there may mask a fault: sqrt(lambda_0) grows by the sum of their own largest parts in the residual space. A direction of
 b is not tested where the readings show less than LEAST_SHOWN_SHARE of its square. Where the scan has been compared with
 an encoder, a fault that turns theta by more than the encoder's test passes with the same probability is detected too.
+Where the calibration states the travel of the bearing, a fault changes gap and lean by no more than from this pose to
+the far end of the travel, for the true pose is within the travel.
 
 ``write_fault_effects`` writes for each column its change of the pose with b along a principal axis of the intersection,
 and a number ``cut``. With f1, f2 the effects of both columns of a hypothesis along any axis and c1, c2 their cuts, the
@@ -44,7 +46,7 @@ from posor.estimation.fault_model import (
     TEMPERATURE,
     VOLTAGE,
 )
-from posor.estimation.scan_checks import REFERENCE_SIGMAS
+from posor.estimation.scan_checks import NOISE_ALLOWANCE, REFERENCE_SIGMAS
 from posor.model.diode import find_ratios
 from posor.model.fault import Fault, State
 from posor.model.readings import DIODE_CURRENTS, GAP_VOLTAGES, PYTHON
@@ -103,40 +105,64 @@ def write_fault_effects(model: Model, scan: Any, estimate: Any, effects: FloatAr
         else:
             _write_single(model, effects, c, root + always)
         c += 2 if paired else 1
-    if model.workspace[0].checks.reference_variance > 0.0:
-        _limit_by_encoder(model, estimate, effects)
+    _limit_by_encoder(model, estimate, effects)
+    _limit_by_travel(model, estimate, effects)
 
 
 @in_place
 def _limit_by_encoder(model: Model, estimate: Any, effects: FloatArray) -> None:
     """Shorten the effects of faults that turn theta by more than its comparison with the encoder misses."""
-    columns, checks = model.faults.columns, model.workspace[0].checks
+    checks = model.workspace[0].checks
+    if not checks.reference_variance > 0.0:
+        return
     variance = checks.reference_variance + estimate.random[5, 5] + estimate.systematic[5, 5]
     largest = (REFERENCE_SIGMAS + MISSED_SIGMAS) * math.sqrt(variance) + checks.reference_tolerance
+    _shorten_all(model, effects, 5, largest)
+
+
+@in_place
+def _limit_by_travel(model: Model, estimate: Any, effects: FloatArray) -> None:
+    """Shorten the effects of faults that change gap or lean by more than the travel and the pose permit."""
+    settings, pose = model.workspace[0].settings, model.workspace[0].pose
+    if not settings.travel_lean < math.inf:
+        return
+    gap, lowest, highest = pose.translation[2], settings.travel_gap[0], settings.travel_gap[1]
+    for k in range(2, 5):
+        largest = max(gap - lowest, highest - gap)
+        if k > 2:  # noqa: PLR2004  about X and Y; the lean along X is about Y
+            largest = settings.travel_lean + abs(pose.rotation[4 - k, 2])
+        variance = estimate.random[k, k] + estimate.systematic[k, k]
+        _shorten_all(model, effects, k, largest + (NOISE_ALLOWANCE + MISSED_SIGMAS) * math.sqrt(variance))
+
+
+@in_place
+def _shorten_all(model: Model, effects: FloatArray, axis: int, largest: float) -> None:
+    """Shorten the effects of faults to a change along an axis, beside that by causes that are always there."""
+    columns = model.faults.columns
     for c in range(columns.shape[0]):
         if columns[c].kind & ALWAYS:
-            largest += abs(in_double(effects[c, 5]))
+            largest += abs(in_double(effects[c, axis]))
     for c in range(columns.shape[0]):
         if columns[c].kind & ALWAYS == 0:
             partner = c - 1 if columns[c].kind & SECOND else c + 1
             if partner == columns.shape[0] or (partner > c and columns[partner].kind & SECOND == 0):
-                _shorten(effects, c, -1, largest)
+                _shorten(effects, c, -1, axis, largest)
             else:
-                _shorten(effects, c, partner, largest)
+                _shorten(effects, c, partner, axis, largest)
 
 
 @in_place
-def _shorten(effects: FloatArray, c: int, partner: int, largest: float) -> None:
-    """Shorten effect c to a largest turn of theta [rad], whatever the other parameter of its fault is; -1: none."""
-    turn, size = abs(in_double(effects[c, 5])), 0.0
+def _shorten(effects: FloatArray, c: int, partner: int, axis: int, largest: float) -> None:
+    """Shorten effect c to a largest change along an axis, whatever the other parameter of its fault is; -1: none."""
+    change, size = abs(in_double(effects[c, axis])), 0.0
     if partner >= 0:
-        largest += math.inf if math.isinf(effects[partner, 6]) else abs(in_double(effects[partner, 5]))
+        largest += math.inf if math.isinf(effects[partner, 6]) else abs(in_double(effects[partner, axis]))
     for k in range(6):
         size = max(size, abs(in_double(effects[c, k])))
-    if not (math.isinf(effects[c, 6]) or turn > largest) or not size * largest <= LINEAR_LIMIT * turn:
+    if not (math.isinf(effects[c, 6]) or change > largest) or not size * largest <= LINEAR_LIMIT * change:
         return
     for k in range(6):
-        effects[c, k] = in_double(effects[c, k]) * (largest / turn)
+        effects[c, k] = in_double(effects[c, k]) * (largest / change)
     effects[c, 6] = 1.0
     if partner >= 0:  # the box around what is left
         effects[c, 6] = effects[partner, 6] = 0.0

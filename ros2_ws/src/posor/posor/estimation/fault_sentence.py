@@ -62,6 +62,9 @@ def fault_sentence(stack: Stack, settings: Any, tracker: Any, scan: Scan, estima
         Fault.RESIDUAL: f"the redundant readings contradict one another, chi-square {estimate['residual']:.3g}; "
         f"expected at most {settings['residual_limit']:.3g}",
         Fault.INNOVATION: "the pose is further from the previous pose than the target can have moved",
+        Fault.TRAVEL: "the pose is beyond the travel of the bearing, by 'motion' of the calibration; expected a gap of "
+        f"{settings['travel_gap'][0]:g} to {settings['travel_gap'][1]:g} m and a lean of at most "
+        f"{settings['travel_lean']:g} rad",
         Fault.COUNT: "the count of theta is in doubt, or a home mark disagrees with it",
         Fault.ENVIRONMENT: _environment_sentence(settings, int(tracker["measured"]), scan),
         Fault.FLAGGED: "the driver marked a reading as saturated or filled in",

@@ -1,6 +1,6 @@
 # Copyright 2026 POSOR maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Checks between solution and tracker: residuals, motion gate, count of theta, home marks, reference; and the latch.
+"""Checks between solution and tracker: residuals, travel, motion, count of theta, home marks, reference; the latch.
 
 A fault latches the joint. REGAINABLE_FAULTS hold the tracker at the last accepted pose. They are released where one of
 the next scans regains the extrapolated motion within the gate of one scan interval, by a jump back from the poses
@@ -9,7 +9,7 @@ only, and an operator releases any latch. Where a home mark or an encoder disagr
 the reference releases the latch. Contradictory readings may agree at another theta although their fault is still there:
 a common gain of the gap probes moves all of them to another plane, which only their curvature and the spots contradict.
 RESIDUAL is therefore released by scans that pass where chi-square was largest, or after a dark scan that has shown
-other ambient light.
+other ambient light. A pose beyond the travel of the bearing (TRAVEL) is wrong even where all readings agree.
 
 The chi-square of the redundant readings takes their whole uncertainty into account. The residuals e of the fit lie, as
 far as no pose explains them, in the residual space (parity space) Z of the readings, ``J' Z = 0``, which has as many
@@ -43,10 +43,10 @@ SAME_THETA = 2e-3  # distance within which a fault shows alike [rad]: 1/25 of a 
 REFERENCE_SIGMAS = 5.0  # standard deviations within which a reference of theta agrees
 NOISE_ALLOWANCE = 5.0  # standard deviations of noise that are added to the largest motion before a jump is a fault
 
-RESIDUAL, INNOVATION, COUNT, ENCODER = (
-    int(fault) for fault in (Fault.RESIDUAL, Fault.INNOVATION, Fault.COUNT, Fault.ENCODER)
+RESIDUAL, INNOVATION, COUNT, ENCODER, TRAVEL = (
+    int(fault) for fault in (Fault.RESIDUAL, Fault.INNOVATION, Fault.COUNT, Fault.ENCODER, Fault.TRAVEL)
 )
-REGAINABLE_FAULTS = int(Fault.INNOVATION | Fault.SOURCE | Fault.FROZEN)
+REGAINABLE_FAULTS = int(Fault.INNOVATION | Fault.SOURCE | Fault.FROZEN | Fault.TRAVEL)
 """Faults whose latch is released by a pose that continues the motion before the fault."""
 
 
@@ -119,10 +119,31 @@ def check_residuals(workspace: Any, theta: float, residual: float) -> None:
 
 
 @in_place
+def check_travel(workspace: Any, estimate: Any) -> None:
+    """Note whether a pose without contradictions is beyond the travel of the bearing by more than its uncertainty."""
+    settings, pose, checks = workspace.settings, workspace.pose, workspace.checks
+    gap, lean = pose.translation[2], math.sqrt(square(pose.rotation[0, 2]) + square(pose.rotation[1, 2]))
+    room = NOISE_ALLOWANCE * math.sqrt(_variance(estimate, 2))
+    beyond = gap < settings.travel_gap[0] - room or gap > settings.travel_gap[1] + room
+    room = NOISE_ALLOWANCE * math.sqrt(_variance(estimate, 3) + _variance(estimate, 4))
+    beyond = beyond or lean > settings.travel_lean + room
+    checks.beyond_travel = 1 if beyond and not checks.contradictory else 0
+
+
+@in_place
+def _variance(estimate: Any, k: int) -> float:
+    return float(estimate.random[k, k] + estimate.systematic[k, k])
+
+
+@in_place
 def check_motion(workspace: Any, theta: float, estimate: Any) -> None:
-    """Reject a pose further away than the target can have moved, and while latched one that does not regain it."""
+    """Reject a pose where the target cannot be or have moved to, and while latched one that does not regain it."""
     settings, tracker, checks = workspace.settings, workspace.tracker, workspace.checks
-    if tracker.latch & REGAINABLE_FAULTS:
+    if checks.beyond_travel:
+        checks.faults |= TRAVEL
+        latch(tracker, TRAVEL, 0, checks.elapsed)
+        checks.accepted = checks.recounted = 0
+    elif tracker.latch & REGAINABLE_FAULTS:
         if not checks.contradictory and is_regained(workspace, estimate.random):
             tracker.latch &= ~REGAINABLE_FAULTS
         else:

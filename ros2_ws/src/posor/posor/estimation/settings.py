@@ -54,13 +54,16 @@ def write_settings(model: Model, calibration: Calibration, redundancy: int, fals
 
 
 def _write_motion(settings: Any, calibration: Calibration) -> None:
-    """Write the limits of the motion, infinite where none is stated, and with which period theta repeats."""
+    """Write the limits of motion and travel, infinite where none is stated, and with which period theta repeats."""
     motion = calibration.motion
     acceleration = None if motion is None else motion.acceleration
     velocities, accelerations = _MOTION_LIMITS
     for names, limits in ((velocities, motion), (accelerations, acceleration)):
         for name, key in zip(names, ("translation", "lean", "theta"), strict=True):
             settings[name] = math.inf if limits is None else getattr(limits, key).number
+    travel = None if motion is None else motion.travel
+    settings["travel_gap"] = (-math.inf, math.inf) if travel is None else travel.gap.array
+    settings["travel_lean"] = math.inf if travel is None else travel.lean.number
     for sensor in calibration.sensors:
         if sensor.bump_angle > 0.0 and settings["bump_angle"] == 0.0:
             settings["bump_angle"], settings["home_theta"] = sensor.bump_angle, sensor.home_theta
@@ -107,10 +110,10 @@ def _write_common_effects(model: Model, settings: Any, calibration: Calibration)
             ambient = sensor.ambient
             settings["dark_age"], settings["dark_noise"] = ambient.max_age.number, ambient.noise.number
             settings["dark_drift"] = ambient.drift.number
+            settings["source_light"] = 0.0 if ambient.source_light is None else ambient.source_light.number
         elif isinstance(sensor, GapProbesCalibration) and sensor.reference is not None:
             reference = sensor.reference
             settings["reference_voltage"] = reference.voltage.number
-            settings["source_light"] = 0.0 if ambient.source_light is None else ambient.source_light.number
             settings["reference_sigma"] = reference.relative_sigma
             settings["gain_spread"], settings["gain_limit"] = reference.spread.number, reference.limit.number
     workspace["has_common_effects"] = settings["dark_age"] > 0.0 or settings["reference_voltage"] > 0.0

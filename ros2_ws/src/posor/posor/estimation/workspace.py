@@ -39,6 +39,8 @@ SETTINGS = np.dtype(  # settings of the tracker and of the tests
         ("max_acceleration", "f8"),  # of the target along X, Y and Z each [m/s^2]; infinite: not stated
         ("max_lean_acceleration", "f8"),  # [rad/s^2]
         ("max_theta_acceleration", "f8"),  # [rad/s^2]
+        ("travel_gap", "f8", (2,)),  # lowest and highest gap that the bearing permits [m]; infinite: not limited
+        ("travel_lean", "f8"),  # largest inclination [rad]; infinite: not limited
         ("bump_angle", "f8"),  # after which the readings repeat [rad]; zero: never
         ("period", "f8"),  # after which theta is ambiguous: the bump angle, or the pitch of even light sources [rad]
         ("home_theta", "f8"),  # theta at the home mark [rad]
@@ -48,9 +50,9 @@ SETTINGS = np.dtype(  # settings of the tracker and of the tests
         ("dark_age", "f8"),  # largest age of a dark reading [s]; zero: the diodes need none (``estimation.ambient``)
         ("dark_noise", "f8"),  # standard deviation of a contact's current in a dark scan [A]
         ("dark_drift", "f8"),  # of the ambient light [A/s^.5]
+        ("source_light", "f8"),  # standard uncertainty of the share of the sources' light in a dark scan
         ("reference_voltage", "f8"),  # known voltage that the probes' converter reads [V]; zero: none
         ("reference_sigma", "f8"),  # relative standard uncertainty of the gain where it is read
-        ("source_light", "f8"),  # standard uncertainty of the share of the sources' light in a dark scan
         ("gain_spread", "f8"),  # the same where it is not
         ("gain_limit", "f8"),  # largest deviation of the gain from one
         ("tilt_lags", "i8"),  # 1: the tilts are turned by the theta of the previous scan (program of 1985)
@@ -115,11 +117,11 @@ AMBIENT = np.dtype(  # ambient light (``estimation.ambient``)
         ("stamp_ns", "i8"),  # of the last one [ns]
         ("variance", "f8"),  # of the currents then [A^2]
         ("currents", "f8", (CONTACTS * MAX_DIODES,)),  # of the contacts [A]
-    ],
-    align=True,
         ("light", "f8", (CONTACTS * MAX_DIODES,)),  # currents of the last lit scan without ambient light [A]
         ("light_before", "f8", (CONTACTS * MAX_DIODES,)),  # those of the lit scan before the last dark scan [A]
         ("light_left", "i8"),  # 1: dark scans hold light of the sources
+    ],
+    align=True,
 )
 
 TRACKER = np.dtype(  # what is known from the previous scans
@@ -152,14 +154,14 @@ TRACKER = np.dtype(  # what is known from the previous scans
         ("marks", "i8"),  # consecutive home marks: positive if they agree with the count, negative if they disagree
         ("marks_off", "f8"),  # periods by which the last one was off
         ("contradictions", "i8"),  # scans in a row that fail the residual test, at most RESIDUAL_RUN
+        ("largest_residual", "f8"),  # of them, and of others during their latch: the largest chi-square
+        ("residual_theta", "f8"),  # theta of that scan [rad]
         ("reference_theta", "f8"),  # theta from an encoder for the next scan [rad]
         ("reference_sigma", "f8"),  # its standard uncertainty [rad]; zero: there is none
         ("reference_stamp_ns", "i8"),  # its time [ns]; zero: that of the next scan
         ("offset", TIME_OFFSET),
         ("ambient", AMBIENT),
         ("last_raw", "f8", (READINGS, 2)),  # raw readings of the scan before, two of each diode axis [V], [A]
-        ("largest_residual", "f8"),  # of them, and of others during their latch: the largest chi-square
-        ("residual_theta", "f8"),  # theta of that scan [rad]
         ("repeats", "i8", (READINGS,)),  # how often each has repeated without a break
         ("signatures", "f8", (LONGEST_LOOP,)),  # of all raw readings of the last scans, by number modulo LONGEST_LOOP
         ("signature_count", "i8"),
@@ -175,6 +177,7 @@ CHECKS = np.dtype(  # what the checks of one scan have found (``estimation.scan_
         ("faults", "i8"),  # found so far
         ("contradictory", "i8"),  # 1: the redundant readings fail the residual test
         ("accepted", "i8"),  # 1: the pose is where the target can have moved
+        ("beyond_travel", "i8"),  # 1: it is where the bearing cannot move the target
         ("counted", "i8"),  # 1: theta was counted before this scan
         ("recounted", "i8"),  # 1: this scan counts theta anew
         ("reference_theta", "f8"),  # reference of theta at the stamp of this scan [rad]
@@ -204,10 +207,10 @@ WORKSPACE = np.dtype(  # memory of fixed capacity for one POSOR
         ("has_common_effects", "i8"),  # 1: the calibration has dark scans or a reference voltage
         ("lit_currents", "f8", (CONTACTS * MAX_DIODES,)),  # diode currents without the ambient light [A]
         ("ambient_effects", "f8", (READINGS, 2)),  # of its uncertainty, along both axes of a diode [m]
+        ("light_effects", "f8", (READINGS,)),  # of light of the sources in the last dark scan [m]
         ("spot_partners", "i8", (READINGS,)),  # the other coordinate of the same spot, else the reading itself
         ("gain_effects", "f8", (READINGS,)),  # of the uncertainty of the converter's gain [m]
         # Exposure of each reading (``estimation.exposure``)
-        ("light_effects", "f8", (READINGS,)),  # of light of the sources in the last dark scan [m]
         ("has_offsets", "i8"),  # 1: not all channels were read at the stamp
         ("offsets", "f8", (READINGS,)),  # [s]
         ("cross_offsets", "f8", (READINGS,)),  # by the rate of the partner, the other coordinate of a spot [s]

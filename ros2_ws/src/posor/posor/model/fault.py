@@ -40,3 +40,4 @@ class Fault(IntFlag):
     TIME = 16384
     ACKNOWLEDGED = 32768
     AMBIENT = 65536
+    TRAVEL = 131072

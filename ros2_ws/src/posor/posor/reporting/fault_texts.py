@@ -27,5 +27,6 @@ FAULT_TEXTS: Mapping[str, str] = {
     "TIME": "uncertain times of readings while the joint moves",
     "ACKNOWLEDGED": "a released latch is not confirmed yet",
     "AMBIENT": "the ambient light is not known",
+    "TRAVEL": "a pose beyond the travel of the bearing",
 }
 """What each flag of ``posor_msgs/JointTransform.faults`` means, in a few words."""
