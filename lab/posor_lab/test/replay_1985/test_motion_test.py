@@ -12,12 +12,16 @@ import pytest
 from posor.errors import PosorError
 from posor.model.fault import Fault, State
 from posor.model.scan import DIODES_ESTIMATED, PROBES_ESTIMATED
+from posor.numerics.array_types import FloatArray
 from posor_calibration.attitude_fit import angles_from_displacements, deviation_from_first
 from posor_lab.harness.rig_files import BAGS, CALIBRATIONS, Bag, CalibrationName
 from posor_lab.replay_1985.comparison import STEPS, compare_with_thesis
 from posor_lab.replay_1985.motion_test import ANGLES, TRUTH_LEVER, MotionTest, offline_motion_test
 from posor_lab.replay_1985.printed_results import PrintedColumns
 from scipy.constants import inch
+
+ALPHA, BETA, THETA = range(3)
+INCH = 0.0254
 
 
 def test_values_are_relative_to_the_first_step(
@@ -89,6 +93,43 @@ def test_every_expectation_of_the_replay_holds(bag: Bag, calibration: Calibratio
     test = offline_motion_test(bag, calibration)
     assert len(test.steps) == STEPS[bag]
     assert compare_with_thesis(test, bag, calibration, printed if bag == "ymo" else None).holds
+
+
+def angle_errors(test: MotionTest) -> FloatArray:
+    """Return alpha, beta, theta less those of the machining centre [urad], relative to step 1, of steps with a pose."""
+    steps = [step for step in test.steps if np.isfinite(step.angles[0])]
+    angles = np.array([step.angles for step in steps])
+    truth = np.array([step.truth for step in steps])
+    measured = np.zeros_like(angles)
+    measured[:, 1:] = -np.arctan((truth - truth[0])[:, 1:] / (31.43 * INCH))
+    return np.asarray((angles - angles[0] - measured) * 1e6)
+
+
+def standard_deviation(errors: FloatArray) -> float:
+    """Return the standard deviation of the thesis: steps 2 to N over N - 2."""
+    return float(np.sqrt(np.sum(errors[1:] ** 2) / (len(errors) - 2)))
+
+
+@pytest.mark.parametrize("bag", BAGS)
+@pytest.mark.parametrize("calibration", CALIBRATIONS)
+def test_the_figures_of_the_thesis_come_out(bag: Bag, calibration: CalibrationName, printed: PrintedColumns) -> None:
+    test = offline_motion_test(bag, calibration)
+    error = angle_errors(test)
+    if bag == "zmo":
+        assert standard_deviation(error[:, THETA]) == pytest.approx(65.0, abs=2.0)
+    if (bag, calibration) == ("ymo", "section84"):
+        assert standard_deviation(error[:, BETA]) == pytest.approx(4.3, abs=0.3)
+        assert error[-1, ALPHA] == pytest.approx(-23.0, abs=2.0)
+    if (bag, calibration) == ("yzmo", "section84"):
+        assert standard_deviation(error[:, BETA]) == pytest.approx(7.5, abs=0.3)
+        assert standard_deviation(error[:, ALPHA]) == pytest.approx(2.7, abs=0.3)
+    if bag == "yzmo":
+        assert standard_deviation(error[:, THETA]) < 92.0
+    if (bag, calibration) == ("ymo", "printed"):
+        difference = np.abs(test.posor_angles - printed.posor) * 1e6
+        assert difference[:, ALPHA].max() <= 1.0
+        assert difference[:, BETA].max() <= 1.0
+        assert difference[test.fully_measured("theta"), THETA].max() <= 6.0
 
 
 def test_the_endpoint_moves_with_the_beam() -> None:
