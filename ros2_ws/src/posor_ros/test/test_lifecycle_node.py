@@ -16,14 +16,16 @@ from posor.errors import ParameterError
 from posor.node_parameters import NodeParameters
 from posor.parameter_model import parameter_specs
 from posor_lab.harness.graph import Graph, values_of
-from posor_lab.harness.program import Program, script
+from posor_lab.harness.program import Program, error_lines, script
 from posor_ros.declared_parameters import descriptor_of
-from posor_ros.node_program import non_ros_arguments
+from posor_ros.node_program import non_ros_arguments, run_node
 from posor_ros.ros_arguments import ros_arguments
 from pydantic import Field
 from rcl_interfaces.msg import ParameterDescriptor, ParameterType
 from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters, SetParameters
 from rclpy.parameter import Parameter, parameter_value_to_python
+
+from .example_node import ExampleNode
 
 pytestmark = pytest.mark.usefixtures("ros_domain")
 
@@ -39,6 +41,14 @@ def start_example(namespace: str = "", **parameters: object) -> Program:
 def run_to_end(*arguments: str) -> tuple[int, list[str], list[str]]:
     with Program([*EXAMPLE, *arguments]) as program:
         return program.wait(), program.errors, program.stdout
+
+
+def run_here(capfd: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, list[str], list[str]]:
+    """Do the same in the process of the test."""
+    capfd.readouterr()
+    code = run_node(ExampleNode, [ExampleNode.NAME, *arguments])
+    out, err = capfd.readouterr()
+    return code, error_lines(err.splitlines()), out.splitlines()
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
@@ -80,15 +90,19 @@ OTHER_FILE = "exemple:\n  ros__parameters: {count: 3}\n"
     ],
 )
 def test_a_wrong_argument_or_a_refusing_hook_ends_the_program_with_one_sentence(
-    arguments: list[str], code: int, error: str, stdout: list[str], tmp_path: Path
+    arguments: list[str], code: int, error: str, stdout: list[str], tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     if arguments[-1] in {WRONG_FILE, OTHER_FILE}:
         file = tmp_path / "parameters.yaml"
         file.write_text(arguments[-1], encoding="utf-8")
         arguments = [*arguments[:-1], str(file)]
-    found, errors, lines = run_to_end("--ros-args", *arguments)
+    found, errors, lines = run_here(capfd, "--ros-args", *arguments)
     assert (found, len(errors), lines) == (code, 1, stdout)
     assert error in errors[0]
+
+
+def test_the_exit_code_of_the_program_is_that_of_the_refusal() -> None:
+    assert run_to_end("--ros-args", "-p", "count:=10") == (2, [COUNT_IS_WRONG], [])
 
 
 def test_a_boolean_of_rclpy_that_is_text_ends_the_program() -> None:
@@ -103,8 +117,8 @@ def test_an_exception_in_a_hook_shows_its_traceback() -> None:
     assert stderr[-1] == "KeyError: 'a bug'"
 
 
-def test_an_argument_that_is_not_of_ros_is_refused() -> None:
-    code, stderr, _ = run_to_end("--calibration", "x.yaml")
+def test_an_argument_that_is_not_of_ros_is_refused(capfd: pytest.CaptureFixture[str]) -> None:
+    code, stderr, _ = run_here(capfd, "--calibration", "x.yaml")
     assert (code, stderr) == (2, ["example: argument '--calibration' is unknown; expected --ros-args -p name:=value."])
 
 
@@ -123,15 +137,15 @@ def test_an_invalid_ros_argument_is_named(option: str, given: str, expected: str
     assert str(caught.value) == f"ROS argument {option}: '{given}' cannot be understood; expected {expected}."
 
 
-def test_an_invalid_namespace_is_refused() -> None:
-    code, stderr, _ = run_to_end("--ros-args", "-r", "__ns:=/joint1/")
+def test_an_invalid_namespace_is_refused(capfd: pytest.CaptureFixture[str]) -> None:
+    code, stderr, _ = run_here(capfd, "--ros-args", "-r", "__ns:=/joint1/")
     assert code == 2
     assert "namespace" in stderr[-1]
     assert "Traceback" not in "".join(stderr)
 
 
-def test_help_lists_the_parameters() -> None:
-    code, stderr, stdout = run_to_end("--help")
+def test_help_lists_the_parameters(capfd: pytest.CaptureFixture[str]) -> None:
+    code, stderr, stdout = run_here(capfd, "--help")
     assert (code, stderr) == (0, [])
     assert stdout[0] == "example: An example."
     assert "  gain: a number at least 0.0 and at most 5.0 (default: 1.0)" in stdout
