@@ -73,6 +73,7 @@ def test_the_page_follows_the_arm_and_a_killed_driver_turns_its_joint_red(tmp_pa
         wait_for_banner(page, f"{KILLED}: transform missing")
         picture.evaluate("picture => picture.style.display = 'block'")
         page.screenshot(path=ARTIFACTS / "killed_driver.png")
+        picture.evaluate("picture => picture.style.display = 'none'")
 
         arm.nodes.process.kill()
         wait_for_banner(page, "no message on /five_axis_checked/endpoint/state")
