@@ -64,6 +64,11 @@ def at_work(run: Program) -> list[int]:
     return [pid for pid in workers(run) if writes_below(pid, UNFINISHED)]
 
 
+def reports(run: Program) -> list[str]:
+    """Return the lines on standard error without the progress, which comes on a slow host."""
+    return [line for line in run.stderr if not line.startswith("bags: ")]
+
+
 def there(output: Path) -> list[str]:
     return sorted(path.name for path in output.iterdir())
 
@@ -81,7 +86,7 @@ def test_an_interrupt_ends_all_at_once(bags: Path, tmp_path: Path, number: signa
         pids = children(run)
         send(run, number, to)
         assert run.wait() == 130
-        assert run.stderr == [INTERRUPTED]
+        assert reports(run) == [INTERRUPTED]
         assert [line for line in run.stdout if "written to" in line] == [f"written to {output / 'a'}"]
     assert there(output) == ["a"]
     wait_until(lambda: not any(Path(f"/proc/{pid}").exists() for pid in pids), "the end of all processes")
@@ -93,7 +98,7 @@ def test_an_interrupt_during_the_start_ends_all(bags: Path, tmp_path: Path, numb
         wait_until(lambda: len(workers(run)) == 2, "two processes")
         send(run, number, to)
         assert run.wait() == 130
-        assert run.stderr == [INTERRUPTED]
+        assert reports(run) == [INTERRUPTED]
     assert list(tmp_path.iterdir()) == []
 
 
@@ -110,7 +115,7 @@ def test_repeated_interrupts_do_not_disturb_the_clean_up(started: Program) -> No
     for _ in range(5):
         send(started, signal.SIGINT, "group")
     assert started.wait() == 130
-    assert started.stderr == [INTERRUPTED]
+    assert reports(started) == [INTERRUPTED]
 
 
 def test_an_interrupt_of_one_bag_leaves_nothing(bags: Path, tmp_path: Path) -> None:
@@ -118,7 +123,7 @@ def test_an_interrupt_of_one_bag_leaves_nothing(bags: Path, tmp_path: Path) -> N
     with program(bags, ("b",), output) as run:
         wait_until(lambda: any(output.parent.glob(f"{UNFINISHED}*/new/out/*.mcap")), "a bag in the making")
         assert run.end(signal.SIGTERM) == 130
-        assert run.stderr == [INTERRUPTED]
+        assert reports(run) == [INTERRUPTED]
     assert there(output.parent) == []
 
 
@@ -127,7 +132,7 @@ def test_a_killed_process_is_reported_with_the_unfinished_bags(bags: Path, start
     os.kill(at_work(started)[0], signal.SIGKILL)
     assert started.wait() == 1
     assert not any("written to" in line for line in started.stdout)
-    (said,) = started.stderr
+    (said,) = reports(started)
     assert said == (
         f"{bags / 'b'}, {bags / 'c'}, {bags / 'd'}: not finished, since a process of the program was ended by "
         "signal 9, Killed; expected memory for as many bags at a time, or a smaller --jobs."

@@ -54,7 +54,6 @@ HAS_X, HAS_NO_X, HAS_MOVED = f"() => {X} > 0 && {X}", f"() => !({X} > 0)", f"([x
 @pytest.mark.parametrize("max_red_s", [math.inf, pytest.param(MAX_RED_S, marks=pytest.mark.long)])
 def test_the_page_follows_the_arm_and_a_killed_driver_turns_its_joint_red(tmp_path: Path, max_red_s: float) -> None:
     with running_arm(tmp_path) as arm, opened_page(str(arm.path), WIDTH, HEIGHT) as (page, view):
-        page.set_default_timeout(60_000)
         x = page.wait_for_function(HAS_X, polling=50).json_value()  # a later x may be that of no pose
         picture, notice = page.locator(PICTURE), page.locator("#no-update")
         drawn = picture.screenshot()
