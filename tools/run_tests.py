@@ -64,11 +64,11 @@ SHARED = tuple(  # folders, or files of a folder, that share a process, except t
 REAL_TIME_SHARED = tuple(  # the same for files that start nodes or servers: each test ends what it has started
     THIS.root / pattern
     for pattern in (
-        *("ros2_ws/src/posor_ros/test", "ros2_ws/src/posor_bringup/test/test_*.py"),
+        "ros2_ws/src/posor_[br]*/test",
         *("ros2_ws/src/posor_drivers/test/instruments", "ros2_ws/src/posor_drivers/test/*"),
         *(f"ros2_ws/src/posor_estimator/test/test_[{letters}]*.py" for letters in ("a-c", "d-e", "f-o", "p-z")),
         *(f"tests/test_[{letters}]*.py" for letters in ("a-c", "d-f", "g-k", "l-q", "r-s", "t-z")),
-        *("lab/posor_lab/test/*/test_[a-n]*.py", "lab/posor_lab/test/*/test_[o-z]*.py"),
+        "lab/posor_lab/test/*/test_*.py",
     )
 )
 
@@ -76,33 +76,35 @@ SLOW = (
     "ros2_ws/src/posor_drivers/test/instruments",
     "lab/posor_lab/test",
     "tests/test_[r-s]*.py",
-    "tests/test_[d-e]*.py",
     "ros2_ws/src/posor/test",
-    "ros2_ws/src/posor_design/test",
-    "lab/posor_lab/test/arm_study",
     "tests/test_[t-z]*.py",
-    "tests/test_[a-c]*.py",
-    "lab/posor_lab/test/*/test_[a-n]*.py",
-    "ros2_ws/src/posor_bringup/test",
+    "lab/posor_lab/test/arm_study",
+    "lab/posor_lab/test/*/test_*.py",
     "ros2_ws/src/posor_calibration/test",
-    "tests/test_[l-q]*.py",
+    "tests/test_[a-c]*.py",
+    "tests/test_[d-e]*.py",
+    "ros2_ws/src/posor_design/test",
+    "ros2_ws/src/posor_bringup/test",
     "ros2_ws/src/posor_estimator/test/test_[p-z]*.py",
+    "tests/test_[l-q]*.py",
     "ros2_ws/src/posor/test/estimation",
-    "tests/test_[g-k]*.py",
-    "tests/test_[d-f]*.py",
-    "tests/test_[c]*.py",
-    "tests/test_[r]*.py",
-    "ros2_ws/src/posor_estimator/test/test_[f-o]*.py",
-    "ros2_ws/src/posor_estimator/test/test_[a-c]*.py",
-    "lab/posor_lab/test/commissioning",
-    "ros2_ws/src/posor_drivers/test/simulator",
-    "ros2_ws/src/posor_drivers/test/*",
-    "ros2_ws/src/posor_ros/test",
     "ros2_ws/src/posor_estimator/test/test_[d-e]*.py",
+    "tests/test_[g-k]*.py",
+    "tests/test_[c]*.py",
+    "tests/test_[f-z]*.py",
+    "ros2_ws/src/posor_drivers/test/*",
+    "tests/test_[r]*.py",
+    "lab/posor_lab/test/commissioning",
     "lab/posor_lab/test/health",
+    "ros2_ws/src/posor_drivers/test/simulator",
+    "ros2_ws/src/posor_estimator/test/test_[a-c]*.py",
     "lab/posor_lab/test/mutations",
+    "ros2_ws/src/posor_[der]*/test",
+    "ros2_ws/src/posor_[br]*/test",
+    "tests/test_[d-f]*.py",
+    "ros2_ws/src/posor_estimator/test/test_[f-o]*.py",
 )
-"""Files and entries of SHARED and REAL_TIME_SHARED that take longest, the longest first."""
+"""Files and entries of SHARED and REAL_TIME_SHARED, those with most processor time first; instruments wait longest."""
 
 
 @dataclass
