@@ -181,7 +181,7 @@ class PosorLayout:
 
 
 def _motion(requirement: Requirement, gap: float) -> dict[str, object]:
-    """Return the limits of velocity and the travel about ``gap`` [m], none where the requirement leaves no room for it.
+    """Return the limits of velocity and the travel about ``gap`` [m]; no travel where gap or tilt must be zero.
 
     Error motions of once a turn over the whole range have a velocity of twice its half width.
     """
@@ -189,8 +189,8 @@ def _motion(requirement: Requirement, gap: float) -> dict[str, object]:
     shift, tilt = max(limits.runout.number, limits.gap.number), limits.tilt.number
     least_translation, least_lean = _LEAST_LIMITS
     out = velocity_limits(max(least_translation, 2.0 * shift * speed), max(least_lean, 2.0 * tilt * speed), speed)
-    room, lean = TRAVEL_RESERVE * limits.gap.number, TRAVEL_RESERVE * tilt
-    return {**out, "travel": travel_limits(gap, room, lean)} if room > 0.0 and lean > 0.0 else out
+    half_range, lean = TRAVEL_RESERVE * limits.gap.number, TRAVEL_RESERVE * tilt
+    return {**out, "travel": travel_limits(gap, half_range, lean)} if half_range > 0.0 and lean > 0.0 else out
 
 
 def gap_azimuths(count: int, obstacles: tuple[float, ...]) -> tuple[float, ...]:

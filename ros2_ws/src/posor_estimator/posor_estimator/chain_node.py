@@ -166,9 +166,9 @@ class ChainNode(PosorNode[ChainParameters]):
         self.add_cleanup(self._inputs.clear)
         self._transforms_group = DeliveryGroup(self._on_transforms, self._lock, self._take_scans)
         self._joints = {}
+        self._beams = BeamInputs(self, chain, self._estimator, self._lock)
         for number, joint in enumerate(chain.joints):
             self._subscribe(number, joint)
-        self._beams = BeamInputs(self, chain, self._estimator, self._lock)
         steady_clock = Clock(clock_type=ClockType.STEADY_TIME)
         period_s = min(self.parameters.max_wait, LATE_CHECK_S)
         self.add_cleanup(self.destroy_timer, self.create_timer(period_s, self._close_late_scans, clock=steady_clock))

@@ -86,7 +86,7 @@ class Acceleration(FrozenModel):
 
 
 class Travel(FrozenModel):
-    """Poses of the target that the bearing of the joint permits; one beyond them is wrong, whatever the readings say.
+    """Poses of the target that the bearing of the joint permits; one beyond them is wrong, even if all readings agree.
 
     ``gap`` is the lowest and the highest translation along Z of the receiving plate, ``lean`` the largest inclination
     of the target's Z axis from that Z, in any direction.
@@ -105,7 +105,7 @@ class Travel(FrozenModel):
 
 
 class Motion(FrozenModel):
-    """Largest velocity of the target relative to the receiving plate.
+    """Limits of motion and travel of the target relative to the receiving plate.
 
     A pose further from the last one than the velocity allows, or beyond the ``travel``, is a fault. In directions that
     the readings do not determine, the last pose is used with an uncertainty that grows at this rate. ``translation``
@@ -294,8 +294,8 @@ class Calibration(FrozenModel):
                 del content[key]
         later = ((sensor, key) for sensor in content["sensors"] for key in ("ambient", "reference"))
         motion = content["motion"] or {}
-        dark_scans = [(sensor.get("ambient") or {}, "source_light") for sensor in content["sensors"]]
-        for part, key in (*later, (motion, "acceleration"), (motion, "travel"), *dark_scans):
+        ambient_entries = [(sensor.get("ambient") or {}, "source_light") for sensor in content["sensors"]]
+        for part, key in (*later, (motion, "acceleration"), (motion, "travel"), *ambient_entries):
             if key in part and part[key] is None:
                 del part[key]
         text = json.dumps(content, sort_keys=True, separators=(",", ":"))

@@ -104,9 +104,9 @@ def velocity_limits(translation: float, lean: float = 0.02, theta: float = 3.0) 
     }
 
 
-def travel_limits(gap: float, room: float, lean: float) -> Part:
-    """Return the travel of a bearing: ``room`` [m] to either side of the nominal ``gap`` [m]; largest lean [rad]."""
-    return {"gap": quantity_entry([gap - room, gap + room], "m"), "lean": quantity_entry(lean, "rad")}
+def travel_limits(gap: float, half_range: float, lean: float) -> Part:
+    """Return the travel of a bearing: ``half_range`` [m] about the nominal ``gap`` [m]; largest lean [rad]."""
+    return {"gap": quantity_entry([gap - half_range, gap + half_range], "m"), "lean": quantity_entry(lean, "rad")}
 
 
 def assumed_motion(translation: float) -> Part:

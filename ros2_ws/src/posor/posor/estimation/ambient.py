@@ -16,7 +16,7 @@ the scans between two dark scans share it. A lit scan before the first dark scan
 DEGRADED.
 
 Light of the sources may be left in a dark scan, because an amplifier is slow. The share q of the light of the lit scan
-before, with the sum S and the difference D of a pair of contacts, changes a ratio of a later scan with the sum T by
+before, with the sum S and the difference D of a pair of contacts, changes a ratio u of a later scan with the sum T by
 ``q (u S - D) / T``: the further the spot has moved, the more. The standard uncertainty of q that the calibration states
 (``source_light``) makes this a part of the systematic covariance, common to all spots. Between two dark scans the
 differences A - C and B - D of the dark currents then change as those of the light do. Where they do, with a share
@@ -24,7 +24,8 @@ beyond its uncertainty, lit scans are LOST until two dark scans differ less alth
 changes all four contacts of a diode alike, and the differences hardly.
 
 A dark scan has a pose too: that of the gap probes, and in the other directions the previous pose, moved on, with the
-largest motion as spread. It is DEGRADED and does not enter the tracker. With sensors in plain Python it is LOST.
+largest motion as spread. It is DEGRADED and does not enter the tracker; beyond the travel of the bearing it is LOST and
+latches the joint. With sensors in plain Python it is LOST.
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ if TYPE_CHECKING:
     from posor.estimation.workspace import Model
 
 DARK_SIGMAS = 5.0  # standard deviations by which a dark current differs where the ambient light has changed
-LIGHT_SIGMAS = 10.0  # the same of all differences together, where light of the sources is left
+LIGHT_SIGMAS = 10.0  # root mean square of the differences by light that is left, in standard deviations of one
 EXPLAINED_BY_LIGHT = 0.9  # share of the square of the differences that such light explains at least
 SEEN_SHARE = 5e-3  # share of the light that two dark scans must be able to show before they show that none is left
 NO_POSE, NO_DARK_SCAN, LIGHT_LEFT = -106, -107, -108
@@ -86,20 +87,26 @@ def subtract_ambient(workspace: Any, scan: Any) -> float:
     workspace.ambient_old = 1 if known and age > settings.dark_age else 0
     for k in range(scan.current_count):
         workspace.lit_currents[k] = scan.diode_currents[k] - (ambient.currents[k] if known else 0.0)
-        ambient.light[k] = workspace.lit_currents[k]
     return math.sqrt(ambient.variance + square(settings.dark_drift) * age) if known else 0.0
+
+
+@in_place
+def keep_light(workspace: Any, scan: Any) -> None:
+    """Keep the light of a lit scan whose spots are valid, for the next dark scan."""
+    for k in range(scan.current_count):
+        workspace.tracker.ambient.light[k] = workspace.lit_currents[k]
 
 
 @in_place
 def write_ambient_effects(workspace: Any, r: int, diode: int, sigma: float) -> None:
     """Write what the ambient light does to readings r and r + 1, a spot whose ratios and slope are in the workspace."""
-    spot, currents, before = workspace.spot, workspace.lit_currents, workspace.tracker.ambient.light_before
+    spot, currents, left = workspace.spot, workspace.lit_currents, workspace.tracker.ambient.dark_light
     workspace.light_effects[r] = workspace.light_effects[r + 1] = 0.0
     for axis in range(2):
         k = CONTACTS * diode + axis
         total = currents[k] + currents[k + 2]
         of_ratio = sigma * math.sqrt(2.0 * (1.0 + square(spot.ratios[axis]))) / total
-        of_light = spot.ratios[axis] * (before[k] + before[k + 2]) - (before[k] - before[k + 2])
+        of_light = spot.ratios[axis] * (left[k] + left[k + 2]) - (left[k] - left[k + 2])
         of_light *= workspace.settings.source_light / total if sigma > 0.0 else 0.0
         for i in range(2):
             workspace.ambient_effects[r + i, axis] = spot.slope[i, axis] * of_ratio
@@ -107,8 +114,8 @@ def write_ambient_effects(workspace: Any, r: int, diode: int, sigma: float) -> N
 
 
 @in_place
-def follow_ambient(workspace: Any, scan: Any) -> None:
-    """Update the currents of the ambient light by a dark scan."""
+def follow_ambient(workspace: Any, scan: Any) -> bool:
+    """Update the currents of the ambient light by a dark scan; return whether they are new, not as they were."""
     settings, ambient = workspace.settings, workspace.tracker.ambient
     noise, elapsed = square(settings.dark_noise), float(scan.stamp_ns - ambient.stamp_ns) / NS
     variance = ambient.variance + square(settings.dark_drift) * max(elapsed, 0.0)
@@ -116,15 +123,14 @@ def follow_ambient(workspace: Any, scan: Any) -> None:
     for k in range(scan.current_count):
         off = abs(scan.diode_currents[k] - ambient.currents[k])
         anew = anew or off > DARK_SIGMAS * math.sqrt(variance + noise)
-    if anew:  # the readings before may have contradicted one another because of it
-        workspace.tracker.largest_residual, workspace.tracker.residual_theta = 0.0, math.nan
     if ambient.known:
         _find_source_light(workspace, scan, 2.0 * (variance + noise))
     gain = 1.0 if anew else variance / (variance + noise)
     for k in range(scan.current_count):
         ambient.currents[k] += gain * (scan.diode_currents[k] - ambient.currents[k])
-        ambient.light_before[k] = ambient.light[k]
+        ambient.dark_light[k] += gain * (ambient.light[k] - ambient.dark_light[k])
     ambient.known, ambient.stamp_ns, ambient.variance = 1, scan.stamp_ns, gain * noise
+    return anew
 
 
 @in_place
@@ -134,22 +140,22 @@ def _find_source_light(workspace: Any, scan: Any, variance: float) -> None:
     ``variance``: of the change of the difference of two contacts [A^2].
     """
     ambient, count = workspace.tracker.ambient, 0
-    dark_square = light_square = product = 0.0
+    dark_square = light_square = dot = 0.0
     for k in range(scan.current_count):
         if k % CONTACTS < 2:  # noqa: PLR2004  A and B; C and D are two further
             dark = scan.diode_currents[k] - ambient.currents[k] - scan.diode_currents[k + 2] + ambient.currents[k + 2]
-            light = ambient.light[k] - ambient.light_before[k] - ambient.light[k + 2] + ambient.light_before[k + 2]
+            light = ambient.light[k] - ambient.dark_light[k] - ambient.light[k + 2] + ambient.dark_light[k + 2]
             dark_square += dark * dark
             light_square += light * light
-            product += dark * light
+            dot += dark * light
             count += 1
     if light_square == 0.0:
         return
-    share, least = product / light_square, LIGHT_SIGMAS * math.sqrt(variance * count / light_square)
-    largest = max(least, DARK_SIGMAS * workspace.settings.source_light)
-    if share > largest and product * share > EXPLAINED_BY_LIGHT * dark_square:
+    share, seen = dot / light_square, LIGHT_SIGMAS * math.sqrt(variance * count / light_square)
+    threshold = max(seen, DARK_SIGMAS * workspace.settings.source_light)
+    if abs(share) > threshold and dot * share > EXPLAINED_BY_LIGHT * dark_square:
         ambient.light_left = 1
-    elif abs(share) <= largest and least <= SEEN_SHARE:
+    elif abs(share) <= threshold and seen <= SEEN_SHARE:
         ambient.light_left = 0
 
 

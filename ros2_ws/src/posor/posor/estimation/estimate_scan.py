@@ -46,6 +46,7 @@ from posor.estimation.scan_checks import (
     chi_square,
     count_theta,
     latch,
+    use_ambient_change,
     use_confirmation,
 )
 from posor.estimation.solver import CONVERGED, ILL_CONDITIONED, SINGULAR, solve_pose
@@ -156,7 +157,7 @@ def _can_be_solved(workspace: Any, scan: Any, estimate: Any) -> bool:
     if not workspace.is_dark:
         return not _needs_acknowledgement(tracker)
     if not workspace.is_retry:
-        follow_ambient(workspace, scan)
+        use_ambient_change(tracker, follow_ambient(workspace, scan))
     if tracker.initialised and not tracker.start_given and not tracker.latch:
         return True
     estimate.faults, estimate.code = AMBIENT_FAULT, NO_POSE
@@ -329,7 +330,7 @@ def solve_and_check(
 
 @in_place
 def _write_dark(workspace: Any, scan: Any, theta: float, estimate: Any) -> int:
-    """Write the pose of a dark scan, which is DEGRADED and leaves the tracker as it is; return DONE."""
+    """Write the pose of a dark scan, DEGRADED; beyond the travel it is LOST and latches the joint; return DONE."""
     tracker, checks = workspace.tracker, workspace.checks
     tracker.reference_sigma = 0.0
     if checks.beyond_travel:

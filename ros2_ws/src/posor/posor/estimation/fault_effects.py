@@ -61,7 +61,7 @@ if TYPE_CHECKING:
     from posor.numerics.array_types import FloatArray
 
 MISSED_DETECTION = 1e-2  # probability that a fault of the smallest detectable size passes the test of one scan
-LINEAR_LIMIT = 0.01  # effects up to this size are linear [m], [rad]; an encoder does not bound larger ones
+LINEAR_LIMIT = 0.01  # effects up to this size are linear [m], [rad]; encoder and travel bound no larger ones
 MISSED_SIGMAS = math.sqrt(upper_quantile(1, 2.0 * MISSED_DETECTION))
 """Standard deviations by which a fault exceeds the limit that passes with the probability MISSED_DETECTION."""
 LEAST_SHOWN_SHARE = 1e-4
@@ -127,12 +127,15 @@ def _limit_by_travel(model: Model, estimate: Any, effects: FloatArray) -> None:
     if not settings.travel_lean < math.inf:
         return
     gap, lowest, highest = pose.translation[2], settings.travel_gap[0], settings.travel_gap[1]
-    for k in range(2, 5):
-        largest = max(gap - lowest, highest - gap)
-        if k > 2:  # noqa: PLR2004  about X and Y; the lean along X is about Y
-            largest = settings.travel_lean + abs(pose.rotation[4 - k, 2])
-        variance = estimate.random[k, k] + estimate.systematic[k, k]
-        _shorten_all(model, effects, k, largest + (NOISE_ALLOWANCE + MISSED_SIGMAS) * math.sqrt(variance))
+    _shorten_by_travel(model, estimate, effects, 2, max(gap - lowest, highest - gap))
+    _shorten_by_travel(model, estimate, effects, 3, settings.travel_lean + abs(pose.rotation[1, 2]))
+    _shorten_by_travel(model, estimate, effects, 4, settings.travel_lean + abs(pose.rotation[0, 2]))
+
+
+@in_place
+def _shorten_by_travel(model: Model, estimate: Any, effects: FloatArray, axis: int, largest: float) -> None:
+    variance = estimate.random[axis, axis] + estimate.systematic[axis, axis]
+    _shorten_all(model, effects, axis, largest + (NOISE_ALLOWANCE + MISSED_SIGMAS) * math.sqrt(variance))
 
 
 @in_place
@@ -159,7 +162,9 @@ def _shorten(effects: FloatArray, c: int, partner: int, axis: int, largest: floa
         largest += math.inf if math.isinf(effects[partner, 6]) else abs(in_double(effects[partner, axis]))
     for k in range(6):
         size = max(size, abs(in_double(effects[c, k])))
-    if not (math.isinf(effects[c, 6]) or change > largest) or not size * largest <= LINEAR_LIMIT * change:
+    if change == 0.0 or not (math.isinf(effects[c, 6]) or change > largest):
+        return
+    if not size * largest <= LINEAR_LIMIT * change:
         return
     for k in range(6):
         effects[c, k] = in_double(effects[c, k]) * (largest / change)

@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any
 
-from posor.estimation.ambient import check_dark_currents, is_dark, subtract_ambient, write_ambient_effects
+from posor.estimation.ambient import check_dark_currents, is_dark, keep_light, subtract_ambient, write_ambient_effects
 from posor.estimation.clocks import stamp_is_valid
 from posor.estimation.exposure import begin_exposures, write_spot_offsets, write_voltage_offset
 from posor.model.diode import CODES, OUTSIDE_X, find_ratios
@@ -172,6 +172,7 @@ def _linearise_spots(model: Model, sensor: Any, scan: Any) -> int:
             write_ambient_effects(workspace, r, i, ambient_sigma)
         if workspace.has_offsets:
             write_spot_offsets(workspace, scan, r, i)
+    keep_light(workspace, scan)
     return VALID
 
 
@@ -182,7 +183,7 @@ def _linearise_dark(model: Model, sensor: Any, scan: Any) -> int:
     for i in range(2 * sensor.count):
         r = sensor.first_reading + i
         workspace.values[r], workspace.variances[r] = 0.0, math.inf
-        workspace.ambient_effects[r, 0] = workspace.ambient_effects[r, 1] = 0.0
+        workspace.ambient_effects[r, 0] = workspace.ambient_effects[r, 1] = workspace.light_effects[r] = 0.0
         if workspace.active_rows[r] >= 0:
             workspace.selected_rows[r] = workspace.active_rows[r]
     return int(check_dark_currents(model, sensor, scan))

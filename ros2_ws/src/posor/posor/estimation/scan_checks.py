@@ -7,9 +7,10 @@ the next scans regains the extrapolated motion within the gate of one scan inter
 rejected meanwhile. Waiting does not widen this gate: later, a reference releases a latch that concerns theta
 only, and an operator releases any latch. Where a home mark or an encoder disagrees, the tracker keeps predicting, and
 the reference releases the latch. Contradictory readings may agree at another theta although their fault is still there:
-a common gain of the gap probes moves all of them to another plane, which only their curvature and the spots contradict.
-RESIDUAL is therefore released by scans that pass where chi-square was largest, or after a dark scan that has shown
-other ambient light. A pose beyond the travel of the bearing (TRAVEL) is wrong even where all readings agree.
+a common gain of the gap probes changes all gaps as another plane would, which only their curvature and the spots
+contradict. RESIDUAL is therefore released by scans that pass where chi-square was largest, or anywhere once the first
+dark scan since then has shown other ambient light. A pose beyond the travel of the bearing (TRAVEL) is wrong even where
+all readings agree.
 
 The chi-square of the redundant readings takes their whole uncertainty into account. The residuals e of the fit lie, as
 far as no pose explains them, in the residual space (parity space) Z of the readings, ``J' Z = 0``, which has as many
@@ -38,10 +39,10 @@ if TYPE_CHECKING:
 
 
 MARKS = 6  # consecutive scans with agreeing home marks that count theta; so many disagreeing marks are a fault
-RESIDUAL_RUN = 10  # scans in a row that fail the residual test before the joint is latched, or pass before release
-SAME_THETA = 2e-3  # distance within which a fault shows alike [rad]: 1/25 of a bump, or 0.1 mm of a spot
+RESIDUAL_RUN = 10  # scans in a row that fail before the latch; scans that pass at the largest chi-square before release
+SAME_THETA = 5e-3  # change of theta that changes little of what a fault does [rad]: 1/10 of a bump, 1/4 mm of a spot
 REFERENCE_SIGMAS = 5.0  # standard deviations within which a reference of theta agrees
-NOISE_ALLOWANCE = 5.0  # standard deviations of noise that are added to the largest motion before a jump is a fault
+NOISE_ALLOWANCE = 5.0  # standard deviations that are added to limits of motion and travel
 
 RESIDUAL, INNOVATION, COUNT, ENCODER, TRAVEL = (
     int(fault) for fault in (Fault.RESIDUAL, Fault.INNOVATION, Fault.COUNT, Fault.ENCODER, Fault.TRAVEL)
@@ -93,11 +94,16 @@ def bump_is_unknown(workspace: Any) -> bool:
 def check_residuals(workspace: Any, theta: float, residual: float) -> None:
     """Latch the joint after RESIDUAL_RUN failed residual tests in a row; release it after as many passed tests.
 
-    ``residual``: chi-square of the scan. Only tests within SAME_THETA of the largest one release the latch.
+    ``residual``: chi-square of the scan. Only tests within SAME_THETA of the largest one release the latch; a shorter
+    run of failed tests does not move this place.
     """
     tracker, checks = workspace.tracker, workspace.checks
+    tracker.residual_run = tracker.residual_run + 1 if checks.contradictory else 0
     if checks.contradictory:
-        if tracker.contradictions == 0 or residual > tracker.largest_residual:
+        if tracker.contradictions == 0:
+            tracker.same_ambient = 0
+        is_run = not tracker.latch & RESIDUAL or tracker.residual_run >= RESIDUAL_RUN
+        if tracker.contradictions == 0 or (is_run and not residual <= tracker.largest_residual):
             tracker.largest_residual, tracker.residual_theta = residual, theta
         checks.faults |= RESIDUAL
         checks.recounted = 0
@@ -119,14 +125,26 @@ def check_residuals(workspace: Any, theta: float, residual: float) -> None:
 
 
 @in_place
+def use_ambient_change(tracker: Any, is_new: bool) -> None:  # noqa: FBT001  a kernel
+    """Release RESIDUAL at any theta where only other ambient light may have been its cause.
+
+    ``is_new``: whether a dark scan shows other ambient light. One that shows the same proves another cause.
+    """
+    if not is_new:
+        tracker.same_ambient = 1
+    elif not tracker.same_ambient:
+        tracker.largest_residual, tracker.residual_theta = 0.0, math.nan
+
+
+@in_place
 def check_travel(workspace: Any, estimate: Any) -> None:
     """Note whether a pose without contradictions is beyond the travel of the bearing by more than its uncertainty."""
     settings, pose, checks = workspace.settings, workspace.pose, workspace.checks
-    gap, lean = pose.translation[2], math.sqrt(square(pose.rotation[0, 2]) + square(pose.rotation[1, 2]))
-    room = NOISE_ALLOWANCE * math.sqrt(_variance(estimate, 2))
-    beyond = gap < settings.travel_gap[0] - room or gap > settings.travel_gap[1] + room
-    room = NOISE_ALLOWANCE * math.sqrt(_variance(estimate, 3) + _variance(estimate, 4))
-    beyond = beyond or lean > settings.travel_lean + room
+    gap, sine = pose.translation[2], math.sqrt(square(pose.rotation[0, 2]) + square(pose.rotation[1, 2]))
+    allowance = NOISE_ALLOWANCE * math.sqrt(_variance(estimate, 2))
+    beyond = gap < settings.travel_gap[0] - allowance or gap > settings.travel_gap[1] + allowance
+    allowance = NOISE_ALLOWANCE * math.sqrt(_variance(estimate, 3) + _variance(estimate, 4))
+    beyond = beyond or math.atan2(sine, pose.rotation[2, 2]) > settings.travel_lean + allowance
     checks.beyond_travel = 1 if beyond and not checks.contradictory else 0
 
 
@@ -137,7 +155,7 @@ def _variance(estimate: Any, k: int) -> float:
 
 @in_place
 def check_motion(workspace: Any, theta: float, estimate: Any) -> None:
-    """Reject a pose where the target cannot be or have moved to, and while latched one that does not regain it."""
+    """Reject a pose beyond travel or largest motion; while latched, also one that does not regain the motion."""
     settings, tracker, checks = workspace.settings, workspace.tracker, workspace.checks
     if checks.beyond_travel:
         checks.faults |= TRAVEL

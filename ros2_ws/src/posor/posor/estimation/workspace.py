@@ -117,8 +117,8 @@ AMBIENT = np.dtype(  # ambient light (``estimation.ambient``)
         ("stamp_ns", "i8"),  # of the last one [ns]
         ("variance", "f8"),  # of the currents then [A^2]
         ("currents", "f8", (CONTACTS * MAX_DIODES,)),  # of the contacts [A]
-        ("light", "f8", (CONTACTS * MAX_DIODES,)),  # currents of the last lit scan without ambient light [A]
-        ("light_before", "f8", (CONTACTS * MAX_DIODES,)),  # those of the lit scan before the last dark scan [A]
+        ("light", "f8", (CONTACTS * MAX_DIODES,)),  # currents of the last valid lit scan without ambient light [A]
+        ("dark_light", "f8", (CONTACTS * MAX_DIODES,)),  # those before the dark scans, averaged as ``currents`` [A]
         ("light_left", "i8"),  # 1: dark scans hold light of the sources
     ],
     align=True,
@@ -153,9 +153,11 @@ TRACKER = np.dtype(  # what is known from the previous scans
         ("rejected", POSE),  # the last one
         ("marks", "i8"),  # consecutive home marks: positive if they agree with the count, negative if they disagree
         ("marks_off", "f8"),  # periods by which the last one was off
-        ("contradictions", "i8"),  # scans in a row that fail the residual test, at most RESIDUAL_RUN
-        ("largest_residual", "f8"),  # of them, and of others during their latch: the largest chi-square
-        ("residual_theta", "f8"),  # theta of that scan [rad]
+        ("contradictions", "i8"),  # failed residual tests in a row; while latched, passes that are still needed
+        ("residual_run", "i8"),  # failed residual tests in a row, without an upper limit
+        ("largest_residual", "f8"),  # largest chi-square of the run that latched the joint, and of later runs as long
+        ("residual_theta", "f8"),  # theta of that scan [rad]; NaN: the latch is released at any theta
+        ("same_ambient", "i8"),  # 1: a dark scan since the first contradiction has shown the same ambient light
         ("reference_theta", "f8"),  # theta from an encoder for the next scan [rad]
         ("reference_sigma", "f8"),  # its standard uncertainty [rad]; zero: there is none
         ("reference_stamp_ns", "i8"),  # its time [ns]; zero: that of the next scan
@@ -177,7 +179,7 @@ CHECKS = np.dtype(  # what the checks of one scan have found (``estimation.scan_
         ("faults", "i8"),  # found so far
         ("contradictory", "i8"),  # 1: the redundant readings fail the residual test
         ("accepted", "i8"),  # 1: the pose is where the target can have moved
-        ("beyond_travel", "i8"),  # 1: it is where the bearing cannot move the target
+        ("beyond_travel", "i8"),  # 1: the pose is beyond the travel of the bearing
         ("counted", "i8"),  # 1: theta was counted before this scan
         ("recounted", "i8"),  # 1: this scan counts theta anew
         ("reference_theta", "f8"),  # reference of theta at the stamp of this scan [rad]
@@ -202,7 +204,7 @@ WORKSPACE = np.dtype(  # memory of fixed capacity for one POSOR
         ("is_retry", "i8"),  # 1: the scan is estimated once more, from a start
         ("unmeasured", "i8"),  # see estimation.linearise
         ("is_dark", "i8"),  # 1: no light source is lit, and the calibration has dark scans
-        ("ambient_unknown", "i8"),  # 1: the diode currents hold ambient light, and there was no valid dark scan
+        ("ambient_unknown", "i8"),  # 1: no dark scan before the lit one, or it holds light of the sources
         ("ambient_old", "i8"),  # 1: the last dark scan was too long ago
         ("has_common_effects", "i8"),  # 1: the calibration has dark scans or a reference voltage
         ("lit_currents", "f8", (CONTACTS * MAX_DIODES,)),  # diode currents without the ambient light [A]

@@ -156,7 +156,7 @@ def with_light_left(scans: Scans, dark: Any, share: float, which: Any) -> Scans:
     return out
 
 
-@pytest.mark.parametrize("share", [0.01, 0.1])
+@pytest.mark.parametrize("share", [-0.01, 0.01, 0.1])
 def test_light_that_is_left_in_dark_scans_is_seen_until_two_hold_none(posor: Posor, share: float) -> None:
     scans, natives = moving(posor)
     dark, left = np.arange(0, COUNT, 100), [100, 200]
@@ -173,6 +173,31 @@ def test_light_that_is_left_in_dark_scans_is_seen_until_two_hold_none(posor: Pos
     after = lit[lit > 500]
     assert np.all(found.states[after] == State.OK)
     assert sigmas_off(found, natives, after) < 5.0
+
+
+def test_an_invalid_current_before_a_dark_scan_leaves_the_covariances_finite(posor: Posor) -> None:
+    scans, _ = moving(posor)
+    lit = lit_by(scans).editable()
+    lit.diode_currents[DARK[1] - 1, 0, 0] = math.nan
+    found = posor.estimate_all(lit)
+    assert found.states[DARK[1] - 1] == State.LOST
+    after = np.setdiff1d(np.arange(DARK[1], COUNT), DARK)
+    assert np.all(found.states[after] == State.OK)
+    assert np.all(np.isfinite(found.covariances()[after]))
+
+
+@pytest.mark.parametrize(("dark", "state"), [((0, 200), State.OK), ((0, 100, 200), State.LOST)])
+def test_other_ambient_light_releases_only_what_it_may_have_caused(
+    posor: Posor, dark: tuple[int, ...], state: State
+) -> None:
+    """A gap probe contradicts the others; the next dark scan shows the same light, or that of a lamp."""
+    scans, _ = moving(posor)
+    ambient_a = np.where(np.arange(COUNT) < 199, AMBIENT_A, 3.0 * AMBIENT_A)
+    lit = lit_by(scans, ambient_a, np.array(dark)).editable()
+    lit.gap_voltages[50:70, 0] += 0.1
+    found = posor.estimate_all(lit)
+    assert np.all(found.states[50:199] == State.LOST)
+    assert np.all(found.states[220:270] == state)  # at other angles than then
 
 
 def test_a_lamp_is_not_light_of_the_sources(posor: Posor) -> None:
@@ -201,6 +226,23 @@ def test_a_stated_share_of_light_that_is_left_is_in_the_covariance(posor: Posor)
     moved, same = np.abs(natives[lit, 5] - natives[before, 5]), lit > DARK[1]
     same &= np.all(left.lit_sources[lit] == left.lit_sources[before], axis=1)
     np.testing.assert_allclose(deviations[same], share * moved[same], rtol=0.1, atol=1e-5)
+
+
+def test_light_below_the_noise_of_dark_scans_is_in_the_covariance_of_all_that_are_averaged(posor: Posor) -> None:
+    content, share = posor.calibration.model_dump(mode="json"), 5e-5
+    scans, _ = moving(posor)
+    dark = np.arange(0, COUNT, 50)
+    without, left = lit_by(scans, dark=dark), with_light_left(scans, dark, share, dark[1:])
+    content["sensors"][1]["ambient"]["source_light"] = {"value": share, "unit": "1"}
+    stated = Posor(calibration_from(content)).estimate_all(left)
+    lit = np.setdiff1d(np.arange(200, COUNT), dark)
+    assert np.all(stated.states[lit] == State.OK)
+    errors = np.abs(stated.natives[lit, 5] - Posor(posor.calibration).estimate_all(without).natives[lit, 5])
+    variances = stated.covariances_systematic[lit, 5, 5]
+    deviations = np.sqrt(variances - Posor(posor.calibration).estimate_all(left).covariances_systematic[lit, 5, 5])
+    clear = errors > 0.3 * errors.max()
+    assert clear.mean() > 0.1
+    np.testing.assert_allclose(deviations[clear], errors[clear], rtol=0.15)
 
 
 def test_the_systematic_covariance_holds_the_uncertainty_of_the_dark_currents(posor: Posor) -> None:

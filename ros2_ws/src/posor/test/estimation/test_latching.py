@@ -167,7 +167,6 @@ def test_light_sources_that_slip_are_lost(slip: int, first: int) -> None:
     assert not wrong(found, translations, rotations).any()
     assert (found.states[first:700] == State.LOST).all()
     if first == 0:  # nothing was accepted before; the angles at which the slip was seen were wrong
-        assert posor.latched in {Fault.NONE, Fault.RESIDUAL}
         posor.acknowledge()
         assert np.isin(posor.estimate_all(scans.part(710, 1000)).states, [State.OK, State.DEGRADED]).mean() > 0.99
 
@@ -286,12 +285,13 @@ def test_a_lasting_contradiction_is_latched_until_it_has_passed_for_as_long_wher
     scans, rotations, _ = oscillating(posor)
     scans.diode_currents[100 : 100 + RESIDUAL_RUN, 0, 0] *= 1.01
     scans.diode_currents[300:305, 0, 0] *= 1.01
+    scans.diode_currents[200, 0, 0] *= 1.03  # a single reading elsewhere; its chi-square is larger
     found = posor.estimate_all(scans)
     assert found.faults[100] & Fault.RESIDUAL
     assert found.faults[100 + RESIDUAL_RUN] & Fault.LATCHED
     passes = np.flatnonzero(np.abs(thetas_of(rotations) - thetas_of(rotations[100:101])) < SAME_THETA)
-    released = passes[passes > 300][RESIDUAL_RUN]  # the joint comes by a few scans at a time
-    assert (found.states[100:1000] == State.LOST).all()
+    first, released = passes[passes > 300][[0, RESIDUAL_RUN]]  # the joint comes by a few scans at a time
+    assert (found.states[100 : first - RESIDUAL_RUN] == State.LOST).all()
     assert (found.states[released + 30 :] == State.OK).mean() > 0.98
 
 
