@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import math
 import socket
 import struct
 import time
@@ -33,7 +32,8 @@ class StreamServer(DeviceServer):
         skip: Number of frames to leave out next.
         hold: Number of frames to send before the next one, which is late then; a negative one is sent twice.
         first: Counter of the first frame after a connection.
-        lost_triggers: Number of triggers that are lost next; -1: a false one comes half a period before the next.
+        lost_triggers: Number of triggers to lose next; 0 as soon as they are lost.
+        false_trigger: True: count a false trigger half a period before the next one; False as soon as it is counted.
         clients: Number of connections so far.
 
     """
@@ -55,7 +55,7 @@ class StreamServer(DeviceServer):
         super().__init__()
         self.magic, self.merged, self.skip, self.hold, self.first, self.clients = MAGIC, 1, 0, 0, 0, 0
         self.stalled, self._dropped = Event(), Event()
-        self.lost_triggers, self._triggered = 0, triggered
+        self.lost_triggers, self.false_trigger, self._triggered = 0, False, triggered
         self._values, self._period_ns = values, 1e9 / rate * (1.0 + drift)
         if udp_port:
             self.add_task(self._send_datagrams)
@@ -77,13 +77,17 @@ class StreamServer(DeviceServer):
     def _send_frames(self, send: Callable[[bytes], object]) -> None:
         """Send until the end, the client's end, or ``drop_client``."""
         disable_timer_slack()
-        start_ns, number, held, late, due, triggers_lost = time.time_ns(), 0, b"", b"", 0, 0.0
+        start_ns, number, held, late, due, shift = time.time_ns(), 0, b"", b"", 0, 0
         if self._triggered:
             start_ns += -start_ns % round(self._period_ns)
         while not (self.stopping.is_set() or self._dropped.is_set()):
-            lost, self.lost_triggers = self.lost_triggers, 0
-            triggers_lost = math.floor(triggers_lost) + (lost if lost >= 0 else -0.5)
-            exposed_ns = start_ns + round((number + triggers_lost) * self._period_ns)
+            periods = float(number + shift)
+            if self.lost_triggers:
+                shift, self.lost_triggers = shift + self.lost_triggers, 0
+                periods = float(number + shift)
+            elif self.false_trigger:
+                shift, self.false_trigger, periods = shift - 1, False, periods - 0.5
+            exposed_ns = start_ns + round(periods * self._period_ns)
             values = self._values(exposed_ns)  # before its time, so that sending is the least delay
             frame = struct.Struct(f"{LEAD}{len(values)}d")
             if (wait_s := exposed_ns * 1e-9 - time.time()) > 0.0:

@@ -129,10 +129,17 @@ def test_poses_of_repeated_values_are_within_their_level(tmp_path: Path, interva
     assert rig.largest_ratio(scans.with_fields(without)) > 1.0
 
 
-@pytest.mark.parametrize("lost", [1, -1])
-def test_poses_beside_a_lost_or_a_false_trigger_are_within_their_level(tmp_path: Path, lost: int) -> None:
+@pytest.mark.parametrize(("fault", "value", "connections"), [("lost_triggers", 1, 1), ("false_trigger", True, 2)])
+def test_poses_beside_a_lost_or_a_false_trigger_are_within_their_level(
+    tmp_path: Path, fault: str, value: int, connections: int
+) -> None:
     rig = Rig()
     with StreamServer(lambda time_ns: rig.readings(time_ns).tolist(), 100, triggered=True) as server:
         tolerance = {"trigger_tolerance": quantity_entry(2e-3, "s")}
-        scans = rig.scans(tmp_path, server, 100, tolerance, lambda: setattr(server, "lost_triggers", lost))
+        scans = rig.scans(tmp_path, server, 100, tolerance, lambda: setattr(server, fault, value))
+        assert not getattr(server, fault)
+        assert server.clients == connections
     assert rig.largest_ratio(scans) < 1.0
+    if fault == "lost_triggers":
+        without = {"stamp_limits": np.full(len(scans), 2e-3), "stamp_uncertainties": np.full(len(scans), 1e-5)}
+        assert rig.largest_ratio(scans.with_fields(without)) > 1.0

@@ -124,7 +124,7 @@ def test_a_false_trigger_is_a_fault_at_once_and_the_clock_is_found_again(
     wait_for_frames(reader)
     ticks = Ticks(reader)
     ticks.read_for(50)
-    server.lost_triggers = -1
+    server.false_trigger = True
 
     def fault() -> bool:
         ticks.read()
