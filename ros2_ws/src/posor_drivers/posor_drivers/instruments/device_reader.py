@@ -46,8 +46,6 @@ RESTART_S = 0.1
 """Time in which only frames that are further back arrive, after which the device has restarted."""
 UNIFORM = math.sqrt(3.0)
 """Half-width of a uniform distribution, in standard deviations."""
-REPEATED = 1.5
-"""Periods for which a channel keeps a value that it repeats."""
 MAX_DRIFT = 0.01
 """Share by which the frame rate may differ from the stated one."""
 
@@ -56,7 +54,7 @@ class DeviceState(NamedTuple):
     """State of a device for the diagnostics."""
 
     fault: str
-    """Why frames are missing; empty while frames arrive."""
+    """What is wrong with the device; frames may still arrive."""
     text: str
     """What the device says it is."""
     values: dict[str, float | int]
@@ -76,6 +74,7 @@ class _Place(NamedTuple):
     number: int  # of the nearest frame
     rows: list[int]  # of the frame before, the nearest one and the one after
     weights: FrameWeights
+    shift_s: float  # by which a triggered frame may be off its tick [s]
 
 
 class DeviceReader:
@@ -93,7 +92,7 @@ class DeviceReader:
         self.device = device
         self._delay_ns = round(device.settings.delay.number * NS)
         tolerance = device.settings.trigger_tolerance
-        self._tolerance_s, self._trigger_fault = None if tolerance is None else tolerance.number, ""
+        self._tolerance_s = None if tolerance is None else tolerance.number
         self._thread = Thread(target=self._run, name=f"device {device.name}", daemon=True)
         self._stopping = Event()
         self._lock = Lock()
@@ -127,17 +126,8 @@ class DeviceReader:
                 values["clock_drift"] = line.period_ns * self.device.frame_rate / NS - 1.0
             if (error := self._stamp_error()) is not None:
                 values |= {"clock_uncertainty": error.uncertainty_s, "clock_limit": error.limit_s}
-            return DeviceState(self._fault or self._trigger_fault or self._held_values(), self._identity, values)
-
-    def _held_values(self) -> str:
-        """Return a sentence on the channel that keeps its values longest; empty: all have new ones in each frame."""
-        kept_s, period_s = self._ages.kept_s, 1.0 / self.device.frame_rate
-        if kept_s.max() < REPEATED * period_s:
-            return ""
-        name = self.device.channels[int(kept_s.argmax())].name
-        what = f"channel '{name}' keeps its values for {1e3 * kept_s.max():.3g} ms"
-        expected = f"new ones after {1e3 * period_s:.3g} ms, in each frame; this time is part of the stamps' error"
-        return str(self.device.error(what, expected))
+            fault = self._fault or self._trigger_fault or self._ages.fault(self.device)
+            return DeviceState(fault, self._identity, values)
 
     def take_state(self) -> DeviceState:
         """Return the present state; once, the last fault since the call before, even if it has passed meanwhile."""
@@ -160,13 +150,12 @@ class DeviceReader:
         """
         self._raise_failure()
         with self._lock:
+            if (places := self._places(time_ns)) is None:
+                return None
             values = np.empty(len(self.exposures.offsets_s))
-            for shift_ns, columns in self._read_together:
-                found = self._place(time_ns - shift_ns)
-                if found is None:
-                    return None
-                _, rows, weights = found
-                before, nearest, after = (self._frames.values[row] for row in rows)
+            for place, (_, columns) in zip(places, self._read_together, strict=True):
+                weights = place.weights
+                before, nearest, after = (self._frames.values[row] for row in place.rows)
                 for column in whole:
                     if not before[column] == nearest[column] == after[column]:
                         return None
@@ -188,26 +177,16 @@ class DeviceReader:
         are not known.
         """
         with self._lock:
-            found = self._place(time_ns + (self._half_span_ns if self._tolerance_s is not None else 0))
-            error = None if found is None else self._stamp_error(found.rows)
-            if found is None or error is None:
+            if (places := self._places(time_ns)) is None:
                 return None
-            age_s, weight = self._ages.age_s(found.number + 1, columns), MOST_WEIGHT
-            if self._tolerance_s is not None:
-                weight = 1.0
-                age_s += self._trigger_shift_s(found.number)
+            error = self._stamp_error([row for place in places for row in place.rows])
+            if error is None:
+                return None
+            numbers = [place.number for place in places]
+            age_s = self._ages.age_s(min(numbers) - 1, max(numbers) + 1, columns)
+            age_s += max(place.shift_s for place in places)
+            weight = MOST_WEIGHT if self._tolerance_s is None else 1.0
             return StampError(math.hypot(error.uncertainty_s, age_s / UNIFORM), error.limit_s + weight * age_s)
-
-    def _trigger_shift_s(self, number: int) -> float:
-        """Return the time by which a triggered frame may be off its tick [s]; state that a trigger may be lost."""
-        if self._timed or (line := self._mapping.line) is None:
-            return 0.0
-        periods = self._triggers.periods_off(number, line)
-        if periods:
-            what = f"frame {number} may be {1e-6 * periods * line.period_ns:.3g} ms off its tick, by all arrivals since"
-            expected = "an arrival between its tick and the next one; a trigger may be lost"
-            self._trigger_fault = str(self.device.error(what, expected))
-        return periods * line.period_ns / NS
 
     def _stamp_error(self, rows: list[int] | None = None) -> StampError | None:
         """Return the error of the times of frames, without their ages; by their rows, else of the newest."""
@@ -246,24 +225,29 @@ class DeviceReader:
             (shift, np.flatnonzero(shifts_ns == shift) if each[1:] else slice(None)) for shift in each
         ]
 
+    def _places(self, time_ns: int) -> list[_Place] | None:
+        """Return the places of the channels that are read together, for a time; None where one is missing."""
+        found = [self._place(time_ns - shift_ns) for shift_ns, _ in self._read_together]
+        places = [place for place in found if place is not None]
+        return places if len(places) == len(found) else None
+
     def _place(self, time_ns: int) -> _Place | None:
-        """Return the three frames nearest to a time; None where one is missing."""
+        """Return the three frames nearest to a time; None where one is missing, or a triggered one is off its tick."""
         found = self._timed_place(time_ns) if self._timed else self._mapped_place(time_ns)
-        if found is None:
+        if found is None or (rows := self._frames.rows_around(found[0])) is None:
             return None
         number, weights, offset_s = found
-        if self._tolerance_s is not None:
-            weights, self._trigger_fault = SINGLE_FRAME, ""
-            if abs(offset_s) > self._tolerance_s:
-                what = f"{self.device.name}: frame {number} is {-1e3 * offset_s:+.3g} ms from its tick"
-                expected = f"expected at most {1e3 * self._tolerance_s:g} ms, as it is triggered"
-                self._trigger_fault = f"{what}; {expected}"
-                return None
-        rows = self._frames.rows_around(number)
-        return None if rows is None else _Place(number, rows, weights)
+        if self._triggers is None:
+            return _Place(number, rows, weights, 0.0)
+        frame = self._triggers.check(number, offset_s, None if self._timed else self._mapping.line)
+        self._trigger_fault = frame.fault
+        return _Place(number, rows, SINGLE_FRAME, frame.shift_s) if frame.is_usable else None
 
     def _timed_place(self, time_ns: int) -> tuple[int, FrameWeights, float] | None:
-        """Return the same by the times that the frames have; None where a frame is missing, or two are far apart."""
+        """Return number of the frame nearest to a ROS time by the frames' own times, weights, and time after it [s].
+
+        None where a frame is missing, or two are far apart.
+        """
         found = None if self._last is None else self._frames.nearest(time_ns, self._last)
         if found is None or max(found.since_before_ns, found.until_after_ns) > self.device.longest_interval_s * NS:
             return None
@@ -296,7 +280,8 @@ class DeviceReader:
         channels = len(self.device.channels)
         self._frames = FrameStore(channels, self.device.frame_rate)
         self._ages = ValueAges(self._frames, channels)
-        self._triggers = TriggerArrivals(self._tolerance_s or 0.0)
+        self._triggers = None if self._tolerance_s is None else TriggerArrivals(self.device, self._tolerance_s)
+        self._trigger_fault = ""
         self._timed, self._time_uncertainty_s = False, 0.0
         self._first = 0
         self._last: int | None = None
@@ -380,10 +365,10 @@ class DeviceReader:
 
     def _check_triggers(self, arrived_ns: int) -> None:
         """Keep the arrival of the newest triggered frame. Raises DeviceError: it cannot be that of its tick."""
-        if self._tolerance_s is None or self._last is None:
+        if self._triggers is None or self._last is None:
             return
         self._triggers.add(self._last, arrived_ns)
-        if self._mapping.line is not None and (early_s := self._triggers.false_trigger(self._mapping.line)):
+        if self._mapping.line is not None and (early_s := self._triggers.early_by_s(self._mapping.line)):
             what = f"frame {self._last} has arrived {1e3 * early_s:.3g} ms before its tick"
             raise self.device.error(what, "one frame for each tick; the device may have counted a false trigger")
 
@@ -425,4 +410,6 @@ class DeviceReader:
             # Other threads must not use this line before the error has passed to ``_run``.
             self._mapping, self._fault = ClockMapping(nominal), str(error)
             raise error
+        if line is not None:
+            self._frames.period_s = line.period_ns / NS
         self._fault = "" if line else f"{self.device.name}: finding its clock"

@@ -37,7 +37,7 @@ class FrameStore:
     """Keeps the newest ``CAPACITY`` frames.
 
     Attributes:
-        period_s: Nominal time from frame to frame [s].
+        period_s: Time from frame to frame [s]: nominal, or by the clock line.
         values: Values by row and channel, (CAPACITY, c).
         times_ns: Times of frames that have one of their own, (CAPACITY,).
         uncertainties_s: Standard uncertainties of these times, (CAPACITY,).
@@ -60,8 +60,10 @@ class FrameStore:
             self.times_ns[rows] = frames.times_ns[which] - delay_ns
             self.uncertainties_s[rows] = frames.time_uncertainty_s
 
-    def until(self, number: int, count: int, columns: Sequence[int] | slice) -> tuple[IntArray, FloatArray, FloatArray]:
-        """Return the frames that are there of ``count`` ones up to the frame of a number, oldest first.
+    def frames_up_to(
+        self, number: int, count: int, columns: Sequence[int] | slice
+    ) -> tuple[IntArray, FloatArray, FloatArray]:
+        """Return the stored ones among the last ``count`` frames up to ``number``, oldest first.
 
         Returns numbers, (n,), times by the clock of the device or of ROS, (n,) [s], and values of columns, (n, c).
         """

@@ -8,81 +8,107 @@ values, too. Two rules separate them:
 
 * A channel whose value has changed in each of ``RENEWED_FRAMES`` frames in a row has new values in every frame: its
   ages count as zero from then on, however often it repeats a value. The noise of a sound channel, or one fast motion,
-  shows this at once; a converter that needs 1.25 frame periods or more never does. An asked device may answer late, so
-  such frames may take up to ``LONGEST_PERIOD`` nominal periods each, on average.
-* A channel whose value then changes in ``CHANGES_APART`` of ``CHECKED_FRAMES`` frames, but never in two of them in a
-  row, has become slower: its ages count again.
+  shows this at once. A converter with an interval of P periods changes in n frames in a row only if (n - 1) P < n, so
+  one of 1.25 periods or more never does. An asked device may answer late, so such frames may take up to
+  ``LONGEST_PERIOD`` nominal periods each, on average.
+* A channel whose value then changes ``ISOLATED_CHANGES`` times, but never in two frames in a row, however long this
+  takes, has become slower: its ages count again. An interval below two periods shows two changes in a row, so a channel
+  that becomes slower by less is not found.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from posor_drivers.instruments.frame_store import CAPACITY
+from posor_drivers.instruments.frame_store import CAPACITY, NO_FRAME
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from posor.numerics.array_types import BoolArray, FloatArray, IntArray
 
+    from posor_drivers.instruments.device import Device
     from posor_drivers.instruments.frame_store import FrameStore
 
-RENEWED_FRAMES, LONGEST_PERIOD = 4, 1.5
-CHANGES_APART, CHECKED_FRAMES = 20, 1024
+RENEWED_FRAMES, LONGEST_PERIOD = 5, 1.5
+ISOLATED_CHANGES = 20
+CHECKED_FRAMES = 128
+"""Frames after which isolated changes are counted."""
 FEWEST_FRAMES, MORE_FRAMES = 128, 8
 """Frames among which the first of equal ones is looked for, and by which factor more where it is not among them."""
+LEAST_REPEATED_PERIODS = 1.5
+"""Age in periods from which a channel is reported."""
 
 
 class ValueAges:
-    """Finds how long the channels of a device have kept the values of its newest frames.
+    """Finds the ages of the values of a device in its newest frames.
 
     Attributes:
-        kept_s: Longest time for which each channel has lately kept a value, (c,) [s]; zero where it has new ones in
-            each frame.
+        longest_s: Greatest age that each channel has lately had, (c,) [s]; zero where it has new values in each frame.
 
     """
 
     def __init__(self, frames: FrameStore, channels: int) -> None:
         """Start: no channel has shown new values in each frame yet."""
-        self._frames, self._is_renewed, self._checked = frames, np.zeros(channels, dtype=bool), 0
-        self.kept_s = np.zeros(channels)
+        self._frames, self._is_renewed = frames, np.zeros(channels, dtype=bool)
+        self._checked, self._isolated = 0, np.zeros(channels, dtype=np.int64)
+        self._slower_until = np.full(channels, NO_FRAME)
+        self.longest_s = np.zeros(channels)
 
-    def age_s(self, number: int, columns: Sequence[int]) -> float:
-        """Return the greatest age of values in the frame of a number and the two before it [s].
+    def age_s(self, first: int, last: int, columns: Sequence[int]) -> float:
+        """Return the greatest age of values in stored frames, from the first number to the last one [s].
 
         ``columns``: channels that are looked at.
         """
-        if number - self._checked >= CHECKED_FRAMES:
-            self._checked = number
-            self._find_slower(number)
+        if last - self._checked >= CHECKED_FRAMES:
+            self._find_slower(last)
         doubtful = [column for column in columns if not self._is_renewed[column]]
         if not doubtful:
             return 0.0
         count, is_found = FEWEST_FRAMES, False
         while not is_found and count <= CAPACITY:
-            numbers, times_s, values = self._frames.until(number, count, doubtful)
+            numbers, times_s, values = self._frames.frames_up_to(last, count, doubtful)
             changed = _changes(values)
-            is_found, count = bool(changed[:-2].any(axis=0).all()), MORE_FRAMES * count
-        streaks = _streaks(changed, numbers)
+            is_found = bool(changed[numbers[1:] <= first].any(axis=0).all())
+            count *= MORE_FRAMES
+        streaks = _streaks(changed, numbers)[RENEWED_FRAMES - 1 :]
         within_s = RENEWED_FRAMES * LONGEST_PERIOD * self._frames.period_s
         is_fast = times_s[RENEWED_FRAMES:] - times_s[:-RENEWED_FRAMES] <= within_s
-        is_renewed = (streaks[RENEWED_FRAMES - 1 :] >= RENEWED_FRAMES) & is_fast[:, None]
+        is_later = numbers[RENEWED_FRAMES:, None] > self._slower_until[doubtful]
+        is_renewed = (streaks >= RENEWED_FRAMES) & is_fast[:, None] & is_later
         self._is_renewed[doubtful] = is_renewed.any(axis=0)
         frames = np.arange(1, len(values))[:, None]
         first_equal = np.maximum.accumulate(np.where(changed, frames, 1), axis=0)
         ages_s = np.maximum(times_s[1:, None] - times_s[first_equal - 1], 0.0)  # less where the clock was set back
         ages_s[:, self._is_renewed[doubtful]] = 0.0
-        self.kept_s[doubtful] = ages_s.max(axis=0)
-        return float(ages_s[-3:].max())
+        self.longest_s[doubtful] = ages_s.max(axis=0)
+        return float(ages_s[numbers[1:] >= first].max())
+
+    def fault(self, device: Device[Any]) -> str:
+        """Return a sentence on the channel of the device with the oldest values; empty: new ones in each frame."""
+        age_s, period_s = self.longest_s.max(), 1.0 / device.frame_rate
+        if age_s < LEAST_REPEATED_PERIODS * period_s:
+            return ""
+        name = device.channels[int(self.longest_s.argmax())].name
+        what = f"channel '{name}' repeats its values for {1e3 * age_s:.3g} ms"
+        expected = f"new ones after {1e3 * period_s:.3g} ms, in each frame; this time is part of the stamps' error"
+        return str(device.error(what, expected))
 
     def _find_slower(self, number: int) -> None:
-        """Find the channels that no longer have new values in each frame."""
-        numbers, _, values = self._frames.until(number, CHECKED_FRAMES, slice(None))
+        """Count isolated changes up to a frame, and find the channels that no longer have new values in each frame."""
+        count = min(number - self._checked + 2, CAPACITY)  # with the change of the last frame that was counted
+        numbers, _, values = self._frames.frames_up_to(number, count, slice(None))
         changed = _changes(values)
-        is_slower = np.count_nonzero(changed, axis=0) >= CHANGES_APART
-        self._is_renewed &= ~(is_slower & (_streaks(changed, numbers).max(axis=0) == 1))
+        is_new, self._checked = numbers[1:] > self._checked, number
+        is_in_row = _streaks(changed, numbers)[is_new] > 1
+        is_isolated = changed[is_new] & ~np.logical_or.accumulate(is_in_row[::-1], axis=0)[::-1]
+        self._isolated[is_in_row.any(axis=0)] = 0
+        self._isolated += np.count_nonzero(is_isolated, axis=0)
+        is_slower = self._isolated >= ISOLATED_CHANGES
+        self._is_renewed &= ~is_slower
+        self._slower_until[is_slower] = number
 
 
 def _changes(values: FloatArray) -> BoolArray:

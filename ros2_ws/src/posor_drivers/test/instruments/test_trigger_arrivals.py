@@ -1,6 +1,6 @@
 # Copyright 2026 POSOR maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Hardware triggers that a device loses, or counts without need, over real sockets."""
+"""Triggers that a device has lost, and false triggers that it has counted, over real sockets."""
 
 from __future__ import annotations
 
@@ -21,6 +21,27 @@ from .device_states import running, wait_for, wait_for_frames
 
 RATE, PERIOD_NS, TOLERANCE_S = 100, 10_000_000, 2e-3
 LATENCY_NS, CYCLE_NS = 50_000_000, 100_000_000_000
+LINE = ClockLine(0, 0, 1e7, 0.0, 0.0)
+
+
+def stream_device(port: int) -> StreamDevice:
+    content = {
+        "kind": "stream",
+        "transport": "tcp",
+        "host": "127.0.0.1",
+        "port": port,
+        "rate": quantity_entry(RATE, "Hz"),
+        "format": f"{LEAD}d",
+        "fields": ["magic", "counter", "gap1"],
+        "channels": {"gap1": {"unit": "s"}},
+        "trigger_tolerance": quantity_entry(TOLERANCE_S, "s"),
+    }
+    return StreamDevice("box", StreamSettings.model_validate(content))
+
+
+@pytest.fixture
+def arrivals() -> TriggerArrivals:
+    return TriggerArrivals(stream_device(1), 1e-3)
 
 
 @pytest.mark.parametrize(
@@ -31,21 +52,31 @@ LATENCY_NS, CYCLE_NS = 50_000_000, 100_000_000_000
         ([15.0, 12.0, 8.9], 0),
         ([15.0, 12.0, 9.1], 1),  # within the tolerance of the next tick
         ([25.0, 20.1, 31.0], 2),
-        ([0.1, 0.1, -1.1], 1),  # before its tick
+        ([0.1, 0.1, -1.1], -1),  # before its tick
     ],
 )
-def test_the_least_delay_since_a_frame_shows_how_many_triggers_may_be_lost(late_ms: list[float], periods: int) -> None:
-    line, arrivals = ClockLine(0, 0, 1e7, 0.0, 0.0), TriggerArrivals(1e-3)
+def test_the_least_delay_since_a_frame_shows_how_many_triggers_may_be_lost(
+    arrivals: TriggerArrivals, late_ms: list[float], periods: int
+) -> None:
     for number, each in enumerate([0.0, *late_ms], start=9):  # the first one is earlier than the frame
         arrivals.add(number, number * PERIOD_NS + round(1e6 * each))
-    assert arrivals.periods_off(10, line) == periods
-    assert arrivals.false_trigger(line) == 0.0
+    assert arrivals.lost_periods(10, LINE) == periods
+    assert arrivals.early_by_s(LINE) == 0.0
+    frame = arrivals.check(10, 0.0, LINE)
+    assert frame.is_usable
+    assert frame.shift_s == pytest.approx(0.01 * abs(periods))
+    assert bool(frame.fault) == bool(periods)
 
 
-def test_a_frame_long_before_its_tick_shows_a_false_trigger() -> None:
-    line, arrivals = ClockLine(0, 0, 1e7, 0.0, 0.0), TriggerArrivals(1e-3)
+def test_there_is_no_statement_on_a_frame_without_arrivals(arrivals: TriggerArrivals) -> None:
+    arrivals.add(9, 9 * PERIOD_NS)
+    with pytest.raises(ValueError, match="empty"):
+        arrivals.lost_periods(10, LINE)
+
+
+def test_a_frame_long_before_its_tick_shows_a_false_trigger(arrivals: TriggerArrivals) -> None:
     arrivals.add(10, 91_000_000)
-    assert arrivals.false_trigger(line) == pytest.approx(9e-3)
+    assert arrivals.early_by_s(LINE) == pytest.approx(9e-3)
 
 
 def seconds(time_ns: int) -> list[float]:
@@ -60,18 +91,7 @@ def server() -> Iterator[StreamServer]:
 
 @pytest.fixture
 def reader(server: StreamServer) -> Iterator[DeviceReader]:
-    content = {
-        "kind": "stream",
-        "transport": "tcp",
-        "host": "127.0.0.1",
-        "port": server.port,
-        "rate": quantity_entry(RATE, "Hz"),
-        "format": f"{LEAD}d",
-        "fields": ["magic", "counter", "gap1"],
-        "channels": {"gap1": {"unit": "s"}},
-        "trigger_tolerance": quantity_entry(TOLERANCE_S, "s"),
-    }
-    with running(StreamDevice("box", StreamSettings.model_validate(content))) as reader:
+    with running(stream_device(server.port)) as reader:
         yield reader
 
 
@@ -115,6 +135,9 @@ def test_a_lost_trigger_is_part_of_the_error_of_the_stamps_from_its_tick_on(
     after = ticks.read_for(100)
     assert np.all(np.abs(after[:, 0]) <= after[:, 1] + 1e-6)
     assert np.median(after[50:, 0]) == pytest.approx(PERIOD_NS * 1e-9, abs=TOLERANCE_S)
+    assert "a trigger may be lost" in reader.state.fault
+    at_ns = ticks.tick * PERIOD_NS
+    assert reader.values_at(at_ns) is not None  # as another joint of the device asks for them
     assert "a trigger may be lost" in reader.state.fault
 
 

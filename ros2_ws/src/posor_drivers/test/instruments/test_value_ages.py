@@ -15,9 +15,10 @@ from posor.numerics.array_types import FloatArray
 from posor_drivers.instruments.device import Device, Frames
 from posor_drivers.instruments.device_reader import DeviceReader
 from posor_drivers.instruments.frame_store import FrameStore
+from posor_drivers.instruments.interpolation import MOST_WEIGHT
 from posor_drivers.instruments.labjack_device import LabJackDevice, LabJackSettings
 from posor_drivers.instruments.stream_device import StreamDevice, StreamSettings
-from posor_drivers.instruments.value_ages import CHECKED_FRAMES, RENEWED_FRAMES, ValueAges
+from posor_drivers.instruments.value_ages import CHECKED_FRAMES, ISOLATED_CHANGES, RENEWED_FRAMES, ValueAges
 from posor_lab.device_servers.labjack_server import LabJackServer
 from posor_lab.device_servers.stream_server import LEAD, StreamServer
 
@@ -25,17 +26,21 @@ from .device_states import running, wait_for, wait_for_frames
 
 PERIOD_S = 1e-3
 CYCLE_NS = 4_000_000_000
+OFFSET_NS = 400_000
+MULTIPLEXED = {"exposures": {"interval": quantity_entry(2e-9 * OFFSET_NS, "s")}}
 
 
 def ages_of(values: FloatArray, numbers: Any = None) -> tuple[ValueAges, FloatArray]:
-    """Return the greatest age in each frame of one channel and the two before, from the third frame on [s]."""
-    store = FrameStore(1, 1.0 / PERIOD_S)
-    ages = ValueAges(store, 1)
+    """Return the greatest age in each frame of channels and the two before, from the third frame on [s]."""
+    values = np.reshape(values, (len(values), -1))
+    channels = values.shape[1]
+    store = FrameStore(channels, 1.0 / PERIOD_S)
+    ages = ValueAges(store, channels)
     numbers = np.arange(len(values)) if numbers is None else np.asarray(numbers)
     found = []
     for n, number in enumerate(numbers.tolist()):
-        store.write(Frames(numbers, np.reshape(values, (-1, 1))), np.array([n]), 0)
-        found += [ages.age_s(number, [0])] if n > 1 else []
+        store.write(Frames(numbers, values), np.array([n]), 0)
+        found += [ages.age_s(number - 2, number, range(channels))] if n > 1 else []
     return ages, np.array(found)
 
 
@@ -51,17 +56,17 @@ def test_a_value_is_as_old_as_the_first_of_equal_frames_and_a_period() -> None:
     each_s = PERIOD_S * np.concatenate([np.arange(1, run + 1) for run in runs])
     expected_s = np.max([each_s[:-2], each_s[1:-1], each_s[2:]], axis=0)
     np.testing.assert_allclose(found_s[runs[0] :], expected_s[runs[0] :])
-    assert ages.kept_s[0] == pytest.approx(PERIOD_S * max(runs[-10:]))
+    assert ages.longest_s[0] == pytest.approx(PERIOD_S * max(runs[-10:]))
 
 
 def test_a_channel_with_new_values_in_each_frame_may_repeat_them_later() -> None:
     values = np.concatenate([np.arange(RENEWED_FRAMES + 1.0), np.full(3000, 7.0)])
     ages, found_s = ages_of(values)
     assert not found_s[RENEWED_FRAMES - 2 :].any()
-    assert ages.kept_s[0] == 0.0
+    assert ages.longest_s[0] == 0.0
 
 
-@pytest.mark.parametrize("step", [0.3, 1.0, 3.0])
+@pytest.mark.parametrize("step", [0.3, 1.0, 2.5])
 def test_the_noise_of_a_coarse_converter_shows_new_values_at_once(step: float) -> None:
     """Also where the value is in the middle between two steps, and does not move."""
     noise = np.random.default_rng(2).standard_normal(1000)
@@ -70,11 +75,36 @@ def test_the_noise_of_a_coarse_converter_shows_new_values_at_once(step: float) -
     assert not found_s[-10:].any()
 
 
-def test_a_channel_that_becomes_slower_is_doubtful_again() -> None:
-    slower = renewed_after(np.full(2 * CHECKED_FRAMES // 7 + 10, 7))
-    _, found_s = ages_of(np.concatenate([np.arange(100.0), 100.0 + slower]))
+@pytest.mark.parametrize("periods", [1.25, 1.26, 1.3, 1.33, 1.6])
+def test_a_converter_of_a_quarter_more_than_a_period_has_no_new_values_in_each_frame(periods: float) -> None:
+    for phase in np.linspace(0.0, 0.8, 5):
+        ages, found_s = ages_of(np.floor((np.arange(300.0) + phase) / periods))
+        assert ages.longest_s[0] == pytest.approx(2.0 * PERIOD_S)
+        assert found_s.min() > 0.0
+
+
+def test_a_converter_of_less_than_a_quarter_more_than_a_period_is_not_seen() -> None:
+    ages, _ = ages_of(np.floor(np.arange(500.0) / 1.2))
+    assert ages.longest_s[0] == 0.0
+
+
+@pytest.mark.parametrize("run", [2, 7, 60, 150])
+def test_a_channel_that_becomes_slower_is_doubtful_again(run: int) -> None:
+    """Also beside a channel at rest, whose frames are looked at for longer."""
+    slower = renewed_after(np.full(ISOLATED_CHANGES + CHECKED_FRAMES // run + 3, run))
+    values = np.concatenate([np.arange(100.0), 100.0 + slower])
+    ages, found_s = ages_of(values)
     assert not found_s[RENEWED_FRAMES:100].any()
-    assert found_s[-1] == pytest.approx(7 * PERIOD_S)
+    assert [found_s[-1], ages.longest_s[0]] == pytest.approx([run * PERIOD_S] * 2)
+    ages, _ = ages_of(np.column_stack([values, np.zeros(len(values))]))
+    assert ages.longest_s[0] == pytest.approx(run * PERIOD_S)
+
+
+@pytest.mark.parametrize("isolated", [ISOLATED_CHANGES - 1, 2 * ISOLATED_CHANGES])
+def test_two_changes_in_a_row_end_the_count_of_isolated_ones(isolated: int) -> None:
+    runs = np.tile([*np.full(isolated, 7), 1], CHECKED_FRAMES)  # the pair at each place among the frames of a check
+    _, found_s = ages_of(np.concatenate([np.arange(100.0), 100.0 + renewed_after(runs)]))
+    assert found_s[RENEWED_FRAMES:].any() == (isolated >= ISOLATED_CHANGES)
 
 
 def test_values_beside_lost_frames_and_invalid_ones_are_not_new() -> None:
@@ -94,16 +124,23 @@ def renewing(interval_ns: int) -> Callable[[int], list[float]]:
     return lambda time_ns: [triangle(time_ns - time_ns % interval_ns)] * 2
 
 
-def stream(server: StreamServer) -> Device[Any]:
+def multiplexed(interval_ns: int) -> Callable[[int], list[float]]:
+    """Return the same of channels that are read at ``OFFSET_NS`` before the time of the frame, and after it."""
+    values = renewing(interval_ns)
+    return lambda time_ns: [values(time_ns - OFFSET_NS)[0], values(time_ns + OFFSET_NS)[1]]
+
+
+def stream(port: int, **keys: Any) -> Device[Any]:
     content = {
         "kind": "stream",
         "transport": "tcp",
         "host": "127.0.0.1",
-        "port": server.port,
+        "port": port,
         "rate": quantity_entry(1000, "Hz"),
         "format": f"{LEAD}2d",
         "fields": ["magic", "counter", "gap1", "gap2"],
         "channels": {"gap1": {"unit": "V"}, "gap2": {"unit": "V"}},
+        **keys,
     }
     return StreamDevice("box", StreamSettings.model_validate(content))
 
@@ -124,7 +161,7 @@ def read_ticks(reader: DeviceReader) -> FloatArray:
         values, alone = reader.values_at(at_ns), reader.stamp_error_at(at_ns)
         error = reader.stamp_error_at(at_ns, [0, 1])
         if values is not None and error is not None and alone is not None:
-            found[at_ns] = abs(triangle(at_ns) - values[0]), error.limit_s, alone.limit_s
+            found[at_ns] = float(np.abs(triangle(at_ns) - values).max()), error.limit_s, alone.limit_s
         return len(found) >= 300
 
     wait_for(take, "values at ticks")
@@ -133,29 +170,55 @@ def read_ticks(reader: DeviceReader) -> FloatArray:
 
 @pytest.mark.parametrize("interval_ns", [1_500_000, 7_000_000, 20_000_000])
 def test_the_error_of_the_stamps_contains_the_ages_of_a_stream(interval_ns: int) -> None:
-    with StreamServer(renewing(interval_ns)) as server, running(stream(server)) as reader:
+    with StreamServer(renewing(interval_ns)) as server, running(stream(server.port)) as reader:
         errors_s, limits_s, alone_s = read_ticks(reader).T
         sentence = reader.state.fault
     assert np.all(errors_s <= limits_s)
     assert np.any(errors_s > alone_s)
     assert np.median(limits_s - alone_s) < 2e-9 * (interval_ns + 1_000_000)
     assert sentence == (
-        f"box: channel 'gap1' keeps its values for {-(-interval_ns // 1_000_000)} ms; "
+        f"box: channel 'gap1' repeats its values for {-(-interval_ns // 1_000_000)} ms; "
         "expected new ones after 1 ms, in each frame; this time is part of the stamps' error."
     )
+
+
+def test_the_error_of_the_stamps_contains_the_ages_of_a_multiplexed_stream() -> None:
+    with StreamServer(multiplexed(20_000_000)) as server, running(stream(server.port, **MULTIPLEXED)) as reader:
+        errors_s, limits_s, _ = read_ticks(reader).T
+    assert np.all(errors_s <= limits_s)
+
+
+@pytest.mark.parametrize(("tick", "oldest"), [(61.7, 20), (58.3, 20), (50.3, 12)])
+def test_the_frames_of_all_channels_of_a_multiplexed_frame_count(tick: float, oldest: int) -> None:
+    """New values come in frames 41 and 61; a channel uses two frames before the one of the tick, or two after it."""
+    reader = DeviceReader(stream(1, **MULTIPLEXED))
+    numbers = np.arange(100)
+    values = np.repeat((numbers[:, None] + 19) // 20, 2, axis=1)
+    reader._store(Frames(numbers, values.astype(float), 1_000_000 * numbers), 0)
+    error, alone = (reader.stamp_error_at(round(tick * 1e6), columns) for columns in ([0, 1], []))
+    assert error is not None
+    assert alone is not None
+    assert error.limit_s - alone.limit_s == pytest.approx(MOST_WEIGHT * oldest * PERIOD_S)
+
+
+def test_the_ages_follow_the_clock_of_the_device() -> None:
+    interval_ns = 101_404_500  # 100.5 frames
+    with StreamServer(renewing(interval_ns), drift=0.009) as server, running(stream(server.port)) as reader:
+        read_ticks(reader)
+        assert "repeats its values for 102 ms" in reader.state.fault  # 101 frames
 
 
 def test_the_error_of_the_stamps_contains_the_ages_of_registers_that_are_asked_for_too_often() -> None:
     with LabJackServer(renewing(20_000_000)) as server, running(labjack(server)) as reader:
         errors_s, limits_s, alone_s = read_ticks(reader).T
-        assert "keeps its values for" in reader.state.fault
+        assert "repeats its values for" in reader.state.fault
     assert np.all(errors_s <= limits_s + 1e-6)
     assert np.any(errors_s > alone_s)
 
 
 @pytest.mark.parametrize("interval_ns", [1, 1_000_000])
 def test_new_values_in_each_frame_add_nothing_to_the_error_of_the_stamps(interval_ns: int) -> None:
-    with StreamServer(renewing(interval_ns)) as server, running(stream(server)) as reader:
+    with StreamServer(renewing(interval_ns)) as server, running(stream(server.port)) as reader:
         _, limits_s, alone_s = read_ticks(reader).T
         assert np.median(limits_s - alone_s) == 0.0
         assert not reader.state.fault
