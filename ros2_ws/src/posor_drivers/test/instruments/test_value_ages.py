@@ -26,6 +26,7 @@ from .device_states import running, wait_for, wait_for_frames
 
 PERIOD_S = 1e-3
 CYCLE_NS = 4_000_000_000
+TICK_NS = 9_700_000  # ticks at each phase of the frames
 OFFSET_NS = 400_000
 MULTIPLEXED = {"exposures": {"interval": quantity_entry(2e-9 * OFFSET_NS, "s")}}
 
@@ -157,7 +158,7 @@ def read_ticks(reader: DeviceReader) -> FloatArray:
     found: dict[int, tuple[float, float, float]] = {}
 
     def take() -> bool:
-        at_ns = time.time_ns() // 10_000_000 * 10_000_000 - 100_000_000
+        at_ns = time.time_ns() // TICK_NS * TICK_NS - 100_000_000
         values, alone = reader.values_at(at_ns), reader.stamp_error_at(at_ns)
         error = reader.stamp_error_at(at_ns, [0, 1])
         if values is not None and error is not None and alone is not None:
@@ -183,7 +184,7 @@ def test_the_error_of_the_stamps_contains_the_ages_of_a_stream(interval_ns: int)
 
 
 def test_the_error_of_the_stamps_contains_the_ages_of_a_multiplexed_stream() -> None:
-    with StreamServer(multiplexed(20_000_000)) as server, running(stream(server.port, **MULTIPLEXED)) as reader:
+    with StreamServer(multiplexed(61_000_000)) as server, running(stream(server.port, **MULTIPLEXED)) as reader:
         errors_s, limits_s, _ = read_ticks(reader).T
     assert np.all(errors_s <= limits_s)
 
