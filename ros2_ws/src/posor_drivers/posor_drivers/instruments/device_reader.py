@@ -282,7 +282,8 @@ class DeviceReader:
         self._ages = ValueAges(self._frames, channels)
         self._triggers = None if self._tolerance_s is None else TriggerArrivals(self.device, self._tolerance_s)
         self._trigger_fault = ""
-        self._timed, self._time_uncertainty_s = False, 0.0
+        self._timed: bool = False
+        self._time_uncertainty_s = 0.0
         self._first = 0
         self._last: int | None = None
         self._back_since_s = np.inf
