@@ -3,8 +3,9 @@
 """Ages of the values in frames: a device may send frames, or answer, more often than its converter has new values.
 
 A value that is equal to the last bit to that of the frame before may have been measured as early as in the period
-before the first of the equal frames. This time is the age of the value. A sound device with a coarse converter repeats
-values, too. Two rules separate them:
+before the first of the equal frames. This time is the age of the value. A value that has not changed since the first
+stored frame has an unknown age, which counts as ``CAPACITY`` periods, the longest that is looked at. A sound device
+with a coarse converter repeats values, too. Two rules separate them:
 
 * A channel whose value has changed in each of ``RENEWED_FRAMES`` frames in a row has new values in every frame: its
   ages count as zero from then on, however often it repeats a value. The noise of a sound channel, or one fast motion,
@@ -67,24 +68,25 @@ class ValueAges:
         doubtful = [column for column in columns if not self._is_renewed[column]]
         if not doubtful:
             return 0.0
-        count, is_found = FEWEST_FRAMES, False
-        while not is_found and count <= CAPACITY:
+        count, is_known = FEWEST_FRAMES, np.zeros(len(doubtful), dtype=bool)
+        while not is_known.all() and count <= CAPACITY:
             numbers, times_s, values = self._frames.frames_up_to(last, count, doubtful)
             changed = _changes(values)
-            is_found = bool(changed[numbers[1:] <= first].any(axis=0).all())
+            is_known = changed[numbers[1:] <= first].any(axis=0)
             count *= MORE_FRAMES
         streaks = _streaks(changed, numbers)[RENEWED_FRAMES - 1 :]
         within_s = RENEWED_FRAMES * LONGEST_PERIOD * self._frames.period_s
         is_fast = times_s[RENEWED_FRAMES:] - times_s[:-RENEWED_FRAMES] <= within_s
         is_later = numbers[RENEWED_FRAMES:, None] > self._slower_until[doubtful]
-        is_renewed = (streaks >= RENEWED_FRAMES) & is_fast[:, None] & is_later
-        self._is_renewed[doubtful] = is_renewed.any(axis=0)
+        is_renewed = ((streaks >= RENEWED_FRAMES) & is_fast[:, None] & is_later).any(axis=0)
+        self._is_renewed[doubtful] = is_renewed
         frames = np.arange(1, len(values))[:, None]
         first_equal = np.maximum.accumulate(np.where(changed, frames, 1), axis=0)
         ages_s = np.maximum(times_s[1:, None] - times_s[first_equal - 1], 0.0)  # less where the clock was set back
-        ages_s[:, self._is_renewed[doubtful]] = 0.0
+        ages_s[:, is_renewed] = 0.0
         self.longest_s[doubtful] = ages_s.max(axis=0)
-        return float(ages_s[numbers[1:] >= first].max())
+        unknown_s = 0.0 if (is_known | is_renewed).all() else CAPACITY * self._frames.period_s
+        return max(float(ages_s[numbers[1:] >= first].max()), unknown_s)
 
     def fault(self, device: Device[Any]) -> str:
         """Return a sentence on the channel of the device with the oldest values; empty: new ones in each frame."""

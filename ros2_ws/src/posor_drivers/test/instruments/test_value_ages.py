@@ -14,7 +14,7 @@ from posor.calibration.design_parts import quantity_entry
 from posor.numerics.array_types import FloatArray
 from posor_drivers.instruments.device import Device, Frames
 from posor_drivers.instruments.device_reader import DeviceReader
-from posor_drivers.instruments.frame_store import FrameStore
+from posor_drivers.instruments.frame_store import CAPACITY, FrameStore
 from posor_drivers.instruments.interpolation import MOST_WEIGHT
 from posor_drivers.instruments.labjack_device import LabJackDevice, LabJackSettings
 from posor_drivers.instruments.stream_device import StreamDevice, StreamSettings
@@ -58,6 +58,15 @@ def test_a_value_is_as_old_as_the_first_of_equal_frames_and_a_period() -> None:
     expected_s = np.max([each_s[:-2], each_s[1:-1], each_s[2:]], axis=0)
     np.testing.assert_allclose(found_s[runs[0] :], expected_s[runs[0] :])
     assert ages.longest_s[0] == pytest.approx(PERIOD_S * max(runs[-10:]))
+
+
+def test_the_age_of_a_value_is_unknown_before_its_first_change() -> None:
+    """The first frames of a connection may repeat a value that is older than it."""
+    ages, found_s = ages_of(renewed_after([6, 4, 7]))
+    first = 6  # of the first new value
+    assert found_s[:first] == pytest.approx(CAPACITY * PERIOD_S)
+    assert found_s[first:].max() == pytest.approx(7 * PERIOD_S)
+    assert ages.longest_s[0] == pytest.approx(7 * PERIOD_S)
 
 
 def test_a_channel_with_new_values_in_each_frame_may_repeat_them_later() -> None:
@@ -112,7 +121,7 @@ def test_values_beside_lost_frames_and_invalid_ones_are_not_new() -> None:
     _, found_s = ages_of(np.arange(100.0), numbers=2 * np.arange(100))
     np.testing.assert_allclose(found_s, 2.0 * PERIOD_S)
     _, found_s = ages_of(np.full(100, np.nan))
-    assert found_s[-1] == pytest.approx(99 * PERIOD_S)
+    assert found_s[-1] == pytest.approx(CAPACITY * PERIOD_S)
 
 
 def triangle(time_ns: int) -> float:
@@ -205,8 +214,13 @@ def test_the_frames_of_all_channels_of_a_multiplexed_frame_count(tick: float, ol
 def test_the_ages_follow_the_clock_of_the_device() -> None:
     interval_ns = 101_404_500  # 100.5 frames
     with StreamServer(renewing(interval_ns), drift=0.009) as server, running(stream(server.port)) as reader:
-        read_ticks(reader)
-        assert "repeats its values for 102 ms" in reader.state.fault  # 101 frames
+        wait_for_frames(reader)
+
+        def is_found() -> bool:
+            reader.stamp_error_at(time.time_ns() - 100_000_000, [0])
+            return "repeats its values for 102 ms" in reader.state.fault  # 101 frames
+
+        wait_for(is_found, "the age of the last one of equal frames")
 
 
 def test_the_error_of_the_stamps_contains_the_ages_of_registers_that_are_asked_for_too_often() -> None:
