@@ -211,20 +211,31 @@ def test_a_contradiction_at_some_angles_is_not_released_at_others() -> None:
     assert passed > 20 * RESIDUAL_RUN  # at other angles the readings agree, on wrong poses
 
 
-def test_a_contradiction_that_has_gone_is_released_where_it_was() -> None:
+def turned_to(thetas: FloatArray) -> Scans:
+    """Return scans of a joint without travel at angles [rad]."""
     calibration = joint(travel=False)
-    thetas = np.full(100, 0.3)
     rotations = np.array([rotation_from_native(0.0, 0.0, t) for t in thetas])
     translations = np.tile([0.0, 0.0, STANDOFF], (len(thetas), 1))
     stamps = (np.arange(len(thetas), dtype=np.int64) + 1) * PERIOD_NS
-    stack = Posor(calibration).stack
-    scans = (
-        TruePosor(calibration)
-        .scans_at(stack, rotations, translations, stamps, noise=np.random.default_rng(3))
-        .editable()
-    )
+    stack, noise = Posor(calibration).stack, np.random.default_rng(3)
+    return TruePosor(calibration).scans_at(stack, rotations, translations, stamps, noise=noise).editable()
+
+
+def test_a_contradiction_that_has_gone_is_released_where_it_was() -> None:
+    scans = turned_to(np.full(100, 0.3))
     scans.gap_voltages[20:40, 0] += 0.1
-    found = Posor(calibration).estimate_all(scans)
+    found = Posor(joint(travel=False)).estimate_all(scans)
     end = 40 + RESIDUAL_RUN
     assert np.all(found.states[20 : end - 1] == State.LOST)
     assert np.all(found.states[end:] == State.OK)
+
+
+def test_a_single_contradiction_elsewhere_does_not_move_the_place_of_release() -> None:
+    there = np.linspace(0.3, 0.34, 50)
+    thetas = np.concatenate([np.full(40, 0.3), there, there[::-1], np.full(40, 0.3)])
+    scans = turned_to(thetas)
+    scans.gap_voltages[20:40, 0] += 0.1
+    scans.gap_voltages[90, 0] += 0.2
+    found = Posor(joint(travel=False)).estimate_all(scans)
+    assert np.all(found.states[60:120] == State.LOST)
+    assert np.all(found.states[-20:] == State.OK)
