@@ -60,6 +60,7 @@ def check_plausible(posor: Posor, scan: Scan | None, encoder: EncoderReading | N
         raise ParameterError("no lit scan has arrived", where=WHERE, expected="sound scans at the release")
     alone = copy.deepcopy(posor)
     alone.reset()
+    alone.tracker["ambient"]["light_left"] = 0  # so that the pose is looked at
     if encoder is not None:
         alone.confirm_theta(encoder.theta, encoder.sigma, encoder.stamp_ns)
     estimate = alone.estimate(scan)

@@ -47,7 +47,7 @@ def fault_sentence(stack: Stack, settings: Any, tracker: Any, scan: Scan, estima
         CONTRADICTORY: "its stamp contradicts its number, given the scans before; expected the time of exposure",
         NO_DARK_SCAN: "the ambient light is unknown; expected a dark scan before, or STATUS_DARK_SUBTRACTED",
         LIGHT_LEFT: "light of the sources is left in the dark scans, whose currents change as the spots move; expected "
-        "sources that are out for longer before a dark scan, or source_light of 'ambient' in the calibration",
+        "more time without light before, then two dark scans at different spots, or ~/acknowledge and one",
         NO_POSE: "no light source is lit (a dark scan) while no pose is known; expected lit scans around it",
         INVALID_TIME: "its exposures or its stamp's uncertainty are invalid; expected no offset or one for each "
         f"channel, at most {LONGEST_OFFSET_S:g} s or NaN, and times that are not negative",

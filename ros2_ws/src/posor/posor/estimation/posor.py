@@ -180,16 +180,24 @@ class Posor:
     def acknowledge(self) -> bool:
         """Release the latch after a fault: the next scan starts anew, and a counted theta must be counted again.
 
+        Where dark scans hold light of the sources, the next dark scan counts as the first one.
+
         Poses are DEGRADED (``Fault.ACKNOWLEDGED``) until a reference or home marks confirm theta. Without a latch, so
         that after a latch it takes a second call, a step of the stamps is accepted: it no longer enlarges their largest
         error.
 
         Returns:
-            Whether there was a latch or a step; without one nothing changes.
+            Whether there was a latch, such light or a step; without one nothing changes.
 
         """
         if not self.has_latch:
             return False
+        ambient = self.tracker["ambient"]
+        had_light, ambient["light_left"] = bool(ambient["light_left"]), 0
+        if had_light:
+            ambient["known"] = 0
+        if had_light and not self.tracker["latch"]:
+            return True
         if not self.tracker["latch"]:
             clocks = self.tracker["clocks"]
             clocks["step"], clocks["age_step"], clocks["former_age"] = 0.0, 0.0, math.nan
@@ -261,8 +269,9 @@ class Posor:
 
     @property
     def has_latch(self) -> bool:
-        """Whether ``acknowledge`` has anything to release: a latched fault, or a step of the stamps."""
-        return bool(self.tracker["latch"] or self.tracker["clocks"]["step"])
+        """Whether ``acknowledge`` has anything to release: a fault, light in dark scans, or a step of the stamps."""
+        tracker = self.tracker
+        return bool(tracker["latch"] or tracker["ambient"]["light_left"] or tracker["clocks"]["step"])
 
     def continue_from(self, other: Posor, last: Scan | None = None) -> None:
         """Start the next scan from the previous pose of another POSOR of the same kind, with its count and latch.

@@ -41,6 +41,7 @@ if TYPE_CHECKING:
 MARKS = 6  # consecutive scans with agreeing home marks that count theta; so many disagreeing marks are a fault
 RESIDUAL_RUN = 10  # scans in a row that fail before the latch; scans that pass at the largest chi-square before release
 SAME_THETA = 5e-3  # change of theta that changes little of what a fault does [rad]: 1/10 of a bump, 1/4 mm of a spot
+LONGEST_STEP = 5.0 * SAME_THETA  # of theta from scan to scan, by which a joint that turns may pass beside a theta [rad]
 REFERENCE_SIGMAS = 5.0  # standard deviations within which a reference of theta agrees
 NOISE_ALLOWANCE = 5.0  # standard deviations that are added to limits of motion and travel
 
@@ -94,10 +95,12 @@ def bump_is_unknown(workspace: Any) -> bool:
 def check_residuals(workspace: Any, theta: float, residual: float) -> None:
     """Latch the joint after RESIDUAL_RUN failed residual tests in a row; release it after as many passed tests.
 
-    ``residual``: chi-square of the scan. Only tests within SAME_THETA of the largest one release the latch; a shorter
-    run of failed tests does not move this place.
+    ``residual``: chi-square of the scan. Only tests near the theta of the largest one release the latch: within
+    SAME_THETA and the motion since the scan before. A shorter run of failed tests does not move this place.
     """
     tracker, checks = workspace.tracker, workspace.checks
+    near = SAME_THETA + min(abs(wrapped(theta - tracker.tested_theta)), LONGEST_STEP)
+    tracker.tested_theta = theta
     tracker.residual_run = tracker.residual_run + 1 if checks.contradictory else 0
     if checks.contradictory:
         if tracker.contradictions == 0:
@@ -117,7 +120,7 @@ def check_residuals(workspace: Any, theta: float, residual: float) -> None:
     elif tracker.contradictions > 0:
         if not tracker.latch & RESIDUAL:
             tracker.contradictions = 0
-        elif not abs(wrapped(theta - tracker.residual_theta)) > SAME_THETA:  # NaN: at any theta
+        elif not abs(wrapped(theta - tracker.residual_theta)) > near:  # NaN: at any theta
             tracker.contradictions -= 1
         if tracker.contradictions == 0:
             tracker.latch &= ~RESIDUAL
@@ -138,14 +141,18 @@ def use_ambient_change(tracker: Any, is_new: bool) -> None:  # noqa: FBT001  a k
 
 @in_place
 def check_travel(workspace: Any, estimate: Any) -> None:
-    """Note whether a pose without contradictions is beyond the travel of the bearing by more than its uncertainty."""
+    """Note whether a pose without contradictions is beyond the travel of the bearing by more than its uncertainty.
+
+    By the wrong bump the tilt of the target plane turns into a lean; the pose of an uncounted scan is not usable.
+    """
     settings, pose, checks = workspace.settings, workspace.pose, workspace.checks
     gap, sine = pose.translation[2], math.sqrt(square(pose.rotation[0, 2]) + square(pose.rotation[1, 2]))
     allowance = NOISE_ALLOWANCE * math.sqrt(_variance(estimate, 2))
     beyond = gap < settings.travel_gap[0] - allowance or gap > settings.travel_gap[1] + allowance
     allowance = NOISE_ALLOWANCE * math.sqrt(_variance(estimate, 3) + _variance(estimate, 4))
     beyond = beyond or math.atan2(sine, pose.rotation[2, 2]) > settings.travel_lean + allowance
-    checks.beyond_travel = 1 if beyond and not checks.contradictory else 0
+    uncounted = settings.bump_angle > 0.0 and workspace.tracker.counted == 0 and checks.recounted == 0
+    checks.beyond_travel = 1 if beyond and not uncounted and not checks.contradictory else 0
 
 
 @in_place

@@ -168,11 +168,27 @@ def test_light_that_is_left_in_dark_scans_is_seen_until_two_hold_none(posor: Pos
     assert np.all(found.faults[during] == Fault.AMBIENT)
     assert found.reason(150) == (
         "scan 150: light of the sources is left in the dark scans, whose currents change as the spots move; expected "
-        "sources that are out for longer before a dark scan, or source_light of 'ambient' in the calibration."
+        "more time without light before, then two dark scans at different spots, or ~/acknowledge and one."
     )
     after = lit[lit > 500]
     assert np.all(found.states[after] == State.OK)
     assert sigmas_off(found, natives, after) < 5.0
+
+
+def test_a_joint_at_rest_after_light_in_a_dark_scan_is_acknowledged(posor: Posor) -> None:
+    scans, natives = moving(posor)
+    dark, left = np.arange(0, COUNT, 100), [100]
+    lit = with_light_left(scans, dark, 0.05, left)
+    posor.estimate_all(lit.part(0, 150))
+    assert posor.estimate(lit[150]).faults == Fault.AMBIENT
+    assert posor.latched == Fault.NONE
+    assert posor.acknowledge()
+    assert not posor.acknowledge()
+    found = posor.estimate_all(lit.part(151, 300))
+    assert np.all(found.states[:49] == State.LOST)  # until the next dark scan
+    after = np.arange(151, 300) > 200
+    assert np.all(found.states[after] == State.OK)
+    assert sigmas_off(found, natives[151:300], after) < 5.0
 
 
 def test_an_invalid_current_before_a_dark_scan_leaves_the_covariances_finite(posor: Posor) -> None:

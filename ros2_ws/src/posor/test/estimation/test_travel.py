@@ -156,6 +156,36 @@ def test_a_joint_that_begins_beyond_its_travel_has_no_pose_until_somebody_acknow
     assert np.all(found.faults[1:] == Fault.TRAVEL | Fault.LATCHED)
 
 
+def test_a_bumpy_ring_that_begins_at_another_bump_is_counted_by_its_home_mark() -> None:
+    """By a wrong bump the tilt of the target plane leans beyond the travel, and the readings agree."""
+    calibration = joint("quad_bumpy_ring")
+    posor, count, away = Posor(calibration), 160, 100
+    home, bump = float(posor.settings["home_theta"]), float(posor.settings["bump_angle"])
+    thetas = home + np.append(np.linspace(8.0 * bump, 0.0, away), np.zeros(count - away))
+    rotations = np.array([rotation_from_native(0.0, 0.0, theta) for theta in thetas])
+    translations = np.tile([0.0, 0.0, STANDOFF], (count, 1))
+    stamps = (np.arange(count, dtype=np.int64) + 1) * PERIOD_NS
+    scans = TruePosor(calibration).scans_at(
+        posor.stack, rotations, translations, stamps, noise=np.random.default_rng(4)
+    )
+    marks = (np.abs(thetas - home) < 0.3 * bump).astype(np.int64)
+    scans = scans.with_fields({"at_home": marks})
+    found = posor.estimate_all(scans)
+    assert np.any(leans_by_pose(found)[:away] > 2.0 * LEAN)  # of uncounted poses
+    assert not np.any(found.faults & Fault.TRAVEL)
+    assert np.all(found.states[away + 10 :] == State.OK)
+    volts = scans.gap_voltages.copy()
+    volts[-5:] *= 1.2
+    posor.reset()
+    beyond = posor.estimate_all(scans.with_fields({"gap_voltages": volts}))
+    assert beyond.faults[-5] & Fault.TRAVEL
+
+
+def leans_by_pose(found: Estimates) -> FloatArray:
+    """Return the inclination of each pose [rad], (n,); zero where there is none."""
+    return np.nan_to_num(np.hypot(found.rotations[:, 0, 2], found.rotations[:, 1, 2]))
+
+
 @pytest.mark.parametrize("gap", [STANDOFF - HALF_RANGE, STANDOFF + HALF_RANGE])
 def test_poses_at_the_ends_of_the_travel_are_sound(gap: float) -> None:
     calibration = joint()

@@ -74,7 +74,7 @@ class TriggerArrivals:
         else:
             what = f"every arrival since frame {number} is {'a period' if periods == 1 else f'{periods} periods'} late"
         what = f"{what}: the frame may be {1e3 * shift_s:.3g} ms off its tick"
-        expected = "an arrival between its tick and the next one; a trigger may be lost"
+        expected = "an arrival between its tick and the next one; a trigger may be lost, or latency too short"
         return TriggeredFrame(shift_s, str(self._device.error(what, expected)))
 
     def early_by_s(self, line: ClockLine) -> float:

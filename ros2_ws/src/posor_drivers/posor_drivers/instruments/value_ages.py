@@ -37,8 +37,8 @@ RENEWED_FRAMES, LONGEST_PERIOD = 5, 1.5
 ISOLATED_CHANGES = 20
 CHECKED_FRAMES = 128
 """Frames after which isolated changes are counted."""
-FEWEST_FRAMES, MORE_FRAMES = 128, 8
-"""Frames among which the first of equal ones is looked for, and by which factor more where it is not among them."""
+RECENT_FRAMES = 128
+"""Frames among which the first of equal ones is looked for in each call, among all stored ones every half of them."""
 LEAST_REPEATED_PERIODS = 1.5
 """Age in periods from which a channel is reported."""
 
@@ -56,6 +56,7 @@ class ValueAges:
         self._frames, self._is_renewed = frames, np.zeros(channels, dtype=bool)
         self._checked, self._isolated = 0, np.zeros(channels, dtype=np.int64)
         self._slower_until = np.full(channels, NO_FRAME)
+        self._searched, self._found_s = NO_FRAME, np.zeros(channels)  # last search among all frames, and its ages [s]
         self.longest_s = np.zeros(channels)
 
     def age_s(self, first: int, last: int, columns: Sequence[int]) -> float:
@@ -68,12 +69,8 @@ class ValueAges:
         doubtful = [column for column in columns if not self._is_renewed[column]]
         if not doubtful:
             return 0.0
-        count, is_known = FEWEST_FRAMES, np.zeros(len(doubtful), dtype=bool)
-        while not is_known.all() and count <= CAPACITY:
-            numbers, times_s, values = self._frames.frames_up_to(last, count, doubtful)
-            changed = _changes(values)
-            is_known = changed[numbers[1:] <= first].any(axis=0)
-            count *= MORE_FRAMES
+        numbers, times_s, values = self._frames.frames_up_to(last, RECENT_FRAMES, doubtful)
+        changed = _changes(values)
         streaks = _streaks(changed, numbers)[RENEWED_FRAMES - 1 :]
         within_s = RENEWED_FRAMES * LONGEST_PERIOD * self._frames.period_s
         is_fast = times_s[RENEWED_FRAMES:] - times_s[:-RENEWED_FRAMES] <= within_s
@@ -83,10 +80,26 @@ class ValueAges:
         frames = np.arange(1, len(values))[:, None]
         first_equal = np.maximum.accumulate(np.where(changed, frames, 1), axis=0)
         ages_s = np.maximum(times_s[1:, None] - times_s[first_equal - 1], 0.0)  # less where the clock was set back
+        is_old = ~changed[numbers[1:] <= first].any(axis=0)
+        if is_old.any():
+            ages_s[:, is_old] = np.maximum(ages_s, self._older_s(last)[doubtful])[:, is_old]
         ages_s[:, is_renewed] = 0.0
         self.longest_s[doubtful] = ages_s.max(axis=0)
-        unknown_s = 0.0 if (is_known | is_renewed).all() else CAPACITY * self._frames.period_s
-        return max(float(ages_s[numbers[1:] >= first].max()), unknown_s)
+        return float(ages_s[numbers[1:] >= first].max())
+
+    def _older_s(self, number: int) -> FloatArray:
+        """Return the ages in a frame of the channels that have no new value in the recent frames, (c,) [s].
+
+        A channel that has not changed in any stored frame counts as old as all of them.
+        """
+        if not 0 <= number - self._searched < RECENT_FRAMES // 2:
+            _, times_s, values = self._frames.frames_up_to(number, CAPACITY, slice(None))
+            changed = _changes(values)
+            newest = len(changed) - 1 - changed[::-1].argmax(axis=0)
+            known_s = times_s[-1] - times_s[newest]
+            self._found_s = np.where(changed.any(axis=0), known_s, CAPACITY * self._frames.period_s)
+            self._searched = number
+        return np.asarray(self._found_s + (number - self._searched) * LONGEST_PERIOD * self._frames.period_s)
 
     def fault(self, device: Device[Any]) -> str:
         """Return a sentence on the channel of the device with the oldest values; empty: new ones in each frame."""
