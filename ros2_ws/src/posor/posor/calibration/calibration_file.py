@@ -85,6 +85,10 @@ class Acceleration(FrozenModel):
     theta: Annotated[Quantity, measured("rad/s^2")]
 
 
+WIDEST_GAP, LARGEST_LEAN = 0.01, 0.05
+"""Travel that no bearing of a joint has [m], [rad]: mm taken for m, or mrad for rad."""
+
+
 class Travel(FrozenModel):
     """Poses of the target that the bearing of the joint permits; one beyond them is wrong, even if all readings agree.
 
@@ -98,9 +102,10 @@ class Travel(FrozenModel):
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         low, high = self.gap.array
-        if not low < high:
-            raise EntryError(f"gap {self.gap.value}", key=("gap",), expected="[lowest, highest]")
-        check_positive("lean", self.lean, below=1.0)
+        if not 0.0 < high - low < WIDEST_GAP:
+            expected = f"[lowest, highest], in m, less than {WIDEST_GAP:g} m from each other"
+            raise EntryError(f"gap {self.gap.value}", key=("gap",), expected=expected)
+        check_positive("lean", self.lean, below=LARGEST_LEAN)
         return self
 
 

@@ -42,7 +42,8 @@ MISTAKES = (
     ("gap", [1.0, -1.0], "gap \\[1.0, -1.0\\]; expected \\[lowest, highest\\]"),
     ("gap", 1.0, "travel.gap\n.*one number; expected 2 numbers"),
     ("lean", 0.0, "lean 0 rad"),
-    ("lean", 1.0, "lean 1 rad"),
+    ("gap", [0.685, 0.785], "gap \\[0.685, 0.785\\]; expected .* less than 0.01 m"),
+    ("lean", 0.2, "lean 0.2 rad"),
 )
 
 

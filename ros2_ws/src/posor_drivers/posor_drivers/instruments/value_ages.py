@@ -56,7 +56,9 @@ class ValueAges:
         self._frames, self._is_renewed = frames, np.zeros(channels, dtype=bool)
         self._checked, self._isolated = 0, np.zeros(channels, dtype=np.int64)
         self._slower_until = np.full(channels, NO_FRAME)
-        self._searched, self._found_s = NO_FRAME, np.zeros(channels)  # last search among all frames, and its ages [s]
+        # Frame of the last search among all frames, ages in it [s], and channels without a change in any of them.
+        self._searched, self._found_s = NO_FRAME, np.zeros(channels)
+        self._is_constant: BoolArray = np.ones(channels, dtype=bool)
         self.longest_s = np.zeros(channels)
 
     def age_s(self, first: int, last: int, columns: Sequence[int]) -> float:
@@ -80,26 +82,29 @@ class ValueAges:
         frames = np.arange(1, len(values))[:, None]
         first_equal = np.maximum.accumulate(np.where(changed, frames, 1), axis=0)
         ages_s = np.maximum(times_s[1:, None] - times_s[first_equal - 1], 0.0)  # less where the clock was set back
-        is_old = ~changed[numbers[1:] <= first].any(axis=0)
+        is_old, unknown_s = ~(changed[numbers[1:] <= first].any(axis=0) | is_renewed), 0.0
         if is_old.any():
-            ages_s[:, is_old] = np.maximum(ages_s, self._older_s(last)[doubtful])[:, is_old]
+            older_s = self._older_s(last)[doubtful] - (times_s[-1] - times_s[1:, None])
+            ages_s = np.where(is_old & ~np.logical_or.accumulate(changed, axis=0), older_s, ages_s)
+            if (is_old & self._is_constant[doubtful]).any():
+                unknown_s = CAPACITY * self._frames.period_s
         ages_s[:, is_renewed] = 0.0
         self.longest_s[doubtful] = ages_s.max(axis=0)
-        return float(ages_s[numbers[1:] >= first].max())
+        return max(float(ages_s[numbers[1:] >= first].max()), unknown_s)
 
     def _older_s(self, number: int) -> FloatArray:
         """Return the ages in a frame of the channels that have no new value in the recent frames, (c,) [s].
 
-        A channel that has not changed in any stored frame counts as old as all of them.
+        Of a channel that has not changed in any stored frame it is the time since the first of them.
         """
         if not 0 <= number - self._searched < RECENT_FRAMES // 2:
             _, times_s, values = self._frames.frames_up_to(number, CAPACITY, slice(None))
             changed = _changes(values)
-            newest = len(changed) - 1 - changed[::-1].argmax(axis=0)
-            known_s = times_s[-1] - times_s[newest]
-            self._found_s = np.where(changed.any(axis=0), known_s, CAPACITY * self._frames.period_s)
-            self._searched = number
-        return np.asarray(self._found_s + (number - self._searched) * LONGEST_PERIOD * self._frames.period_s)
+            self._is_constant, self._searched = np.logical_and.reduce(~changed, axis=0), number
+            before_newest = np.where(self._is_constant, 0, len(changed) - 1 - changed[::-1].argmax(axis=0))
+            self._found_s = times_s[-1] - times_s[before_newest]
+        _, times_s, _ = self._frames.frames_up_to(number, number - self._searched + 1, [])
+        return np.asarray(self._found_s + max(0.0, float(times_s[-1] - times_s[0])))
 
     def fault(self, device: Device[Any]) -> str:
         """Return a sentence on the channel of the device with the oldest values; empty: new ones in each frame."""
