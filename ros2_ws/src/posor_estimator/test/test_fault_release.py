@@ -12,7 +12,7 @@ from posor.errors import ParameterError
 from posor.estimation.posor import Posor
 from posor.messages.message_definitions import MessageTypes
 from posor.messages.message_stream import RawScanStream
-from posor.model.fault import State
+from posor.model.fault import Fault, State
 from posor.model.scan import NO_SOURCE, Scan
 from posor.ros_names import RAW_SCAN
 from posor.uncertainty.budget_poses import scan_at
@@ -87,6 +87,17 @@ def test_a_scan_that_contradicts_itself_or_the_encoder_is_not_plausible(joint: J
     for scan, theta in ((wrong, THETA), (lit, THETA + 0.1)):
         with pytest.raises(ParameterError, match="the last scan is not plausible"):
             check_plausible(joint.posor, scan, EncoderReading(theta, 1e-3, lit.stamp_ns))
+
+
+def test_light_that_dark_scans_hold_does_not_prevent_its_release(joint: Joint) -> None:
+    joint.receive(joint.scan(1, dark=True))
+    lit = joint.receive(replace(joint.scan(2), status=0)).last_lit_scan()
+    joint.posor.tracker["ambient"]["light_left"] = 1  # as motion between dark scans shows
+    assert joint.posor.estimate(replace(joint.scan(3), status=0)).faults == Fault.AMBIENT
+    check_plausible(joint.posor, lit, None)
+    assert joint.posor.acknowledge()
+    assert joint.posor.estimate(joint.scan(4, dark=True)).state == State.DEGRADED
+    assert joint.posor.estimate(replace(joint.scan(5), status=0)).state == State.OK
 
 
 def test_two_dark_scans_in_a_row_release_nothing(joint: Joint) -> None:
