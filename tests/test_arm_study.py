@@ -180,7 +180,7 @@ def test_message_of_a_failed_controller_is_quoted(output: Path, tmp_path: Path) 
     ("arguments", "sentence"),
     [
         (["--arm", "six_fingers"], r"arm 'six_fingers': no such arm; .*\."),
-        (["--seconds", "0"], r"arm: argument --seconds: '0' is not a duration, a number greater than 0; .*\."),
+        (["--seconds", "0"], r"arm: argument --seconds: '0' is not a number of more than 0 s; .*\."),
         (["--arms", "1"], r"arm: --arms 1; expected 0, or at least 2\."),
         (["--arms", "0", "--coverage-only"], r"arm: --coverage-only with --arms 0; expected at least 2 arms\."),
         (["--arm", "test_rig", "--controller", "x.py"], r".*scenario\.yaml: the scenario has no stage, .*\."),
