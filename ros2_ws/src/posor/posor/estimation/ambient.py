@@ -106,11 +106,13 @@ def write_ambient_effects(workspace: Any, r: int, diode: int, sigma: float) -> N
         k = CONTACTS * diode + axis
         total = currents[k] + currents[k + 2]
         of_ratio = sigma * math.sqrt(2.0 * (1.0 + square(spot.ratios[axis]))) / total
-        of_light = spot.ratios[axis] * (left[k] + left[k + 2]) - (left[k] - left[k + 2])
-        of_light *= workspace.settings.source_light / total if sigma > 0.0 else 0.0
         for i in range(2):
             workspace.ambient_effects[r + i, axis] = spot.slope[i, axis] * of_ratio
-            workspace.light_effects[r + i] += spot.slope[i, axis] * of_light
+        if sigma > 0.0 and workspace.settings.source_light > 0.0:
+            of_light = spot.ratios[axis] * (left[k] + left[k + 2]) - (left[k] - left[k + 2])
+            of_light *= workspace.settings.source_light / total
+            for i in range(2):
+                workspace.light_effects[r + i] += spot.slope[i, axis] * of_light
 
 
 @in_place
@@ -166,7 +168,11 @@ def add_common_effects(workspace: Any) -> None:
     by_light = workspace.light_effects
     for r in range(m):
         for q in range(m):
-            workspace.systematic_readings[r, q] += by_gain[r] * by_gain[q] + by_light[r] * by_light[q]
+            workspace.systematic_readings[r, q] += by_gain[r] * by_gain[q]
+    if workspace.settings.source_light > 0.0:
+        for r in range(m):
+            for q in range(m):
+                workspace.systematic_readings[r, q] += by_light[r] * by_light[q]
     for r in range(m):
         partner = workspace.spot_partners[r]
         for axis in range(2):

@@ -62,9 +62,7 @@ def fault_sentence(stack: Stack, settings: Any, tracker: Any, scan: Scan, estima
         Fault.RESIDUAL: f"the redundant readings contradict one another, chi-square {estimate['residual']:.3g}; "
         f"expected at most {settings['residual_limit']:.3g}",
         Fault.INNOVATION: "the pose is further from the previous pose than the target can have moved",
-        Fault.TRAVEL: "the pose is beyond the travel of the bearing, by 'motion' of the calibration; expected a gap of "
-        f"{settings['travel_gap'][0]:g} to {settings['travel_gap'][1]:g} m and a lean of at most "
-        f"{settings['travel_lean']:g} rad",
+        Fault.TRAVEL: _travel_sentence(settings, tracker),
         Fault.COUNT: "the count of theta is in doubt, or a home mark disagrees with it",
         Fault.ENVIRONMENT: _environment_sentence(settings, int(tracker["measured"]), scan),
         Fault.FLAGGED: "the driver marked a reading as saturated or filled in",
@@ -78,6 +76,8 @@ def fault_sentence(stack: Stack, settings: Any, tracker: Any, scan: Scan, estima
     found = [sentence for fault, sentence in sentences.items() if faults & fault]
     if faults & Fault.LATCHED:
         found = [f"latched after {Fault(faults & ~Fault.LATCHED).name}, {RELEASE}"]
+        if faults & Fault.TRAVEL:
+            found.append(sentences[Fault.TRAVEL])
     clocks, offset = tracker["clocks"], tracker["offset"]
     scatter_s = math.sqrt(clocks["variance"])
     if faults & Fault.INNOVATION and scatter_s > SCATTER_LIMIT * clocks["period"]:
@@ -92,6 +92,15 @@ def fault_sentence(stack: Stack, settings: Any, tracker: Any, scan: Scan, estima
             f"{1e3 * scan.stamp_limit:.3g} ms, the stated stamp_limit"
         )
     return f"scan {scan.number}: {'; '.join(found)}." if found else ""
+
+
+def _travel_sentence(settings: Any, tracker: Any) -> str:
+    gap = settings["travel_gap"]
+    return (
+        f"a pose is beyond the travel of the bearing, by 'motion' of the calibration (the last one: gap "
+        f"{tracker['beyond_gap']:.4g} m, lean {tracker['beyond_lean']:.3g} rad); expected a gap of {gap[0]:g} to "
+        f"{gap[1]:g} m and a lean of at most {settings['travel_lean']:g} rad"
+    )
 
 
 def _ambient_sentence(settings: Any, scan: Scan) -> str:

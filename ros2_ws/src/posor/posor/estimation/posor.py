@@ -181,7 +181,6 @@ class Posor:
         """Release the latch after a fault: the next scan starts anew, and a counted theta must be counted again.
 
         Where dark scans hold light of the sources, the next dark scan counts as the first one.
-
         Poses are DEGRADED (``Fault.ACKNOWLEDGED``) until a reference or home marks confirm theta. Without a latch, so
         that after a latch it takes a second call, a step of the stamps is accepted: it no longer enlarges their largest
         error.
@@ -192,18 +191,16 @@ class Posor:
         """
         if not self.has_latch:
             return False
-        ambient = self.tracker["ambient"]
-        had_light, ambient["light_left"] = bool(ambient["light_left"]), 0
+        ambient, clocks = self.tracker["ambient"], self.tracker["clocks"]
+        had_light = bool(ambient["light_left"])
         if had_light:
-            ambient["known"] = 0
-        if had_light and not self.tracker["latch"]:
-            return True
+            ambient["light_left"] = ambient["known"] = 0
         if not self.tracker["latch"]:
-            clocks = self.tracker["clocks"]
-            clocks["step"], clocks["age_step"], clocks["former_age"] = 0.0, 0.0, math.nan
+            if not had_light:
+                clocks["step"], clocks["age_step"], clocks["former_age"] = 0.0, 0.0, math.nan
             return True
         kept = {name: self.tracker[name].copy() for name in ("theta", "last_raw", "repeats", "measured")}
-        step = float(self.tracker["clocks"]["step"])
+        step = float(clocks["step"])
         self.reset()
         for name, value in kept.items():
             self.tracker[name] = value

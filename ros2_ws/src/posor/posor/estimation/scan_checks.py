@@ -99,8 +99,7 @@ def check_residuals(workspace: Any, theta: float, residual: float) -> None:
     SAME_THETA and the motion since the scan before. A shorter run of failed tests does not move this place.
     """
     tracker, checks = workspace.tracker, workspace.checks
-    near = SAME_THETA + min(abs(wrapped(theta - tracker.tested_theta)), LONGEST_STEP)
-    tracker.tested_theta = theta
+    before, tracker.tested_theta = tracker.tested_theta, theta
     tracker.residual_run = tracker.residual_run + 1 if checks.contradictory else 0
     if checks.contradictory:
         if tracker.contradictions == 0:
@@ -118,6 +117,7 @@ def check_residuals(workspace: Any, theta: float, residual: float) -> None:
             if workspace.settings.max_velocity < math.inf and tracker.contradictions >= RESIDUAL_RUN:
                 latch(tracker, RESIDUAL, 1, checks.elapsed)
     elif tracker.contradictions > 0:
+        near = SAME_THETA + min(abs(wrapped(theta - before)), LONGEST_STEP)
         if not tracker.latch & RESIDUAL:
             tracker.contradictions = 0
         elif not abs(wrapped(theta - tracker.residual_theta)) > near:  # NaN: at any theta
@@ -146,13 +146,18 @@ def check_travel(workspace: Any, estimate: Any) -> None:
     By the wrong bump the tilt of the target plane turns into a lean; the pose of an uncounted scan is not usable.
     """
     settings, pose, checks = workspace.settings, workspace.pose, workspace.checks
+    checks.beyond_travel = 0
+    uncounted = settings.bump_angle > 0.0 and workspace.tracker.counted == 0 and checks.recounted == 0
+    if not settings.travel_lean < math.inf or checks.contradictory or uncounted:
+        return
     gap, sine = pose.translation[2], math.sqrt(square(pose.rotation[0, 2]) + square(pose.rotation[1, 2]))
     allowance = NOISE_ALLOWANCE * math.sqrt(_variance(estimate, 2))
     beyond = gap < settings.travel_gap[0] - allowance or gap > settings.travel_gap[1] + allowance
     allowance = NOISE_ALLOWANCE * math.sqrt(_variance(estimate, 3) + _variance(estimate, 4))
-    beyond = beyond or math.atan2(sine, pose.rotation[2, 2]) > settings.travel_lean + allowance
-    uncounted = settings.bump_angle > 0.0 and workspace.tracker.counted == 0 and checks.recounted == 0
-    checks.beyond_travel = 1 if beyond and not uncounted and not checks.contradictory else 0
+    lean = math.atan2(sine, pose.rotation[2, 2])
+    if beyond or lean > settings.travel_lean + allowance:
+        checks.beyond_travel = 1
+        workspace.tracker.beyond_gap, workspace.tracker.beyond_lean = gap, lean
 
 
 @in_place

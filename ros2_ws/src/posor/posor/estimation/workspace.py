@@ -158,6 +158,8 @@ TRACKER = np.dtype(  # what is known from the previous scans
         ("largest_residual", "f8"),  # largest chi-square of the run that latched the joint, and of later runs as long
         ("residual_theta", "f8"),  # theta of that scan [rad]; NaN: the latch is released at any theta
         ("tested_theta", "f8"),  # theta of the last residual test [rad]
+        ("beyond_gap", "f8"),  # gap of the last pose beyond the travel [m]
+        ("beyond_lean", "f8"),  # its inclination [rad]
         ("same_ambient", "i8"),  # 1: a dark scan since the first contradiction has shown the same ambient light
         ("reference_theta", "f8"),  # theta from an encoder for the next scan [rad]
         ("reference_sigma", "f8"),  # its standard uncertainty [rad]; zero: there is none

@@ -195,6 +195,8 @@ def require_poses(estimates: Estimates, joint: str, angles: FloatArray) -> None:
     lost = np.flatnonzero(estimates.states != State.OK)
     if lost.size:
         n = lost[0]
-        fault = Fault(int(estimates.faults[n])).name or "no pose"
-        what = f"has no valid pose at {math.degrees(angles[n]):g} degrees ({fault})"
-        raise ChainError(what, where=f"joint '{joint}'", expected="an angle in the range of its sensors")
+        found = Fault(int(estimates.faults[n]))
+        what = f"has no valid pose at {math.degrees(angles[n]):g} degrees ({found.name or 'no pose'})"
+        beyond = "a travel of 'motion' that contains the nominal pose"
+        sought = beyond if found & Fault.TRAVEL else "an angle in the range of its sensors"
+        raise ChainError(what, where=f"joint '{joint}'", expected=sought)

@@ -120,10 +120,16 @@ def test_a_common_gain_of_the_gap_probes_is_beyond_the_travel_and_latched() -> N
     assert np.all(found.states[:RESTART] == State.OK)
     assert np.all(found.states[RESTART:] == State.LOST)
     assert found.faults[RESTART] == Fault.TRAVEL
-    assert found.reason(RESTART) == (
-        f"scan {scans.numbers[RESTART]}: the pose is beyond the travel of the bearing, by 'motion' of the calibration; "
+    single = Posor(joint()).estimate(scans[RESTART])
+    pose = Posor(joint(travel=False)).estimate(scans[RESTART])
+    assert pose.T_R_T is not None
+    lean = math.acos(pose.T_R_T.rotation[2, 2])
+    assert single.reason == (
+        f"scan {scans.numbers[RESTART]}: a pose is beyond the travel of the bearing, by 'motion' of the calibration "
+        f"(the last one: gap {pose.T_R_T.translation[2]:.4g} m, lean {lean:.3g} rad); "
         "expected a gap of 0.000685 to 0.000785 m and a lean of at most 0.0002 rad."
     )
+    assert "(the last one: gap" in found.reason(RESTART + 1)  # also while it is latched
     assert posor.latched == Fault.TRAVEL
 
 
