@@ -97,8 +97,10 @@ class DeclaredParameters(Generic[ParametersT]):
         node.add_post_set_parameters_callback(self._apply)
 
     def _changed_model(self, changes: Sequence[Parameter]) -> ParametersT:
-        values = {name: parameter_value(self.current, name) for name in self._specs}
-        values |= {parameter.name: parameter.value for parameter in changes if parameter.name in self._specs}
+        changed = {parameter.name: parameter.value for parameter in changes if parameter.name in self._specs}
+        if not changed:  # parameters of rclpy, such as its many of the quality of service
+            return self.current
+        values = {name: parameter_value(self.current, name) for name in self._specs} | changed
         return validate_parameters(self._model, values, node=self._node)
 
     def _convert(self, changes: list[Parameter]) -> list[Parameter]:

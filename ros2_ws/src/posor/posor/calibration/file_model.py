@@ -100,7 +100,7 @@ class UnknownKeyError(EntryError):
 class FrozenModel(BaseModel):
     """Base of every part of a file: immutable, unknown keys are refused."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", ignored_types=(cached_property,))
+    model_config = ConfigDict(frozen=True, extra="forbid", ignored_types=(cached_property,), defer_build=True)
 
     @model_validator(mode="before")
     @classmethod
