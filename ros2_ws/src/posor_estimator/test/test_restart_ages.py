@@ -278,3 +278,16 @@ def test_a_node_that_was_stopped_finds_no_step_once_its_scans_arrive_in_time(
         driver.receive(late * driver.PERIOD_S)
     assert stated_step(driver) == 0.0
     assert driver.receive().state == State.OK
+
+
+@pytest.mark.parametrize("start", [settled, young])
+@pytest.mark.parametrize("lost", [3, 20])
+def test_the_time_of_scans_that_a_stopped_node_has_lost_counts(lost: int, start: Callable[[], RestartedDriver]) -> None:
+    driver = start()
+    for late_s in (0.5, 0.48):  # the scans that its queue has kept
+        driver.receive(late_s)
+    before = float(driver.posor.tracker["time"])
+    driver.pause(lost * driver.PERIOD_S, 0.0)
+    assert driver.receive().state == State.OK
+    assert driver.posor.tracker["time"] - before == pytest.approx((lost + 1) * driver.PERIOD_S, abs=1e-3)
+    assert stated_step(driver) == 0.0

@@ -27,6 +27,8 @@ which depends little on the load of the host, is then another one. It is compare
 for WATCH_S. So it is behind a gap in the scan numbers, because a clock that numbers the scans as well may have been
 set there. Behind a short gap only younger scans count, a step forward: a loaded host makes them older. Within the first
 MEMORY_SCANS only older ones behind a long gap do: the scans of a queue that was full at the start become younger.
+Behind a further gap, a scan as young as those before the first one shows that the scans between were late, as after a
+stop of the node that receives them: the stamps are right, and the time between them counts.
 
 A stamp with the standard uncertainty s displaces the pose along its motion: the random covariance grows by
 ``s^2 (xi xi' + diag(sigma_xi^2))``.
@@ -178,17 +180,21 @@ def _accept(clocks: Any, scan: Any, stamp: float) -> None:
 
 @in_place
 def _watch_ages(clocks: Any, elapsed: float) -> float:
-    """Compare the ages behind a gap of ``elapsed`` [s] with those before, unless that has begun behind an earlier one.
+    """Compare the ages behind a gap of ``elapsed`` [s] with those before; where that has begun already, with the first.
 
     Return how far the first scan shows that the clock of numbers and stamps was set forward in the gap [s].
     """
-    younger, is_away = clocks.least_age - clocks.age, elapsed >= AWAY_S
+    is_compared = not math.isnan(clocks.former_age)
+    usual = min(clocks.least_age, clocks.former_age) if is_compared else clocks.least_age
+    younger, is_away = usual - clocks.age, elapsed >= AWAY_S
     if clocks.fitted < MEMORY_SCANS and not (is_away and -younger > _least_age_step(clocks)):
         return 0.0
-    if is_away or math.isnan(clocks.former_age):
-        clocks.former_age, clocks.age_step, clocks.compared = clocks.least_age, 0.0, 0
+    if not is_compared:
+        clocks.former_age, clocks.age_step, clocks.age_tolerance = usual, 0.0, 0.0
         clocks.only_older = 1 if clocks.fitted < MEMORY_SCANS else 0
-        clocks.age_tolerance = CLOCK_DRIFT * elapsed
+    if is_away or not is_compared:
+        clocks.age_tolerance += CLOCK_DRIFT * elapsed
+        clocks.compared = 0
     if is_away:
         clocks.least_age = math.inf
     return float(min(younger, elapsed)) if younger > _least_age_step(clocks) else 0.0
