@@ -84,7 +84,7 @@ class ValueAges:
         ages_s = np.maximum(times_s[1:, None] - times_s[first_equal - 1], 0.0)  # less where the clock was set back
         is_old, unknown_s = ~(changed[numbers[1:] <= first].any(axis=0) | is_renewed), 0.0
         if is_old.any():
-            older_s = self._older_s(last)[doubtful] - (times_s[-1] - times_s[1:, None])
+            older_s = self._older_s(first)[doubtful] + (times_s[1:, None] - times_s[numbers == first])
             ages_s = np.where(is_old & ~np.logical_or.accumulate(changed, axis=0), older_s, ages_s)
             if (is_old & self._is_constant[doubtful]).any():
                 unknown_s = CAPACITY * self._frames.period_s
@@ -101,7 +101,7 @@ class ValueAges:
             _, times_s, values = self._frames.frames_up_to(number, CAPACITY, slice(None))
             changed = _changes(values)
             self._is_constant, self._searched = np.logical_and.reduce(~changed, axis=0), number
-            before_newest = np.where(self._is_constant, 0, len(changed) - 1 - changed[::-1].argmax(axis=0))
+            before_newest = np.where(changed, np.arange(len(changed))[:, None], 0).max(axis=0, initial=0)
             self._found_s = times_s[-1] - times_s[before_newest]
         _, times_s, _ = self._frames.frames_up_to(number, number - self._searched + 1, [])
         return np.asarray(self._found_s + max(0.0, float(times_s[-1] - times_s[0])))

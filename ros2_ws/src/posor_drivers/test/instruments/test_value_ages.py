@@ -69,6 +69,12 @@ def test_the_age_of_a_value_is_unknown_before_its_first_change() -> None:
     assert ages.longest_s[0] == pytest.approx(7 * PERIOD_S)
 
 
+def test_the_age_of_a_value_is_unknown_where_the_first_call_is_about_its_first_change() -> None:
+    store = FrameStore(1, 1.0 / PERIOD_S)
+    store.write(Frames(np.arange(17), renewed_after([6, 4, 7])[:, None]), np.arange(17), 0)
+    assert ValueAges(store, 1).age_s(5, 7, [0]) == pytest.approx(CAPACITY * PERIOD_S)
+
+
 def test_a_channel_with_new_values_in_each_frame_may_repeat_them_later() -> None:
     values = np.concatenate([np.arange(RENEWED_FRAMES + 1.0), np.full(3000, 7.0)])
     ages, found_s = ages_of(values)
