@@ -15,6 +15,14 @@ with a coarse converter repeats values, too. Two rules separate them:
 * A channel whose value then changes ``ISOLATED_CHANGES`` times, but never in two frames in a row, however long this
   takes, has become slower: its ages count again. An interval below two periods shows two changes in a row, so a channel
   that becomes slower by less is not found.
+
+A gateway that pauses now and then repeats the values of all channels at once, also of those with new values in every
+frame. A bearing that comes to rest in front of a coarse converter without noise looks alike, but it slows down before.
+After its last two changes c0, c1 a channel would change by 2 c1 - c0 next: an even deceleration to rest makes this zero
+or opposite to c1, in a pause it is the motion, or noise. So the ages of frames in which all these channels repeat their
+values count where this change is more than ``PAUSE_STEPS`` steps of the converter, and at least ``PAUSE_REPETITIONS``
+values of channels with such a change are repeated. The step is the smallest change that the channel has shown. Errors
+of rounding are at most three steps.
 """
 
 from __future__ import annotations
@@ -38,7 +46,12 @@ ISOLATED_CHANGES = 20
 CHECKED_FRAMES = 128
 """Frames after which isolated changes are counted."""
 RECENT_FRAMES = 128
-"""Frames among which the first of equal ones is looked for in each call, among all stored ones every half of them."""
+"""Frames among which the first of equal ones is looked for in each call, among all stored ones every half of them.
+
+Where channels with new values in every frame all repeat them for longer, the device is at rest.
+"""
+PAUSE_STEPS, PAUSE_REPETITIONS = 4, 6
+"""Noise of two or more channels looks like a pause in less than one frame of 10000."""
 LEAST_REPEATED_PERIODS = 1.5
 """Age in periods from which a channel is reported."""
 
@@ -54,8 +67,10 @@ class ValueAges:
     def __init__(self, frames: FrameStore, channels: int) -> None:
         """Start: no channel has shown new values in each frame yet."""
         self._frames, self._is_renewed = frames, np.zeros(channels, dtype=bool)
-        self._checked, self._isolated = 0, np.zeros(channels, dtype=np.int64)
+        self._checked, self._isolated = -CHECKED_FRAMES, np.zeros(channels, dtype=np.int64)
         self._slower_until = np.full(channels, NO_FRAME)
+        self._smallest = np.full(channels, np.inf)  # change of each channel that was not zero
+        self._paused = 0  # newest frame of a call that found a pause
         # Frame of the last search among all frames, ages in it [s], and channels without a change in any of them.
         self._searched, self._found_s = NO_FRAME, np.zeros(channels)
         self._is_constant: BoolArray = np.ones(channels, dtype=bool)
@@ -69,8 +84,11 @@ class ValueAges:
         if last - self._checked >= CHECKED_FRAMES:
             self._find_slower(last)
         doubtful = [column for column in columns if not self._is_renewed[column]]
-        if not doubtful:
-            return 0.0
+        age_s = self._doubtful_age_s(first, last, doubtful) if doubtful else 0.0
+        return max(age_s, self._pause_s(first, last, [column for column in columns if self._is_renewed[column]]))
+
+    def _doubtful_age_s(self, first: int, last: int, doubtful: list[int]) -> float:
+        """Return the greatest age in frames of channels that have not shown new values in each; find which do [s]."""
         numbers, times_s, values = self._frames.frames_up_to(last, RECENT_FRAMES, doubtful)
         changed = _changes(values)
         streaks = _streaks(changed, numbers)[RENEWED_FRAMES - 1 :]
@@ -91,6 +109,27 @@ class ValueAges:
         ages_s[:, is_renewed] = 0.0
         self.longest_s[doubtful] = ages_s.max(axis=0)
         return max(float(ages_s[numbers[1:] >= first].max()), unknown_s)
+
+    def _pause_s(self, first: int, last: int, columns: list[int]) -> float:
+        """Return the greatest age in frames of channels with new values in each, while all of them pause [s]."""
+        if last - self._paused > RECENT_FRAMES:
+            self.longest_s[columns] = 0.0
+        if not columns[1:]:  # one alone may be at the limit of its range
+            return 0.0
+        _, _, values = self._frames.frames_up_to(last, last - first + 2, columns)
+        if _changes(values).any(axis=1).all():
+            return 0.0
+        numbers, times_s, values = self._frames.frames_up_to(last, RECENT_FRAMES, columns)
+        frames, changes = np.arange(1, len(values)), np.diff(values, axis=0)
+        newest = np.maximum.accumulate(np.where(_changes(values).any(axis=1), frames, 0))
+        following = np.sign(changes[1:]) * (2.0 * changes[1:] - changes[:-1])
+        moving = np.count_nonzero(following > PAUSE_STEPS * self._smallest[columns], axis=1)
+        repetitions = (frames - newest) * np.concatenate([[0, 0], moving])[newest]
+        ages_s = np.where(repetitions >= PAUSE_REPETITIONS, times_s[1:] - times_s[newest - 1], 0.0)
+        age_s = float(ages_s[numbers[1:] >= first].max())
+        if age_s > 0.0:
+            self.longest_s[columns], self._paused = np.maximum(self.longest_s[columns], age_s), last
+        return age_s
 
     def _older_s(self, number: int) -> FloatArray:
         """Return the ages in a frame of the channels that have no new value in the recent frames, (c,) [s].
@@ -117,10 +156,12 @@ class ValueAges:
         return str(device.error(what, expected))
 
     def _find_slower(self, number: int) -> None:
-        """Count isolated changes up to a frame, and find the channels that no longer have new values in each frame."""
+        """Find, up to a frame, the channels that no longer have new values in each frame, and the smallest changes."""
         count = min(number - self._checked + 2, CAPACITY)  # with the change of the last frame that was counted
         numbers, _, values = self._frames.frames_up_to(number, count, slice(None))
         changed = _changes(values)
+        sizes = np.abs(np.diff(values, axis=0))
+        self._smallest = np.fmin(self._smallest, np.fmin.reduce(sizes, axis=0, where=changed, initial=np.inf))
         is_new, self._checked = numbers[1:] > self._checked, number
         is_in_row = _streaks(changed, numbers)[is_new] > 1
         is_isolated = changed[is_new] & ~np.logical_or.accumulate(is_in_row[::-1], axis=0)[::-1]

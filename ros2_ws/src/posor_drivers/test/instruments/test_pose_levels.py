@@ -33,6 +33,7 @@ from .stream_rig import stream_rig, write_rig
 AMPLITUDE, FREQUENCY = 0.03, 25.0  # [rad], [rad/s]: up to 0.75 rad/s, 19 rad/s^2
 GAP_NOISE, RATIO_NOISE = 1e-3, 1e-4  # as the calibration states [V], [1]
 SCANS, TABLE = 300, 4001
+CYCLE_NS = 103_000_000  # the ticks of scans are at other phases of each
 
 
 def theta(time_ns: int) -> float:
@@ -62,17 +63,17 @@ class Rig:
         found: FloatArray = before + share * (after - before) + sigma * self._random.standard_normal(len(sigma))
         return found
 
-    def renewing(self, interval_ns: int) -> Callable[[int], Sequence[float]]:
-        """Return the readings of a device that has new ones at an interval."""
+    def renewing(self, interval_ns: int, pause_ns: int = 0) -> Callable[[int], Sequence[float]]:
+        """Return the readings of a device that has new ones at an interval, but for a pause in each ``CYCLE_NS``."""
         newest: dict[int, FloatArray] = {}
 
         def values(time_ns: int) -> Sequence[float]:
             renewed_ns = time_ns - time_ns % interval_ns
-            if renewed_ns not in newest:
+            if not newest or (renewed_ns not in newest and time_ns % CYCLE_NS >= pause_ns):
                 newest.clear()
                 newest[renewed_ns] = self.readings(renewed_ns)
-            found: list[float] = newest[renewed_ns].tolist()
-            return found
+            (found,) = newest.values()
+            return [float(value) for value in found]
 
         return values
 
@@ -119,10 +120,12 @@ class Rig:
         return float(np.abs(errors / (COVERAGE_FACTOR * sigmas + shifts)).max())
 
 
-@pytest.mark.parametrize("interval_ns", [3_000_000, 7_000_000, 20_000_000])
-def test_poses_of_repeated_values_are_within_their_level(tmp_path: Path, interval_ns: int) -> None:
+@pytest.mark.parametrize(
+    ("interval_ns", "pause_ns"), [(3_000_000, 0), (7_000_000, 0), (20_000_000, 0), (1, 5_000_000), (1, 15_000_000)]
+)
+def test_poses_of_repeated_values_are_within_their_level(tmp_path: Path, interval_ns: int, pause_ns: int) -> None:
     rig = Rig()
-    with StreamServer(rig.renewing(interval_ns)) as server:
+    with StreamServer(rig.renewing(interval_ns, pause_ns)) as server:
         scans = rig.scans(tmp_path, server, 1000, {}, lambda: None)
     assert rig.largest_ratio(scans) < 1.0
     without = {"stamp_limits": np.full(len(scans), 1e-4), "stamp_uncertainties": np.full(len(scans), 1e-5)}

@@ -18,7 +18,13 @@ from posor_drivers.instruments.frame_store import CAPACITY, FrameStore
 from posor_drivers.instruments.interpolation import MOST_WEIGHT
 from posor_drivers.instruments.labjack_device import LabJackDevice, LabJackSettings
 from posor_drivers.instruments.stream_device import StreamDevice, StreamSettings
-from posor_drivers.instruments.value_ages import CHECKED_FRAMES, ISOLATED_CHANGES, RENEWED_FRAMES, ValueAges
+from posor_drivers.instruments.value_ages import (
+    CHECKED_FRAMES,
+    ISOLATED_CHANGES,
+    RECENT_FRAMES,
+    RENEWED_FRAMES,
+    ValueAges,
+)
 from posor_lab.device_servers.labjack_server import LabJackServer
 from posor_lab.device_servers.stream_server import LEAD, StreamServer
 
@@ -128,6 +134,73 @@ def test_values_beside_lost_frames_and_invalid_ones_are_not_new() -> None:
     np.testing.assert_allclose(found_s, 2.0 * PERIOD_S)
     _, found_s = ages_of(np.full(100, np.nan))
     assert found_s[-1] == pytest.approx(CAPACITY * PERIOD_S)
+
+
+def positions(count: int, frames_to_stop: float = 0.0, phase: float = 0.0) -> FloatArray:
+    """Return values of 11 channels of a converter without noise, in steps; they come to rest in the middle.
+
+    The fastest is at 50 steps per frame after 100 frames, and until its even deceleration.
+    """
+    until = np.minimum(np.arange(count) - count // 2 + phase, 0.0)
+    deceleration = 50.0 / frames_to_stop if frames_to_stop else 0.0
+    along = np.where(until < -frames_to_stop, 50.0 * (until + 0.5 * frames_to_stop), -0.5 * deceleration * until**2)
+    along += 0.25 * np.maximum(100.0 - np.arange(count), 0.0) ** 2
+    values: FloatArray = np.round(along[:, None] * np.linspace(-0.5, 1.0, 11))
+    return values
+
+
+@pytest.mark.parametrize(("motion", "noise"), [(1.0, 0.0), (1.0, 3.0), (0.0, 30.0)])
+def test_values_that_all_channels_repeat_in_a_pause_are_old(motion: float, noise: float) -> None:
+    """Also at rest where the channels have noise, and beside invalid values."""
+    random = np.random.default_rng(3)
+    values = np.round(motion * positions(1200)[:600] + noise * random.standard_normal((600, 11)))
+    values[310:325] = values[309]
+    values[range(200, 211), range(11)] = values[300:340, 3] = np.nan
+    each_s = np.zeros(len(values))
+    each_s[310:325] = PERIOD_S * np.arange(2, 17)
+    expected_s = np.max([each_s[:-2], each_s[1:-1], each_s[2:]], axis=0)
+    ages, found_s = ages_of(values)
+    np.testing.assert_allclose(found_s[150:], expected_s[150:])
+    assert not ages.longest_s.any()
+    ages, _ = ages_of(values[: 325 + RECENT_FRAMES])
+    np.testing.assert_allclose(ages.longest_s, 16 * PERIOD_S)
+
+
+def test_the_first_call_after_a_connection_finds_a_pause() -> None:
+    values = np.round(30.0 * np.random.default_rng(5).standard_normal((100, 11)))
+    values[70:85] = values[69]
+    store = FrameStore(11, 1.0 / PERIOD_S)
+    store.write(Frames(np.arange(100), values), np.arange(100), 0)
+    assert ValueAges(store, 11).age_s(78, 80, range(11)) == pytest.approx(12 * PERIOD_S)
+
+
+@pytest.mark.parametrize("frames_to_stop", [1.5, 2.0, 5.0, 20.0])
+def test_a_bearing_that_comes_to_rest_is_no_pause(frames_to_stop: float) -> None:
+    for phase in np.linspace(0.0, 0.95, 20):
+        _, found_s = ages_of(positions(400, frames_to_stop, phase))
+        assert not found_s[150:].any()
+
+
+@pytest.mark.parametrize("noise", [0.7, 1.0, 2.0, 5.0])
+def test_noise_is_no_pause(noise: float) -> None:
+    values = np.round(noise * np.random.default_rng(4).standard_normal((3000, 3)))
+    _, found_s = ages_of(values)
+    assert np.count_nonzero(found_s[1000:]) <= 3  # one frame, looked at three times
+
+
+def test_a_rest_after_a_stop_within_a_frame_is_a_pause_only_at_first() -> None:
+    _, found_s = ages_of(positions(600))
+    assert 0.0 < found_s[150:].max() < RECENT_FRAMES * PERIOD_S
+    assert not found_s[-150:].any()
+
+
+def test_one_channel_that_repeats_its_values_is_no_pause() -> None:
+    """It may be at the limit of its range."""
+    values = positions(400)
+    values[200:, 1] = 1.0 + np.arange(200)
+    for each in (values, values[:, 0]):
+        _, found_s = ages_of(each)
+        assert not found_s[150:].any()
 
 
 def triangle(time_ns: int) -> float:
