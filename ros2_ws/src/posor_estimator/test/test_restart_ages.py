@@ -291,3 +291,14 @@ def test_the_time_of_scans_that_a_stopped_node_has_lost_counts(lost: int, start:
     assert driver.receive().state == State.OK
     assert driver.posor.tracker["time"] - before == pytest.approx((lost + 1) * driver.PERIOD_S, abs=1e-3)
     assert stated_step(driver) == 0.0
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_step_that_ages_no_longer_show_is_zero_to_the_last_bit(seed: int) -> None:
+    driver = young()
+    lateness_s = np.random.default_rng(seed).uniform(0.01, 0.4, 10)
+    for late_s in (0.4, *sorted(lateness_s.tolist(), reverse=True)):
+        driver.receive(late_s)
+    assert stated_step(driver) > 0.0
+    driver.receive()
+    assert not driver.posor.has_latch

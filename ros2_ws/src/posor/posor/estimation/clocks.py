@@ -81,6 +81,7 @@ LEAST_DEVIATION, GREATEST_DEVIATION = 0.5, 8.0  # limits of the deviation that c
 AWAY_S = 0.1  # without a scan on arrival [s], after which older scans show a step as well
 WATCH_S = 1.0  # least time for which ages are compared [s]
 CLOCK_DRIFT = 1e-4  # largest change of the ratio of two clocks while no scan comes
+AGE_UNIT_S = 2.0**-30  # of steps that ages show [s]: their sums and differences are exact
 LEAST_AGE_STEP_S = 5e-3  # smallest change of the least age that counts as a step [s]; at least half an interval
 SCATTER_SIGMAS = 5.0  # standard deviations of the scatter that a stamp may deviate from the line
 DEVIATION_SIGMAS = 3.0  # the deviation of one stamp counts as at most as many standard deviations
@@ -212,7 +213,7 @@ def _compare_ages(clocks: Any) -> None:
     change = clocks.least_age - clocks.former_age
     if clocks.only_older == 0:
         change = abs(change)
-    shown = change if change > _least_age_step(clocks) else 0.0
+    shown = float(round(change / AGE_UNIT_S)) * AGE_UNIT_S if change > _least_age_step(clocks) else 0.0
     clocks.step += shown - clocks.age_step
     clocks.age_step = shown
     clocks.compared += 1
