@@ -98,7 +98,7 @@ class DeclaredParameters(Generic[ParametersT]):
 
     def _changed_model(self, changes: Sequence[Parameter]) -> ParametersT:
         changed = {parameter.name: parameter.value for parameter in changes if parameter.name in self._specs}
-        if not changed:  # parameters of rclpy, such as its many of the quality of service
+        if not changed:  # only parameters of rclpy, such as those of the quality of service
             return self.current
         values = {name: parameter_value(self.current, name) for name in self._specs} | changed
         return validate_parameters(self._model, values, node=self._node)
