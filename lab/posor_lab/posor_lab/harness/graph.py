@@ -7,13 +7,18 @@ from __future__ import annotations
 import time
 from typing import TYPE_CHECKING, Any, Self
 
+import numpy as np
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from lifecycle_msgs.srv import ChangeState, GetState
+from posor.estimation.forward import scans_at
+from posor.messages.raw_scan import ScanTemplate
+from posor.model.native_coordinates import rotation_from_native
 from posor.model.scan import DARK_SUBTRACTED
 from posor.numerics.stamps import NS
 from posor.ros_names import DIAGNOSTICS_TOPIC
 from posor_msgs.msg import RawScan
+from posor_ros.message_classes import schema_of_class
 from posor_ros.qos import KEEP_ALL_QOS
 from rclpy.context import Context
 from rclpy.experimental.events_executor import EventsExecutor
@@ -25,7 +30,9 @@ from posor_lab.harness.program import wait_until
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from posor.estimation.posor import Posor
     from posor.model.scan import Scan
+    from posor.numerics.array_types import FloatArray
 
 LOSSLESS = KEEP_ALL_QOS  # receives every message of a reliable publisher
 RETRY_S = 10.0  # time without a response after which a service is called again
@@ -161,6 +168,15 @@ def scan_message(scan: Scan) -> Any:
     message.gap_voltages, message.ring_voltages = scan.gap_voltages, scan.ring_voltages
     message.diode_currents, message.lit_sources = scan.diode_currents.ravel(), list(scan.lit_sources)
     return message
+
+
+def scan_templates(posor: Posor, thetas: FloatArray, seed: int) -> list[ScanTemplate]:
+    """Return noisy scans of a joint whose gap is 0.7 mm, one at each theta [rad], without stamps and numbers."""
+    count, serialize = len(thetas), schema_of_class(RawScan).serialize
+    rotations = np.array([rotation_from_native(0.0, 0.0, theta) for theta in thetas])
+    places, stamps_ns = np.tile([0.0, 0.0, 0.7e-3], (count, 1)), np.zeros(count, dtype=np.int64)
+    scans = scans_at(posor.stack, rotations, places, stamps_ns, noise=np.random.default_rng(seed))
+    return [ScanTemplate(serialize(scan_message(scans[n]))) for n in range(count)]
 
 
 def set_stamp(message: Any, seconds: int) -> Any:

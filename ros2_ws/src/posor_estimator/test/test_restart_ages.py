@@ -9,14 +9,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 from posor.calibration.designs import DesignName, design
-from posor.estimation.forward import scans_at
 from posor.estimation.posor import Posor
 from posor.messages.message_stream import RawScanStream
-from posor.messages.raw_scan import ScanTemplate, scan_of
+from posor.messages.raw_scan import scan_of
 from posor.model.fault import USABLE_STATES, State
-from posor.model.native_coordinates import rotation_from_native
 from posor.numerics.stamps import NS
-from posor_lab.harness.graph import scan_message
+from posor_lab.harness.graph import scan_templates
 from posor_msgs.msg import JointTransform, RawScan
 from posor_ros.message_classes import schema_of_class
 from rclpy.serialization import deserialize_message
@@ -34,7 +32,7 @@ class RestartedDriver:
 
     def __init__(self, stack: DesignName = "triad_diodes", late_s: float = 0.0) -> None:
         self.posor = Posor(design(stack, motion=True))
-        self._scans = iter(self._at_rest())
+        self._scans = iter(scan_templates(self.posor, np.full(600, 0.05), 7))
         self._stream = self._open()
         self._now_ns, self._number, self.step_s = 10**18, 0, 0.0
         for _ in range(100):
@@ -45,17 +43,6 @@ class RestartedDriver:
         stream = RawScanStream(self.posor, next(self._scans).at(NS, 1))
         stream.accept_ages(-0.5 * NS, 1.0 * NS)
         return stream
-
-    def _at_rest(self) -> list[ScanTemplate]:
-        """Return noisy scans of one pose."""
-        count = 600
-        rotations, translations = (
-            np.tile(rotation_from_native(0.0, 0.0, 0.05), (count, 1, 1)),
-            np.tile([0.0, 0.0, 0.7e-3], (count, 1)),
-        )
-        noise = np.random.default_rng(7)
-        scans = scans_at(self.posor.stack, rotations, translations, np.zeros(count, dtype=np.int64), noise=noise)
-        return [ScanTemplate(RAW_SCAN.serialize(scan_message(scans[n]))) for n in range(count)]
 
     def receive(self, late_s: float = 0.0, *, live: bool = True) -> JointTransform:
         """Return the transform of the next scan, whose stamp is ``step_s`` ahead."""

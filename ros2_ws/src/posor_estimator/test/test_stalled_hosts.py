@@ -10,17 +10,13 @@ from functools import cache
 import numpy as np
 import pytest
 from posor.calibration.designs import design
-from posor.estimation.forward import scans_at
 from posor.estimation.posor import Posor
 from posor.messages.message_stream import RawScanStream
 from posor.messages.raw_scan import ScanTemplate
 from posor.model.fault import State
-from posor.model.native_coordinates import rotation_from_native
 from posor.numerics.array_types import BoolArray, FloatArray, IntArray
 from posor.numerics.stamps import NS
-from posor_lab.harness.graph import scan_message
-from posor_msgs.msg import RawScan
-from posor_ros.message_classes import schema_of_class
+from posor_lab.harness.graph import scan_templates
 
 RATE, COUNT = 500, 3000
 REACH, FREQUENCY = 0.12, 1.0  # of the motion of theta [rad], [Hz]: up to 0.75 rad/s
@@ -35,11 +31,7 @@ Arrivals = tuple[IntArray, FloatArray]  # scans that arrive, in order, and when 
 def templates() -> list[ScanTemplate]:
     """Return the scans of a joint that swings."""
     thetas = REACH * np.sin(2.0 * np.pi * FREQUENCY * np.arange(COUNT) / RATE)
-    rotations = np.array([rotation_from_native(0.0, 0.0, theta) for theta in thetas])
-    places, noise = np.tile([0.0, 0.0, 0.7e-3], (COUNT, 1)), np.random.default_rng(3)
-    scans = scans_at(Posor(CALIBRATION).stack, rotations, places, np.zeros(COUNT, dtype=np.int64), noise=noise)
-    serialize = schema_of_class(RawScan).serialize
-    return [ScanTemplate(serialize(scan_message(scans[n]))) for n in range(COUNT)]
+    return scan_templates(Posor(CALIBRATION), thetas, 3)
 
 
 def within(times_s: FloatArray, stall: Stall) -> BoolArray:
