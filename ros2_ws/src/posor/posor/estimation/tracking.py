@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 RATE_MEMORY = 0.9  # share of the largest change of a rate that is kept from scan to scan
 REGAIN_GAP = 4.5  # intervals after the last accepted pose within which motion is regained: three bad scans in a row
-FIRST_GAP_S = 0.2  # the same after a scan that counted theta anew, whose motion is not known yet [s]
+FIRST_GAP_S = 0.2  # the same where no interval is known, as at the second scan without numbers [s]
 LONGEST_GAP = 3.5  # longest extrapolation of the motion, in intervals of the previous scans
 
 
@@ -53,7 +53,8 @@ def count_is_stale(settings: Any, tracker: Any, elapsed: float) -> bool:
 
     Without a limit of the motion, theta is extrapolated over any time.
     """
-    followed_for = REGAIN_GAP * tracker.interval if tracker.interval > 0.0 else FIRST_GAP_S
+    interval = tracker.interval if tracker.interval > 0.0 else tracker.clocks.period
+    followed_for = REGAIN_GAP * interval if interval > 0.0 else FIRST_GAP_S
     if elapsed <= followed_for:
         return False
     return bool(0.5 * settings.period < settings.max_theta_rate * elapsed < math.inf)

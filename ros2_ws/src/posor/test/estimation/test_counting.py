@@ -15,7 +15,7 @@ from posor.model.fault import Fault, State
 from posor.model.scan import Scans
 from posor.numerics.array_types import FloatArray
 from posor.sensors.bumpy_ring import BumpyRing
-from posor_lab.harness.random_poses import turning_scans
+from posor_lab.harness.random_poses import TICK_NS, turning_scans
 
 BUMP = 2.0 * math.pi / BUMPS
 
@@ -53,6 +53,18 @@ def test_lost_scans_put_the_count_in_doubt_until_home() -> None:
     assert estimate.state is State.UNCOUNTED
     assert estimate.faults & Fault.COUNT
     assert "count" in estimate.reason
+
+
+@pytest.mark.parametrize("bumps", [1.0, 2.1, 3.0])
+def test_a_count_by_home_marks_is_given_up_where_the_next_scans_are_missing(bumps: float) -> None:
+    """The joint begins to turn at home, in a pause of 0.15 s."""
+    posor = Posor(design("quad_bumpy_ring", motion=True))
+    numbers = np.r_[:20, 170:200]
+    scans = turning_scans(posor, np.where(numbers < 20, 0.0, bumps * BUMP), marks=range(20 - MARKS, 20))
+    stamps_ns = (1 + numbers) * TICK_NS
+    found = posor.estimate_all(scans.with_fields({"stamps_ns": stamps_ns, "numbers": numbers.astype(np.uint64)}))
+    assert found.states[19] == State.OK
+    assert (found.states[20:] == State.UNCOUNTED).all()
 
 
 def slipping(posor: Posor) -> tuple[Scans, FloatArray, int]:
