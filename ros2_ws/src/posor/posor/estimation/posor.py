@@ -456,7 +456,7 @@ class Posor:
                 else:
                     self._set_start(start.rotation, start.translation)
         if known is not None:
-            self.tracker["counted"] = self.tracker["was_counted"] = 1
+            self.tracker["counted"] = 1
 
     def _linearise(self, scans: NDArray[np.void], estimates: NDArray[np.void], n: int) -> None:
         """Linearise the readings of scan n, which are valid, into the workspace."""

@@ -87,8 +87,8 @@ def count_theta(workspace: Any, theta: float, at_home: int) -> bool:
 
 @in_place
 def bump_is_unknown(workspace: Any) -> bool:
-    """Return whether the bump has never been counted: at the begin, and after an acknowledgement."""
-    return bool(workspace.settings.bump_angle > 0.0 and not workspace.tracker.was_counted)
+    """Return whether the bump is not counted: at the begin, after an acknowledgement, and where the count was lost."""
+    return bool(workspace.settings.bump_angle > 0.0 and not workspace.tracker.counted)
 
 
 @in_place
@@ -109,13 +109,7 @@ def check_residuals(workspace: Any, theta: float, residual: float) -> None:
             tracker.largest_residual, tracker.residual_theta = residual, theta
         checks.faults |= RESIDUAL
         checks.recounted = 0
-        if tracker.latch & RESIDUAL:
-            tracker.contradictions = RESIDUAL_RUN
-        else:
-            # The bumps are not alike, so sound readings contradict each other at the wrong one.
-            tracker.contradictions = 0 if bump_is_unknown(workspace) else tracker.contradictions + 1
-            if workspace.settings.max_velocity < math.inf and tracker.contradictions >= RESIDUAL_RUN:
-                latch(tracker, RESIDUAL, 1, checks.elapsed)
+        _count_contradiction(workspace)
     elif tracker.contradictions > 0:
         near = SAME_THETA + min(abs(wrapped(theta - before)), LONGEST_STEP)
         if not tracker.latch & RESIDUAL:
@@ -125,6 +119,22 @@ def check_residuals(workspace: Any, theta: float, residual: float) -> None:
         if tracker.contradictions == 0:
             tracker.latch &= ~RESIDUAL
     checks.confirmed = checks.recounted
+
+
+@in_place
+def _count_contradiction(workspace: Any) -> None:
+    """Count a failed test in a row; the last of RESIDUAL_RUN latches the joint.
+
+    A row does not begin at an unknown bump: bumps are not alike, so sound readings contradict one another at a wrong
+    one.
+    """
+    tracker = workspace.tracker
+    if tracker.latch & RESIDUAL:
+        tracker.contradictions = RESIDUAL_RUN
+    elif tracker.contradictions > 0 or not bump_is_unknown(workspace):
+        tracker.contradictions += 1
+        if workspace.settings.max_velocity < math.inf and tracker.contradictions >= RESIDUAL_RUN:
+            latch(tracker, RESIDUAL, 1, workspace.checks.elapsed)
 
 
 @in_place
@@ -278,7 +288,7 @@ def use_confirmation(workspace: Any, at_home: int) -> None:
     tracker, checks = workspace.tracker, workspace.checks
     if not checks.confirmed or not (checks.accepted or tracker.latch_about_theta):
         return
-    tracker.counted = tracker.was_counted = 1
+    tracker.counted = 1
     if at_home != STATED_HOME:  # a statement is not independent of the operator
         tracker.acknowledged = 0
     if tracker.latch_about_theta:

@@ -129,7 +129,6 @@ TRACKER = np.dtype(  # what is known from the previous scans
         ("initialised", "i8"),  # 1 where there is a previous pose
         ("start_given", "i8"),  # 1 where the solver starts the next scan from ``start`` instead of the previous pose
         ("counted", "i8"),  # 1 where theta is counted from the home mark, or needs no count
-        ("was_counted", "i8"),  # 1 where it has been counted since the begin or an acknowledgement
         ("epoch_known", "i8"),
         ("epoch_ns", "i8"),  # origin of the stamps [ns]
         ("clocks", CLOCKS),

@@ -165,6 +165,28 @@ def test_a_bumpy_ring_is_uncounted_after_a_pause_in_motion(pause_s: float) -> No
     assert set(estimates.states[AT:]) == {State.UNCOUNTED}
 
 
+@pytest.mark.parametrize("bumps", [0.7, 1.4, 5.0, 12.0])
+def test_a_bumpy_ring_that_turned_in_a_pause_is_not_latched_and_counted_again(bumps: float) -> None:
+    """Its bumps are not alike, so sound readings contradict one another at a wrong one."""
+    calibration = load_calibration(ARMS / "five_axis_checked/calibrations/elbow.yaml")
+    posor = Posor(calibration, false_alarm=1e-9)
+    numbers = np.where(INDEX >= AT, INDEX + round(bumps * float(posor.settings["bump_angle"]) / RATE / PERIOD_S), INDEX)
+    true = poses(numbers * PERIOD_S)
+    stamps_ns = FIRST_NS + np.round(numbers * PERIOD_S * 1e9).astype(np.int64)
+    fields = {"stamps_ns": stamps_ns, "numbers": numbers.astype(np.uint64)}
+    scans = simulate(calibration, true, seed=1).with_fields(fields)
+    posor.confirm_theta(START, 1e-4)
+    found = posor.estimate_all(scans.part(0, COUNT - 50))
+    assert set(found.states[:AT]) == {State.OK}
+    assert not usable(found)[AT:].any()
+    assert not posor.has_latch
+    for n in range(COUNT - 50, COUNT):
+        posor.confirm_theta(START + RATE * float(numbers[n]) * PERIOD_S, 1e-4)
+        last = posor.estimate(scans[n])
+    assert last.state is State.OK
+    assert last.native[5] == pytest.approx(START + RATE * float(numbers[-1]) * PERIOD_S, abs=1e-5)
+
+
 @pytest.mark.parametrize("size", [2, 4])
 @pytest.mark.parametrize("kind", JOINTS)
 def test_bursts_from_the_first_scan_on_cost_few_scans(kind: str, size: int) -> None:
