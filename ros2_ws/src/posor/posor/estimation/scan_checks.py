@@ -26,7 +26,7 @@ import math
 from typing import TYPE_CHECKING, Any
 
 from posor.estimation.time_offset import follow_offset, move_reference
-from posor.estimation.tracking import LONGEST_GAP, REGAIN_GAP, copy_pose, count_is_stale, turn_about_z
+from posor.estimation.tracking import REGAIN_GAP, REGAIN_S, copy_pose, count_is_stale, turn_about_z
 from posor.model.fault import Fault
 from posor.model.scan import STATED_HOME
 from posor.numerics.compiled import in_place
@@ -354,18 +354,15 @@ def is_regained(workspace: Any, covariance: FloatArray) -> bool:
     """Return whether the pose continues the motion of the last accepted pose, not that of a pose rejected since."""
     tracker, centre = workspace.tracker, workspace.start_pose
     elapsed, interval = workspace.checks.elapsed, tracker.latch_interval
-    if not tracker.initialised or elapsed > REGAIN_GAP * interval:
+    if not tracker.initialised or elapsed > max(REGAIN_GAP * interval, REGAIN_S):
         return False
     if tracker.rejected_known:
         position, theta = motion_gate(workspace, tracker.rejected, tracker.time - tracker.rejected_stamp, covariance)
         if max(position, theta) <= 1.0:
             return False
     copy_pose(tracker.pose, centre)
-    if tracker.interval > 0.0:
-        moved = min(elapsed, LONGEST_GAP * interval)
-        turn_about_z(centre.rotation, tracker.theta_rate * moved)
-        for i in range(3):
-            centre.translation[i] += tracker.velocity[i] * moved
+    if tracker.interval > 0.0:  # the target hardly moves otherwise: rates from two poses would add their noise
+        turn_about_z(centre.rotation, tracker.theta_rate * elapsed)
     position, theta = motion_gate(workspace, centre, interval, covariance)
     return bool(max(position, theta) <= 1.0)
 

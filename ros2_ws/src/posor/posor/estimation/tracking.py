@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
 RATE_MEMORY = 0.9  # share of the largest change of a rate that is kept from scan to scan
 REGAIN_GAP = 4.5  # intervals after the last accepted pose within which motion is regained: three bad scans in a row
+REGAIN_S = 0.02  # the same where more intervals fit into this time: a burst of disturbances, a device that pauses [s]
 FIRST_GAP_S = 0.2  # the same where no interval is known, as at the second scan without numbers [s]
 LONGEST_GAP = 3.5  # longest extrapolation of the motion, in intervals of the previous scans
 

@@ -107,6 +107,18 @@ def test_short_glitches_are_left_by_themselves(name: str, length: int) -> None:
     assert not wrong(found, translations, rotations).any()
 
 
+@pytest.mark.parametrize(("length", "is_left"), [(12, True), (18, True), (20, False), (40, False)])
+@pytest.mark.parametrize("seed", range(4))
+def test_a_burst_of_disturbances_is_left_by_itself_within_20_ms(seed: int, length: int, *, is_left: bool) -> None:
+    posor = Posor(design("triad_light_ring", motion=True))
+    scans = turning_scans(posor, 0.3 * np.sin(2.0 * math.pi * 0.7 * np.arange(400) * 1e-3), seed)
+    scans.gap_voltages[100 : 100 + length] += 1.0
+    found = posor.estimate_all(scans)
+    assert (found.states[:100] == State.OK).all()
+    assert (found.states[100 : 100 + length] == State.LOST).all()
+    assert set(found.states[100 + length :]) == {State.OK if is_left else State.LOST}
+
+
 def test_a_lasting_fault_is_acknowledged_by_the_operator() -> None:
     posor = sized("triad_light_ring")
     scans, _, _ = oscillating(posor)
