@@ -13,7 +13,8 @@ The tracker has a time of its own that only moves forward, so a step of the cloc
 
 * in general it advances by the difference of the stamps;
 * where the stamps scatter and the source does not state their uncertainty, by the numbers times the period;
-* where scans in a row repeat the last numbers, because both clocks were set back, by an interval for each of them more;
+* where scans in a row repeat the last numbers, because both clocks were set back, by an interval for each of them and
+  another one more;
 * where the two clocks contradict each other, by the smaller of both, which accepts the least motion, but at least by an
   interval for each refused scan; after a change of the rate, by the stamps. A count of theta is given up.
 
@@ -439,12 +440,12 @@ def _follow_back(model: Model, scan: Any, stamp: float, elapsed: float) -> int:
     clocks = tracker.clocks
     advances = scan.number >= clocks.refused_number and stamp > clocks.refused_stamp
     clocks.late = clocks.late + 1 if clocks.late > 0 and advances else 1
-    is_near = abs(elapsed) < LEAST_DEVIATION * clocks.period
-    if scan.number == clocks.number and is_near and _content_of(scan) != clocks.content:
-        clocks.late = max(clocks.late, 2)  # set back by up to two intervals: one scan alone repeats the last number
     _follow_run(clocks, scan, stamp)
     is_restart_step = clocks.number - scan.number >= RESTART_NUMBERS or elapsed < -CLOCK_STEP_S
     if clocks.late < (RESTART_RUN if is_restart_step else LATE_RUN):
+        is_near = abs(elapsed) < LEAST_DEVIATION * clocks.period
+        if scan.number == clocks.number and is_near and _content_of(scan) != clocks.content:
+            clocks.late += 1  # the last of n scans that repeat numbers: set back by n to n + 1 intervals
         return LATE
     least = _least_elapsed(clocks)
     deviation = elapsed + clocks.stamp - clocks.line + float(clocks.number - scan.number) * clocks.period

@@ -284,6 +284,22 @@ def test_numbers_and_stamps_that_go_back_together_give_no_wrong_count(kind: str,
     assert (estimates.stamp_shifts[after, 5] >= rate * back * PERIOD_S).all()
 
 
+@pytest.mark.parametrize("back", range(1, LATE_RUN))
+@pytest.mark.parametrize("share", [0.1, 0.5, 0.9])
+def test_a_step_back_by_part_of_an_interval_more_than_numbers_repeat_is_in_the_bound(back: int, share: float) -> None:
+    """A driver whose scans are at the ticks of its clock waits for the next tick once the clock is set back."""
+    step = (back + share) * PERIOD_S
+    times = INDEX * PERIOD_S + np.where(INDEX >= AT, share * PERIOD_S, 0.0)
+    numbers = np.where(INDEX >= AT, INDEX - back, INDEX)
+    true = poses(times)
+    scans = simulate(calibration_of("light ring"), true, seed=1)
+    estimates = estimate("light ring", numbers * PERIOD_S, numbers + 1000, scans)
+    assert count_wrong(estimates, true) == 0
+    after = usable(estimates) & (INDEX >= AT + LATE_RUN)
+    assert after.sum() == COUNT - AT - LATE_RUN
+    assert (estimates.stamp_shifts[after, 5] >= RATE * step).all()
+
+
 def test_a_slow_ring_is_uncounted_where_numbers_go_back_and_most_repeated_scans_are_missing() -> None:
     """It turns by a bump while the clock repeats nine numbers, but by less than half a bump in the time of two."""
     calibration, back = calibration_of("bumpy ring"), 9
