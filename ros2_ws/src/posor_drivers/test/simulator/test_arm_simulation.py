@@ -29,6 +29,7 @@ from posor_msgs.msg import RawScan
 
 from ..three_joint_arm import FAR, JOINTS, TICKS, N, perfect, refused, scenario, simulation, write_arm
 
+ARMS = Path(__file__).resolve().parents[3] / "posor_bringup" / "arms"
 READINGS = ("gap_voltages", "ring_voltages", "diode_currents")
 
 
@@ -179,8 +180,7 @@ def test_noise_differs_between_cycles_but_motion_does_not(everything: ArmSimulat
 
 def test_rings_that_start_anywhere_are_counted_at_their_home_marks() -> None:
     """Readings of a ring with five probes contradict each other until then, because its bumps are not alike."""
-    arms = Path(__file__).resolve().parents[3] / "posor_bringup" / "arms"
-    arm = ArmSimulation(load_arm_file(arms / "five_axis_checked" / "arm.yaml"), rate=50)
+    arm = ArmSimulation(load_arm_file(ARMS / "five_axis_checked" / "arm.yaml"), rate=50)
     ticks = 150 + np.arange(400)
     for joint in arm.joints:
         posor = Posor(arm.calibrations[joint])
@@ -190,6 +190,23 @@ def test_rings_that_start_anywhere_are_counted_at_their_home_marks() -> None:
         assert set(estimates.states[-40:]) == {State.OK}
         thetas = [theta_of(pose) for pose in arm.truth(ticks[-40:]).T_parent_child[joint].rotations]
         np.testing.assert_allclose(estimates.thetas[-40:], thetas, rtol=0.0, atol=1e-4)
+
+
+def test_rings_that_lose_their_count_in_a_gap_are_counted_at_the_next_home_marks() -> None:
+    """Behind a gap in motion a ring may assume another bump, where its sound readings contradict each other."""
+    arm, chance = ArmSimulation(load_arm_file(ARMS / "five_axis" / "arm.yaml"), rate=200), np.random.default_rng(0)
+    ticks = np.arange(4400)  # two cycles and their next home marks
+    truth = arm.truth(ticks[-40:])
+    for joint in arm.joints:
+        scans = arm.scans(joint, ticks).scans
+        thetas = [theta_of(pose) for pose in truth.T_parent_child[joint].rotations]
+        for begin, length in zip(chance.integers(300, 1300, 8), chance.integers(20, 100, 8), strict=True):
+            is_there = (ticks < begin) | (ticks >= begin + length)
+            estimates = Posor(arm.calibrations[joint]).estimate_all(scans.select(is_there))
+            assert not (estimates.faults & Fault.LATCHED).any()
+            assert set(estimates.states[-40:]) == {State.OK}
+            np.testing.assert_allclose(estimates.thetas[-40:], thetas, rtol=0.0, atol=1e-4)
+
 
 
 OTHER_PROCESS = """
