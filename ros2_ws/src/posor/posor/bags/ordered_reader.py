@@ -204,7 +204,7 @@ class OrderedReader:
                 before = _state([path, *beside])
                 _copy(path, storage)
                 for each in beside:
-                    shutil.copyfile(each, storage.with_name(each.name))
+                    shutil.copyfile(each, storage.with_name(f"{name}-{each.name.rpartition('-')[2]}"))
                 if _state([path, *beside]) != before:
                     raise BagError("the file is being written", where=str(path), expected="a bag that was closed")
             except OSError as error:
@@ -236,10 +236,17 @@ def _begins_with(path: Path, magic: bytes) -> bool:
 
 
 def _side_files(path: Path) -> list[Path]:
-    """Return the files beside an SQLite file that hold transactions which are not finished there."""
-    wal, journal = (path.with_name(f"{path.name}-{each}") for each in ("wal", "journal"))
-    found = [wal] if wal.is_file() and wal.stat().st_size > WAL_HEAD else []
-    return found + ([journal] if journal.is_file() and _begins_with(journal, JOURNAL_MAGIC) else [])
+    """Return the files beside an SQLite file that hold transactions which are not finished there.
+
+    Of a link, they are beside it, or else beside the file that it leads to, where SQLite writes them.
+    """
+    for place in (path, path.resolve()):
+        wal, journal = (place.with_name(f"{place.name}-{each}") for each in ("wal", "journal"))
+        found = [wal] if wal.is_file() and wal.stat().st_size > WAL_HEAD else []
+        found += [journal] if journal.is_file() and _begins_with(journal, JOURNAL_MAGIC) else []
+        if found:
+            return found
+    return []
 
 
 def _refuse_log_of_other_name(path: Path) -> None:

@@ -409,6 +409,17 @@ def test_transactions_that_a_killed_recorder_left_beside_the_file_count(
     assert contents_of(path.parent) == before
 
 
+@pytest.mark.parametrize("linked", [("",), ("", "-wal")], ids=["file", "file and log"])
+def test_the_log_of_a_linked_file_counts(linked: tuple[str, ...], tmp_path: Path) -> None:
+    path, folder = sqlite_bag(tmp_path, insert_rows, ("-wal",)), tmp_path / "links"
+    folder.mkdir()
+    for suffix in linked:
+        (folder / f"run.db3{suffix}").symlink_to(f"{path}{suffix}")
+    messages, notes = read(folder / "run.db3")
+    assert messages == [data for _, _, data in MESSAGES]
+    assert len(notes) == 1
+
+
 def test_a_cut_write_ahead_log_is_noted(tmp_path: Path) -> None:
     path = sqlite_bag(tmp_path, insert_rows, ("-wal",))
     log = path.with_name("bag.db3-wal")
