@@ -7,6 +7,7 @@ from __future__ import annotations
 import shutil
 import sys
 from collections import Counter
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from struct import Struct
@@ -22,7 +23,7 @@ from posor.bags.mcap_search import read_records
 from posor.bags.mcap_storage import definitions_by_number, topic_of
 from posor.bags.ordered_reader import stored_name
 from posor.bags.provenance import custom_data
-from posor.bags.recorded_topics import BagMetadata, Unread, connection_of, profiles_of
+from posor.bags.recorded_topics import METADATA, BagMetadata, Unread, connection_of, profiles_of
 from posor.bags.stored_file import LAST_TIME_NS
 from posor.errors import BagError
 from posor.messages.byte_kernels import MESSAGE_HEAD
@@ -48,9 +49,12 @@ class Rescue:
     damages: list[Damage] = field(default_factory=list)  # the damaged places
     lost: Counter[str] = field(default_factory=Counter)  # whole messages that are left out, by the reason, a clause
     skipped: Counter[int] = field(default_factory=Counter)  # records that are left out, by their type
+    is_missing: bool = False  # whether metadata.yaml lists the file, and there is none
 
     def lines(self) -> list[str]:
         """Return what was rescued and what is lost, in sentences."""
+        if self.is_missing:
+            return [f"{self.path}: lost; {METADATA} lists it, but there is no such MCAP file"]
         lines = [f"{self.path}: {self.messages} messages rescued"]
         lines += [f"{self.path}, byte {each.offset}: {each.what}; {each.size} bytes lost" for each in self.damages]
         lines += [
@@ -128,7 +132,16 @@ def _write(bag: Path, files: Sequence[Path], output: Path) -> list[Rescue]:
                 rescues.append(Rescue(file, damages=[Damage(0, 0, "the file is empty")]))
             else:
                 rescues.append(_rescue(file, writer))
-    return rescues
+    found = {stored_name(file) for file in files}
+    missing = [name for name in _listed_files(bag) if stored_name(Path(name)) not in found]
+    return rescues + [Rescue(bag / name, is_missing=True) for name in missing]
+
+
+def _listed_files(bag: Path) -> Sequence[str]:
+    """Return the names of the files that metadata.yaml lists; none if there is none, or it is damaged."""
+    with suppress(BagError):
+        return BagMetadata.load(bag).files
+    return ()
 
 
 def _rescue(file: Path, writer: BagWriter) -> Rescue:

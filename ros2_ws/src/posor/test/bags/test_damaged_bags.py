@@ -331,6 +331,19 @@ def test_an_undamaged_bag_of_several_files_is_copied_whole(tmp_path: Path) -> No
     assert all(rescue.stated == rescue.messages == 1 for rescue in rescues)
 
 
+def test_a_missing_file_of_a_split_bag_is_named(
+    recorded: bytes, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "split"
+    folder.mkdir()
+    (folder / "x_0.mcap").write_bytes(recorded)
+    listed = {"relative_file_paths": ["x_0.mcap.zstd", "x_1.mcap"]}
+    (folder / METADATA).write_text(yaml.safe_dump({"rosbag2_bagfile_information": listed}), encoding="utf-8")
+    assert recover_command.main([str(folder), "--output", str(tmp_path / "out")]) == 0
+    lost = [line for line in capsys.readouterr().out.splitlines() if "lists" in line]
+    assert lost == [f"{folder}/x_1.mcap: lost; metadata.yaml lists it, but there is no such MCAP file."]
+
+
 def test_a_full_disk_is_named_and_nothing_is_left(
     recorded: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
