@@ -32,6 +32,8 @@ def read_input_bytes(path: Path, most: int) -> bytes:
 
 def check_input_file(path: Path, most: int) -> None:
     """Raise OSError if a path is no file of at most ``most`` bytes; a folder is refused when it is opened."""
+    if "\0" in str(path):  # "\0" in a double-quoted text of YAML, such as a path of Windows
+        raise OSError(errno.EINVAL, "its name contains a null character", str(path))
     status = path.stat()
     if not (stat.S_ISREG(status.st_mode) or stat.S_ISDIR(status.st_mode)):  # open() refuses a folder
         raise OSError(errno.EINVAL, "a pipe or device, not a file", str(path))

@@ -231,7 +231,14 @@ def test_an_endpoint_that_no_joint_moves_is_refused() -> None:
     assert error.expected.endswith("tip")
 
 
-@pytest.mark.parametrize(("path", "reason"), [("pipe", "a pipe or device, not a file"), ("large", "32 MiB, more than")])
+@pytest.mark.parametrize(
+    ("path", "reason"),
+    [
+        ("pipe", "a pipe or device, not a file"),
+        ("large", "32 MiB, more than"),
+        ("arm\0urdf", "its name contains a null character"),
+    ],
+)
 def test_a_urdf_that_is_no_file_or_too_large_is_refused(tmp_path: Path, path: str, reason: str) -> None:
     os.mkfifo(tmp_path / "pipe")
     with (tmp_path / "large").open("wb") as file:
