@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from posor.bags.recording import POINT
 from posor.calibration.calibration_file import find_sensor
-from posor.errors import FitError
+from posor.errors import FitError, TrackError
 from posor.sensors.diodes import DiodesCalibration
 from pydantic import Field
 
@@ -144,9 +144,21 @@ def _make_grid(means: DwellMeans, part: DiodesCalibration, index: int, options: 
     if int(present.seen.sum()) >= MIN_DWELLS:
         for axis in range(2):
             check_unit(present.spots[:, axis], positions[present.seen, axis], source, "m")
+    _check_zero(positions, source)
     noise = diode.noise.array / np.sqrt(means.counts[lit])[:, None]
     slopes = np.abs([np.polyfit(ratios[:, axis], positions[:, axis], 1)[0] for axis in range(2)])
     return _Grid(ratios, positions, np.hypot(means.reference_sigmas[lit, :2], slopes * noise))
+
+
+def _check_zero(positions: FloatArray, source: str) -> None:
+    """Raise TrackError if the zero of the reference, which becomes the diode's origin, is not within the grid."""
+    for axis, low, high in zip("xy", positions.min(axis=0), positions.max(axis=0), strict=True):
+        if not low <= 0.0 <= high:
+            raise TrackError(
+                f"the dwells are at {axis} from {low:g} to {high:g} m, without 0, which becomes the diode's origin",
+                where=source,
+                expected="positions that are zero in the middle of the diode",
+            )
 
 
 MapKind = tuple["Callable[[int, int], Design]", "Callable[[int, list[Fit]], dict[str, Any]]"]

@@ -131,6 +131,16 @@ def test_bad_data(rng: np.random.Generator) -> None:
     case.check_refusal(FitError, "diode 'nobody'; expected one of diode_1, diode_2", diode="nobody")
 
 
+@pytest.mark.parametrize("axis", [0, 1])
+def test_a_stage_whose_zero_is_beyond_the_grid_is_refused(axis: int, rng: np.random.Generator) -> None:
+    case = simulate(rng)
+    case.identify(diode="diode_1", orders=(1, 3))
+    shift = np.zeros(3)
+    shift[axis] = 25e-3
+    sentence = rf"the dwells are at {'xy'[axis]} from 0.0205 to 0.0295 m, without 0, which becomes the diode's origin; "
+    case.with_values(lambda values: values + shift).check_refusal(TrackError, sentence, diode="diode_1")
+
+
 def test_outliers_are_named_and_survived(rng: np.random.Generator) -> None:
     case = simulate(rng)
     wrong = rng.choice(LINES**2, size=4, replace=False)  # 5 % of the dwells
