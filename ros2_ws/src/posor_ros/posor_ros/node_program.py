@@ -16,6 +16,7 @@ from posor.errors import NodeError, ParameterError, PosorError
 from posor.lazy_program import interrupts_handled
 from posor.node_parameters import RealtimeParameters
 from posor.reporting.program_errors import reports_errors
+from posor.ros_names import TOPIC_NAME_RULE
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args, try_shutdown
@@ -86,7 +87,10 @@ def non_ros_arguments(arguments: Sequence[str]) -> list[str]:
 
 _RULE = re.compile(r"(parameter|remap)\b[^']* rule: '(-\S+) (.*)'\. Error:", re.DOTALL)
 """How rcl names an argument that it cannot parse; the reason follows as numbers of its parser."""
-_RULES = {"parameter": "NAME:=VALUE, the value in YAML", "remap": "OLD:=NEW"}
+_RULES = {
+    "parameter": "NAME:=VALUE, the value in YAML",
+    "remap": f"OLD:=NEW, {TOPIC_NAME_RULE}; a namespace begins with '/'",
+}
 
 
 def _argument_error(error: RuntimeError) -> ParameterError:

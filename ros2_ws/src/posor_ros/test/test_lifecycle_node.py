@@ -122,13 +122,22 @@ def test_an_argument_that_is_not_of_ros_is_refused(capfd: pytest.CaptureFixture[
     assert (code, stderr) == (2, ["example: argument '--calibration' is unknown; expected --ros-args -p name:=value."])
 
 
+REMAP = (
+    "OLD:=NEW, names separated by '/', each a letter or underscore, then letters, digits and underscores; "
+    "a namespace begins with '/'"
+)
+
+
 @pytest.mark.parametrize(
     ("option", "given", "expected"),
     [
         ("-p", "gain=1.0", "NAME:=VALUE, the value in YAML"),
         ("--param", "gain", "NAME:=VALUE, the value in YAML"),
         ("-p", "gain:=[1", "NAME:=VALUE, the value in YAML"),
-        ("-r", "__ns=/joint1", "OLD:=NEW"),
+        ("-r", "__ns=/joint1", REMAP),
+        ("-r", "__ns:=/joint-1", REMAP),
+        ("--remap", "__ns:=joint1", REMAP),
+        ("-r", "raw:=1/raw", REMAP),
     ],
 )
 def test_an_invalid_ros_argument_is_named(option: str, given: str, expected: str) -> None:
