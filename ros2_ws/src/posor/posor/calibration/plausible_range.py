@@ -44,3 +44,4 @@ class PlausibleRange:
 
 ANY_FINITE = (-sys.float_info.max, sys.float_info.max)
 TEMPERATURE = PlausibleRange(100.0, 600.0, {"in degrees Celsius": 15.0})
+PLACE = PlausibleRange(-1.0, 1.0, {"in mm": 1e-3, "in inches": 0.0254})  # of a part on a plate of a POSOR

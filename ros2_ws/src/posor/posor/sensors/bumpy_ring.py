@@ -19,6 +19,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from posor.calibration.file_model import EntryError, FrozenModel
+from posor.calibration.plausible_range import PLACE
 from posor.calibration.quantity import ANY, Quantity, measured
 from posor.model.gap import MAX_HARMONICS
 from posor.model.reading_rows import RING, ROW, evaluate_rows
@@ -49,6 +50,7 @@ class RingSurfaceCalibration(FrozenModel):
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
+        PLACE.check("mean_radius", self.mean_radius)
         for name, amplitudes in (("cos", self.cos), ("sin", self.sin)):
             if amplitudes.array.size != len(self.orders):
                 expected = f"{len(self.orders)}, one for each order"

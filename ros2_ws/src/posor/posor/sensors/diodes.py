@@ -17,6 +17,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from posor.calibration.file_model import EntryError, FrozenModel
+from posor.calibration.plausible_range import PLACE
 from posor.calibration.quantity import Quantity, check_positive, check_unit_vector, measured
 from posor.errors import CalibrationError, ScanError
 from posor.model import diode as codes
@@ -58,6 +59,7 @@ class DiodeCalibration(FrozenModel):
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
+        PLACE.check("origin", self.origin)
         check_unit_vector("x_axis", self.x_axis)
         check_unit_vector("y_axis", self.y_axis)
         sine = float(np.linalg.norm(np.cross(self.x_axis.array, self.y_axis.array)))
@@ -89,6 +91,7 @@ class LightSourceCalibration(FrozenModel):
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
+        PLACE.check("origin", self.origin)
         check_unit_vector("direction", self.direction)
         return self
 

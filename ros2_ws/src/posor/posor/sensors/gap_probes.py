@@ -14,6 +14,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from posor.calibration.file_model import FrozenModel
+from posor.calibration.plausible_range import PLACE
 from posor.calibration.quantity import Quantity, check_positive, measured
 from posor.errors import CalibrationError
 from posor.model.reading_rows import GAP, ROW
@@ -38,6 +39,11 @@ class TargetPlaneCalibration(FrozenModel):
 
     point: Annotated[Quantity, measured("m", 3)]
     tilt: Annotated[Quantity, measured("rad", 2)]
+
+    @model_validator(mode="after")
+    def _check_point(self) -> Self:
+        PLACE.check("point", self.point)
+        return self
 
 
 class ReferenceVoltage(FrozenModel):

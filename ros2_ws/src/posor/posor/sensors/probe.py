@@ -11,7 +11,7 @@ from numpy.polynomial import polynomial
 from pydantic import model_validator
 
 from posor.calibration.file_model import EntryError, FrozenModel
-from posor.calibration.plausible_range import TEMPERATURE, PlausibleRange
+from posor.calibration.plausible_range import PLACE, TEMPERATURE, PlausibleRange
 from posor.calibration.quantity import ANY, Quantity, check_unit_vector, measured
 from posor.errors import ScanError
 from posor.model.fault import Fault
@@ -38,6 +38,7 @@ if TYPE_CHECKING:
 
 _BY_SUPPLY = PlausibleRange(-1e-3, 1e-3, {"in um/V": 1e-6, "in mm/V": 1e-3})
 _BY_TEMPERATURE = PlausibleRange(-1e-4, 1e-4, {"in um/K": 1e-6, "in mm/K": 1e-3})
+_GAP = PlausibleRange(-0.1, 0.1, {"in um": 1e-6, "in mm": 1e-3, "in inches": 0.0254})
 
 
 class SupplyCalibration(FrozenModel):
@@ -85,6 +86,7 @@ class ProbeCalibration(FrozenModel):
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
+        PLACE.check("tip", self.tip)
         check_unit_vector("axis", self.axis)
         low, high = self.range.array
         if not low < high:
@@ -96,6 +98,9 @@ class ProbeCalibration(FrozenModel):
         if not (np.all(slope > 0.0) or np.all(slope < 0.0)):
             what = f"volts_to_gap is not monotonic over the range {self.range.value} V"
             raise EntryError(what, key=("volts_to_gap",), expected="one gap for each voltage")
+        for volts, gap in zip((low, high), polynomial.polyval([low, high], self.volts_to_gap.array), strict=True):
+            if expected := _GAP.expected(float(gap), "m"):
+                raise EntryError(f"volts_to_gap is {gap:g} m at {volts:g} V", key=("volts_to_gap",), expected=expected)
         if not self.noise.number > 0.0:
             raise EntryError(f"noise {self.noise.value}", key=("noise",), expected="more than 0 V")
         return self

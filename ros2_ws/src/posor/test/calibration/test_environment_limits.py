@@ -1,6 +1,6 @@
 # Copyright 2026 POSOR maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Numbers about supply and temperature of the probes that are in another unit, or contradict one another."""
+"""Numbers of a calibration that are in another unit, or contradict one another."""
 
 from __future__ import annotations
 
@@ -22,6 +22,12 @@ MISTAKES: list[tuple[tuple[Any, ...], Any, str]] = [
     ((*PROBE, "temperature", "sensitivity", "value"), 0.2, "in um/K"),
     (("environment", "temperature", "range", "value"), [10.0, 30.0], "in degrees Celsius"),
     (("environment", "temperature", "spread", "value"), 293.15, "expected at most the width of the range, 20 K"),
+    ((*PROBE, "tip", "value"), [0.0, 38.1, 0.0], "tip 38.1 m; expected -1 to 1 m (in mm or "),
+    ((*PROBE, "tip", "value"), [0.0, 1.5, 0.0], "(in mm or in inches?)"),
+    ((*PROBE, "volts_to_gap", "value"), [0.735, -0.1, 0.0, 0.0, 0.0], "volts_to_gap is 1.335 m at -6 V; expected "),
+    (("sensors", 0, "target_plane", "point", "value"), [0.0, 0.0, 5.0], "point 5 m; expected -1 to 1 m (in mm"),
+    (("sensors", 1, "diodes", 0, "origin", "value"), [-25.4, 38.1, -2.0], "origin -25.4 m; expected "),
+    (("sensors", 1, "light_sources", 1, "origin", "value"), [-25.4, 38.1, 0.4], "origin -25.4 m; expected "),
 ]
 
 
