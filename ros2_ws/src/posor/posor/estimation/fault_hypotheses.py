@@ -108,10 +108,11 @@ def _hypotheses(
         for count in range(2, len(rows) + 1):
             for chosen in combinations(rows, count):
                 yield ", ".join(name[r] for r in chosen), [(_BY[by], one[list(chosen)].sum(axis=0))]
-    elif pattern is Pattern.GRADIENT and len(rows) > 1:
+    elif pattern is Pattern.GRADIENT and len(rows) > 1 and np.ptp(places, axis=0).any():
         offsets = places - places.mean(axis=0)
         offsets /= np.linalg.norm(offsets, axis=1).max()
-        yield "", [(LENGTH, one[rows].T @ offsets[:, k]) for k in range(2)]
+        apart = np.flatnonzero(np.ptp(places, axis=0))  # not both where the probes are on a line along X or Y
+        yield "", [(LENGTH, one[rows].T @ offsets[:, k]) for k in apart]
 
 
 def _of_diodes(

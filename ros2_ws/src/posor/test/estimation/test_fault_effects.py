@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+from posor.calibration.calibration_file import calibration_from
 from posor.calibration.causes import Cause
 from posor.calibration.designs import sized_design
 from posor.chain.fault_bounds import largest_of_pair
@@ -52,6 +53,14 @@ def test_other_parameter_values_have_the_same_hypotheses_and_memory_of_their_own
     np.testing.assert_array_equal(other.model.faults.coefficients, expected.model.coefficients)
     for own, others in zip(other.model.faults[2:], posor.model.faults[2:], strict=True):
         assert not np.shares_memory(own, others)
+
+
+@pytest.mark.parametrize(("kept", "parameters"), [((0, 1), 2), ((0,), 1), ((1,), 1), ((), 0)])
+def test_probes_on_a_line_have_a_gradient_along_it_only(kept: tuple[int, ...], parameters: int) -> None:
+    content = STACKS["quad_light_ring"].model_dump(mode="json", exclude_defaults=True)
+    for probe in content["sensors"][0]["probes"]:
+        probe["tip"]["value"] = [number if axis in kept else 0.01 for axis, number in enumerate(probe["tip"]["value"])]
+    assert Posor(calibration_from(content)).hypotheses.names.count("wedge of gaps") == parameters
 
 
 @pytest.mark.parametrize(
