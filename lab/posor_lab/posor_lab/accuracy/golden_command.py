@@ -34,7 +34,8 @@ if TYPE_CHECKING:
 
 StackName = Literal["triad_diodes", "triad_bumpy_ring"]
 
-_SPAN = 10.0  # half-width of the range of voltages [V] and ratios [1]: wider than any reading
+_SPAN = 10.0  # half-width of the range of ratios [1]: wider than any reading
+_GAP_SPAN = 0.1  # half-width of the range of voltages, which are gaps of 1 m/V [V]: likewise
 _CURRENT = 1e-4  # total current of each axis of a diode [A]
 _IDENTITY = {  # map of a diode whose spots [m] are its ratios
     "kind": "polynomial",
@@ -111,7 +112,7 @@ def _probes(kind: str, probes: list[dict[str, list[float]]]) -> list[dict[str, o
             "volts_to_gap": quantity_entry([0.0, 1.0], "m/V^k"),
             "zero_shift": quantity_entry(0.0, "V"),
             "noise": quantity_entry(1e-7, "V"),
-            "range": quantity_entry([-_SPAN, _SPAN], "V"),
+            "range": quantity_entry([-_GAP_SPAN, _GAP_SPAN], "V"),
         }
         for i, probe in enumerate(probes)
     ]
