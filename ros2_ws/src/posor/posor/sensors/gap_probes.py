@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from posor.calibration.file_model import FrozenModel
+from posor.calibration.file_model import EntryError, FrozenModel, format_value
 from posor.calibration.plausible_range import PLACE
 from posor.calibration.quantity import Quantity, check_positive, measured
 from posor.errors import CalibrationError
@@ -28,6 +28,9 @@ if TYPE_CHECKING:
     from posor.calibration.session import Session
     from posor.model.scan import Scans
     from posor.numerics.array_types import FloatArray, IntArray
+
+
+LEAST_AXIS_Z = 0.5  # Z of the axis of a probe that looks at the target plane
 
 
 class TargetPlaneCalibration(FrozenModel):
@@ -83,6 +86,14 @@ class GapProbesCalibration(SensorCalibration):
     target_plane: TargetPlaneCalibration
     probes: Annotated[list[ProbeCalibration], Field(min_length=1, max_length=8)]
     reference: ReferenceVoltage | None = None
+
+    @model_validator(mode="after")
+    def _check_axes(self) -> Self:
+        for n, probe in enumerate(self.probes):
+            if probe.axis.array[2] < LEAST_AXIS_Z:
+                expected = "the direction from the probe to the target, about [0.0, 0.0, 1.0]"
+                raise EntryError(f"axis {format_value(probe.axis.value)}", key=("probes", n, "axis"), expected=expected)
+        return self
 
     def build(self) -> GapProbes:
         """Return the sensor."""
