@@ -14,6 +14,7 @@ import numpy as np
 
 from posor.errors import DataFileError
 from posor.numerics.stamps import NS
+from posor.tables.number_text import with_exponent_e
 from posor.tables.raw_table import MISSING
 
 if TYPE_CHECKING:
@@ -98,7 +99,8 @@ def _number_ns(text: str, factor: Decimal, first_ns: int, decimal: str) -> int:
     if "_" in text or (decimal == "," and "." in text):
         return INVALID_NS
     try:
-        ns = first_ns + round(Decimal(text.replace(",", ".") if decimal == "," else text) * factor)
+        text = with_exponent_e(text.replace(",", ".") if decimal == "," else text)
+        ns = first_ns + round(Decimal(text) * factor)
     except (InvalidOperation, ValueError, OverflowError):
         return INVALID_NS
     return ns if 0 < ns < LAST_NS else INVALID_NS

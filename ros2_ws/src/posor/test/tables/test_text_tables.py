@@ -59,6 +59,7 @@ WAYS: dict[str, tuple[bytes, dict[str, Any]]] = {
             },
         },
     ),
+    "exponents of Fortran": (re.sub(r"(?m)^([0-9.]+),([0-9.]+)", r"\1D+00,\2d+00", TEXT).encode(), {}),
     "byte order mark": (b"\xef\xbb\xbf" + TEXT.encode(), {}),
     "UTF-16": (TEXT.encode("utf-16"), {}),
     "UTF-16 without mark": (TEXT.encode("utf-16-le"), {"file": {"encoding": "utf-16-le"}}),
