@@ -208,7 +208,6 @@ def test_rings_that_lose_their_count_in_a_gap_are_counted_at_the_next_home_marks
             np.testing.assert_allclose(estimates.thetas[-40:], thetas, rtol=0.0, atol=1e-4)
 
 
-
 OTHER_PROCESS = """
 import sys
 from pathlib import Path
