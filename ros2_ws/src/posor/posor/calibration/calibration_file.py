@@ -76,7 +76,7 @@ class Frames(FrozenModel):
 class Acceleration(FrozenModel):
     """Largest acceleration of the target relative to the receiving plate, as ``Motion``.
 
-    Bounds the error of a pose whose stamp may be wrong (``estimation.clocks``). The motion is not checked against
+    Bounds the error of a pose whose stamp may be wrong (``estimation.time_errors``). The motion is not checked against
     the acceleration.
     """
 

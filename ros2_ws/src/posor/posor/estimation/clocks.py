@@ -22,30 +22,7 @@ Where more than SCATTER_SHARE of the last scans are off the line, by at most GRE
 other, their stamps scatter.
 
 A step of the stamps shows that they were or are wrong by as much. Until an acknowledgement, the largest error of the
-stamps is taken as at least the sum of these steps. After a restart neither the numbers nor the stamps may show it: if
-the restart has lasted longer than the step, the stamps go on forward. The ages of live scans show it: their least,
-which depends little on the load of the host, is then another one. It is compared while the next MEMORY_SCANS come, and
-for WATCH_S. So it is behind a gap in the scan numbers, because a clock that numbers the scans as well may have been
-set there. Behind a short gap only younger scans count, a step forward: a loaded host makes them older. Within the first
-MEMORY_SCANS only older ones behind a long gap do: the scans of a queue that was full at the start become younger.
-Behind a further gap, a scan as young as those before the first one shows that the scans between were late, as after a
-stop of the node that receives them: the stamps are right, and the time between them counts.
-
-A stamp with the standard uncertainty s displaces the pose along its motion: the random covariance grows by
-``s^2 (xi xi' + diag(sigma_xi^2))``.
-
-A stamp that is wrong by at most L displaces the pose too. Let r be the mean rate along or about an axis over the last
-interval d, A the largest acceleration and V the largest velocity that the calibration states. The rate is within
-``A d / 2`` of r at the present pose, and changes by at most ``A L`` within L, so the displacement is at most
-
-    min(L V, L (|r| + A (d + L) / 2) + n),
-
-without a stated acceleration or a previous pose L V, without motion limits infinite. The noise n of the rate is
-``NOISE_SIGMAS s L / d`` for a pose with the random standard deviation s, so that the bound holds beside the coverage
-factor of the protection level.
-
-Readings within an exposure span S are averaged, or moved to the stamp, as if the target moved evenly meanwhile. It
-departs from the even motion by at most ``A (S/2)^2 / 2`` and by at most ``V S / 2``; the bound adds the smaller one.
+stamps is taken as at least the sum of these steps; the ages of live scans show further ones (``scan_ages``).
 """
 
 from __future__ import annotations
@@ -53,15 +30,22 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any
 
-from posor.estimation.tracking import renew_twist
+from posor.estimation.scan_ages import (
+    CLOCK_DRIFT,
+    MEMORY_SCANS,
+    begin_ages,
+    compare_after_restart,
+    unseen_time,
+    use_age,
+    watch_ages,
+)
 from posor.model.fault import Fault
 from posor.numerics.compiled import in_place
-from posor.numerics.vector import cross, minus, square, wrapped
+from posor.numerics.vector import square
 
 if TYPE_CHECKING:
     from posor.estimation.workspace import Model
     from posor.numerics.array_types import FloatArray
-    from posor.numerics.vector import Vector
 
 IN_ORDER, LATE, CONTRADICTORY = 0, -103, -104
 """Results of ``follow_clocks``, and codes of the estimate of a refused scan."""
@@ -70,7 +54,6 @@ SETTLING_SCANS = 4  # scans of a line, with fewer of which it allows for GREATES
 FITTED_SCANS = (
     16  # scans of a line, with fewer of which a new one begins where it is contradicted; later, scans are refused
 )
-MEMORY_SCANS = 256  # of the line and of the scatter
 NEW_RATE_RUN = 14  # scans in a row off the line after which a new line begins, because their rate is another one
 FAILED_LINES = 3  # lines in a row, left within FITTED_SCANS, after which the stamps scatter
 LATE_RUN = 10  # scans in a row, below the last number or off the line, that are a restart or a clock that was set
@@ -79,16 +62,9 @@ RESTART_NUMBERS = 64
 SHARE_MEMORY = 64.0  # scans, of the share of scans off the line
 SCATTER_SHARE = 0.2  # above this share the stamps scatter; NEW_RATE_RUN scans in a row stay below it
 LEAST_DEVIATION, GREATEST_DEVIATION = 0.5, 8.0  # limits of the deviation that contradicts the line, in periods
-AWAY_S = 0.1  # without a scan on arrival [s], after which older scans show a step as well
-WATCH_S = 1.0  # least time for which ages are compared [s]
-CLOCK_DRIFT = 1e-4  # largest change of the ratio of two clocks while no scan comes
-AGE_UNIT_S = 2.0**-30  # of steps that ages show [s]: their sums and differences are exact
-LEAST_AGE_STEP_S = 5e-3  # smallest change of the least age that counts as a step [s]; at least half an interval
 SCATTER_SIGMAS = 5.0  # standard deviations of the scatter that a stamp may deviate from the line
 DEVIATION_SIGMAS = 3.0  # the deviation of one stamp counts as at most as many standard deviations
-TIME_SHARE = 0.5  # TIME is set where the part from time exceeds this share of the rest of the standard uncertainty
-TIME_FAULT, INNOVATION_FAULT, TRAVEL_FAULT = int(Fault.TIME), int(Fault.INNOVATION), int(Fault.TRAVEL)
-NOISE_SIGMAS = 5.0 * math.sqrt(2.0)  # of the difference of two poses
+INNOVATION_FAULT, TRAVEL_FAULT = int(Fault.INNOVATION), int(Fault.TRAVEL)
 SCATTER_LIMIT = 0.02  # scatter in periods above which an unstated stamp is replaced by its number times the period
 
 
@@ -171,55 +147,9 @@ def _begin_line(clocks: Any, scan: Any, stamp: float) -> None:
 
 @in_place
 def _accept(clocks: Any, scan: Any, stamp: float) -> None:
-    clocks.number, clocks.stamp, clocks.content, clocks.last_age = scan.number, stamp, _content_of(scan), clocks.age
+    clocks.number, clocks.stamp, clocks.content = scan.number, stamp, _content_of(scan)
     clocks.refused, clocks.late, clocks.agreeing = 0, 0, 0
-    clocks.least_age += CLOCK_DRIFT * clocks.period
-    if not clocks.age > clocks.least_age:
-        clocks.least_age = clocks.age
-    if not math.isnan(clocks.former_age):
-        _compare_ages(clocks)
-
-
-@in_place
-def _watch_ages(clocks: Any, elapsed: float) -> float:
-    """Compare the ages behind a gap of ``elapsed`` [s] with those before; where that has begun already, with the first.
-
-    Return how far the first scan shows that the clock of numbers and stamps was set forward in the gap [s].
-    """
-    is_compared = not math.isnan(clocks.former_age)
-    usual = min(clocks.least_age, clocks.former_age) if is_compared else clocks.least_age
-    younger, is_away = usual - clocks.age, elapsed >= AWAY_S
-    if clocks.fitted < MEMORY_SCANS and not (is_away and -younger > _least_age_step(clocks)):
-        return 0.0
-    if not is_compared:
-        clocks.former_age, clocks.age_step, clocks.age_tolerance = usual, 0.0, 0.0
-        clocks.only_older = 1 if clocks.fitted < MEMORY_SCANS else 0
-    if is_away or not is_compared:
-        clocks.age_tolerance += CLOCK_DRIFT * elapsed
-        clocks.compared = 0
-    if is_away:
-        clocks.least_age = math.inf
-    return float(min(younger, elapsed)) if younger > _least_age_step(clocks) else 0.0
-
-
-@in_place
-def _least_age_step(clocks: Any) -> float:
-    """Return the least change of the least age that shows a step of the stamps [s]."""
-    return float(max(LEAST_AGE_STEP_S, LEAST_DEVIATION * clocks.period) + clocks.age_tolerance)
-
-
-@in_place
-def _compare_ages(clocks: Any) -> None:
-    """Correct the step of the stamps in a restart or a gap by the ages of the scans since then."""
-    change = clocks.least_age - clocks.former_age
-    if clocks.only_older == 0:
-        change = abs(change)
-    shown = float(round(change / AGE_UNIT_S)) * AGE_UNIT_S if change > _least_age_step(clocks) else 0.0
-    clocks.step += shown - clocks.age_step
-    clocks.age_step = shown
-    clocks.compared += 1
-    if clocks.compared >= max(MEMORY_SCANS, WATCH_S / clocks.period):
-        clocks.former_age, clocks.age_step, clocks.age_tolerance = math.nan, 0.0, 0.0
+    use_age(clocks)
 
 
 @in_place
@@ -261,7 +191,7 @@ def follow_clocks(model: Model, scan: Any) -> int:
     elapsed = stamp - clocks.stamp
     unnumbered = clocks.fitted == 1 and scan.number == clocks.number
     if clocks.fitted == 0:
-        clocks.least_age, clocks.former_age = clocks.age, math.nan
+        begin_ages(clocks)
     if clocks.fitted == 0 or (unnumbered and elapsed > 0.0):
         tracker.time = tracker.time + elapsed if unnumbered else stamp
         _begin_line(clocks, scan, stamp)
@@ -281,8 +211,8 @@ def follow_clocks(model: Model, scan: Any) -> int:
         tracker.time += elapsed
         _begin_again(model, scan, stamp, abs(deviation))
         return IN_ORDER
-    missing, unseen = _missing_time(clocks, elapsed), _unseen_time(clocks, elapsed)
-    ahead = _watch_ages(clocks, elapsed + unseen) if steps > 1.0 or unseen > 0.0 else 0.0
+    missing, unseen = _missing_time(clocks, elapsed), unseen_time(clocks, elapsed)
+    ahead = watch_ages(clocks, elapsed + unseen) if steps > 1.0 or unseen > 0.0 else 0.0
     clocks.step += missing
     if clocks.fitted > 1 and abs(deviation) > _tolerance(clocks, 1.0):
         clocks.line = stamp  # the clocks drifted while no scan came
@@ -305,17 +235,6 @@ def _missing_time(clocks: Any, elapsed: float) -> float:
     if clocks.late > 1 and clocks.refused_number == clocks.number:  # both clocks were set back, and came here again
         missing = max(missing, clocks.late * clocks.period)
     return missing
-
-
-@in_place
-def _unseen_time(clocks: Any, elapsed: float) -> float:
-    """Return how much older on arrival a scan is than the last one, where none has arrived for AWAY_S [s]; else 0.
-
-    The clock of numbers and stamps stood still or was set back meanwhile, as on a host that was paused. A scan that is
-    late shows the same; the next ones are younger again.
-    """
-    older = clocks.age - clocks.last_age
-    return float(older) if older > _least_age_step(clocks) and elapsed + older >= AWAY_S else 0.0
 
 
 @in_place
@@ -460,8 +379,7 @@ def _follow_back(model: Model, scan: Any, stamp: float, elapsed: float) -> int:
         if least - elapsed > LEAST_DEVIATION * clocks.period:
             step = least - elapsed
         clocks.step += step
-        clocks.compared, clocks.only_older, clocks.age_tolerance = 0, 0, CLOCK_DRIFT * max(elapsed, 0.0)
-        clocks.former_age = step + (clocks.least_age if math.isnan(clocks.former_age) else clocks.former_age)
+        compare_after_restart(clocks, step, elapsed)
     clocks.least_age = clocks.run_age
     _begin_line(clocks, scan, stamp)
     if step + clocks.age_step > 0.0:
@@ -475,78 +393,3 @@ def _doubt_count(model: Model) -> None:
     workspace = model.workspace[0]
     if workspace.settings.period > 0.0:
         workspace.tracker.counted = 0
-
-
-@in_place
-def add_stamp_variance(
-    workspace: Any, sigma: float, theta: float, elapsed: float, random: FloatArray, systematic: FloatArray
-) -> int:
-    """Add the covariance from the standard uncertainty of the stamp, ``sigma`` [s], to ``random`` (ROS order).
-
-    ``theta``: of the pose [rad]; ``elapsed``: time since the tracker's pose [s], NaN: the motion from there is unknown.
-    Return the fault TIME where a variance grows by more than TIME_SHARE allows, else 0.
-    """
-    fault = 0
-    if elapsed > 0.0:
-        renew_twist(workspace, theta, elapsed)
-    for i in range(6):
-        added = square(sigma) * (square(workspace.twist[i]) + square(workspace.twist_sigmas[i]))
-        if added > square(TIME_SHARE) * (random[i, i] + systematic[i, i]):
-            fault = TIME_FAULT
-        random[i, i] += square(sigma * workspace.twist_sigmas[i])
-        for j in range(6):
-            random[i, j] += square(sigma) * workspace.twist[i] * workspace.twist[j]
-    return fault
-
-
-@in_place
-def _axis_of(rotation: FloatArray) -> Vector:
-    """Return the target's Z axis."""
-    return rotation[0, 2], rotation[1, 2], rotation[2, 2]
-
-
-@in_place
-def _largest_shift(
-    limit: float, elapsed: float, fastest: float, acceleration: float, moved: float, noise: float
-) -> float:
-    """Return the largest displacement within ``limit`` [s] after a motion in ``elapsed`` [s]; NaN: unknown."""
-    if not limit > 0.0:
-        return 0.0
-    if not elapsed > 0.0:
-        return limit * fastest
-    after = limit * (abs(moved) / elapsed + 0.5 * acceleration * (elapsed + limit))
-    return min(limit * fastest, after + NOISE_SIGMAS * noise * limit / elapsed)
-
-
-@in_place
-def _largest_bend(span: float, fastest: float, acceleration: float) -> float:
-    """Return the largest motion within an exposure span [s] beside an even one."""
-    return min(0.5 * span * fastest, 0.125 * square(span) * acceleration) if span > 0.0 else 0.0
-
-
-@in_place
-def write_stamp_shift(workspace: Any, scan: Any, theta: float, elapsed: float, estimate: Any) -> None:
-    """Write the largest error of the pose in the workspace by a wrong stamp, and by the time that its readings take.
-
-    ``theta``: of the pose [rad]; ``elapsed``: time since the tracker's pose [s], NaN: the motion from there is unknown;
-    ``estimate``: record of dtype ESTIMATE, its ``stamp_shift`` is written: ROS order, axes of the parent [m], [rad].
-    """
-    limit, span = max(scan.stamp_limit, workspace.tracker.clocks.step), scan.exposure_span
-    settings, previous, pose = workspace.settings, workspace.tracker.pose, workspace.pose
-    axis = _axis_of(pose.rotation)
-    spin = wrapped(theta - workspace.tracker.theta)
-    lean = cross(axis, minus(axis, _axis_of(previous.rotation)))
-    for k in range(3):
-        fastest, acceleration = settings.max_lean_rate, settings.max_lean_acceleration
-        if axis[k] != 0.0:
-            fastest += settings.max_theta_rate * abs(axis[k])
-            acceleration += settings.max_theta_acceleration * abs(axis[k])
-        noise = math.sqrt(estimate.random[3 + k, 3 + k])
-        moved = spin * axis[k] + lean[k]
-        shift = _largest_shift(limit, elapsed, fastest, acceleration, moved, noise)
-        estimate.stamp_shift[3 + k] = shift + _largest_bend(span, fastest, acceleration)
-        fastest, acceleration = settings.max_velocity, settings.max_acceleration
-        noise = math.sqrt(estimate.random[k, k])
-        moved = pose.translation[k] - previous.translation[k]
-        shift = _largest_shift(limit, elapsed, fastest, acceleration, moved, noise)
-        estimate.stamp_shift[k] = shift + _largest_bend(span, fastest, acceleration)

@@ -12,17 +12,7 @@ import math
 from typing import TYPE_CHECKING, Any
 
 from posor.estimation.ambient import LIGHT_LEFT, NO_DARK_SCAN, NO_POSE, add_common_effects, follow_ambient
-from posor.estimation.clocks import (
-    IN_ORDER,
-    TIME_FAULT,
-    add_stamp_variance,
-    elapsed_at,
-    follow_clocks,
-    is_repeated,
-    motion_allowance,
-    stamp_sigma,
-    write_stamp_shift,
-)
+from posor.estimation.clocks import IN_ORDER, elapsed_at, follow_clocks, is_repeated, motion_allowance, stamp_sigma
 from posor.estimation.covariance import (
     add_shared_terms,
     add_systematic_covariance,
@@ -30,7 +20,6 @@ from posor.estimation.covariance import (
     write_covariances,
     write_shared_effects,
 )
-from posor.estimation.exposure import move_to_stamp
 from posor.estimation.fault_effects import write_fault_effects
 from posor.estimation.frozen import NOT_FROZEN, count_repetitions
 from posor.estimation.linearise import add_unmeasured, environment_is_valid, linearise_scan, missing, unmeasured
@@ -50,6 +39,7 @@ from posor.estimation.scan_checks import (
     use_confirmation,
 )
 from posor.estimation.solver import CONVERGED, ILL_CONDITIONED, SINGULAR, solve_pose
+from posor.estimation.time_errors import TIME_FAULT, add_stamp_variance, move_to_stamp, write_stamp_shift
 from posor.estimation.tracking import (
     add_prior,
     copy_pose,

@@ -11,9 +11,9 @@ from posor.calibration.plausible_range import ANY_FINITE
 from posor.estimation.ambient import LIGHT_LEFT, NO_DARK_SCAN, NO_POSE
 from posor.estimation.clocks import CONTRADICTORY, LATE, SCATTER_LIMIT
 from posor.estimation.estimate import NO_STAMP, OTHER_FRAME
-from posor.estimation.exposure import LONGEST_OFFSET_S
 from posor.estimation.frozen import ALL
 from posor.estimation.linearise import INVALID_TIME, REFERENCE_MEASURED
+from posor.estimation.time_errors import LONGEST_OFFSET_S
 from posor.model.fault import Fault
 from posor.model.scan import NO_SOURCE
 from posor.numerics.stamps import NO_TIME

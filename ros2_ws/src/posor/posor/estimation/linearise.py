@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from posor.estimation.ambient import check_dark_currents, is_dark, keep_light, subtract_ambient, write_ambient_effects
 from posor.estimation.clocks import stamp_is_valid
-from posor.estimation.exposure import begin_exposures, write_spot_offsets, write_voltage_offset
+from posor.estimation.time_errors import begin_exposures, write_spot_offsets, write_voltage_offset
 from posor.model.diode import CODES, OUTSIDE_X, find_ratios
 from posor.model.fault import Fault
 from posor.model.readings import (

@@ -1,6 +1,6 @@
 # Copyright 2026 POSOR maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Readings that are exposed at other times than their stamp, and the uncertainty that this adds to a pose.
+"""What the times of a scan add to the errors of its pose: exposures beside the stamp, and a wrong stamp.
 
 A multiplexing converter reads the channels of a scan one after another, while the target moves on (thesis 8.3.3: eleven
 conversions of 100 us). With the tracker's twist xi and the offset t of a reading's exposure from the stamp, the reading
@@ -12,6 +12,22 @@ offset is uniformly distributed over the span of the scan and enters the varianc
 The ratio ``u = (A - C)/(A + C)`` of two contact currents that are read at times a and c has the offset
 ``((1 - u) a + (1 + u) c) / 2``. A map mixes both ratios; its slope M turns the offsets of the ratios into
 ``M diag(t_u, t_v) M^-1``, which acts on the rates of both coordinates of the spot.
+
+A stamp with the standard uncertainty s displaces the pose along its motion: the random covariance grows by
+``s^2 (xi xi' + diag(sigma_xi^2))``.
+
+A stamp that is wrong by at most L displaces the pose too. Let r be the mean rate along or about an axis over the last
+interval d, A the largest acceleration and V the largest velocity that the calibration states. The rate is within
+``A d / 2`` of r at the present pose, and changes by at most ``A L`` within L, so the displacement is at most
+
+    min(L V, L (|r| + A (d + L) / 2) + n),
+
+without a stated acceleration or a previous pose L V, without motion limits infinite. The noise n of the rate is
+``NOISE_SIGMAS s L / d`` for a pose with the random standard deviation s, so that the bound holds beside the coverage
+factor of the protection level.
+
+Readings within an exposure span S are averaged, or moved to the stamp, as if the target moved evenly meanwhile. It
+departs from the even motion by at most ``A (S/2)^2 / 2`` and by at most ``V S / 2``; the bound adds the smaller one.
 """
 
 from __future__ import annotations
@@ -19,17 +35,21 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any
 
-from posor.estimation.clocks import TIME_SHARE
-from posor.estimation.tracking import copy_pose, turn_about_z
+from posor.estimation.tracking import copy_pose, renew_twist, turn_about_z
+from posor.model.fault import Fault
 from posor.model.reading_rows import predict_readings
 from posor.model.scan import CONTACTS
 from posor.numerics.compiled import in_place
-from posor.numerics.vector import square
+from posor.numerics.vector import cross, minus, square, wrapped
 
 if TYPE_CHECKING:
     from posor.numerics.array_types import FloatArray
+    from posor.numerics.vector import Vector
 
 LONGEST_OFFSET_S = 100.0  # largest offset of an exposure from the stamp that is accepted, of means of slow scans [s]
+TIME_SHARE = 0.5  # TIME is set where the part from time exceeds this share of the rest of the standard uncertainty
+TIME_FAULT = int(Fault.TIME)
+NOISE_SIGMAS = 5.0 * math.sqrt(2.0)  # of the difference of two poses
 
 
 @in_place
@@ -137,3 +157,78 @@ def move_to_stamp(workspace: Any) -> bool:
         doubtful = doubtful or added > square(TIME_SHARE) * workspace.variances[r]
         workspace.variances[r] += added
     return doubtful
+
+
+@in_place
+def add_stamp_variance(
+    workspace: Any, sigma: float, theta: float, elapsed: float, random: FloatArray, systematic: FloatArray
+) -> int:
+    """Add the covariance from the standard uncertainty of the stamp, ``sigma`` [s], to ``random`` (ROS order).
+
+    ``theta``: of the pose [rad]; ``elapsed``: time since the tracker's pose [s], NaN: the motion from there is unknown.
+    Return the fault TIME where a variance grows by more than TIME_SHARE allows, else 0.
+    """
+    fault = 0
+    if elapsed > 0.0:
+        renew_twist(workspace, theta, elapsed)
+    for i in range(6):
+        added = square(sigma) * (square(workspace.twist[i]) + square(workspace.twist_sigmas[i]))
+        if added > square(TIME_SHARE) * (random[i, i] + systematic[i, i]):
+            fault = TIME_FAULT
+        random[i, i] += square(sigma * workspace.twist_sigmas[i])
+        for j in range(6):
+            random[i, j] += square(sigma) * workspace.twist[i] * workspace.twist[j]
+    return fault
+
+
+@in_place
+def _axis_of(rotation: FloatArray) -> Vector:
+    """Return the target's Z axis."""
+    return rotation[0, 2], rotation[1, 2], rotation[2, 2]
+
+
+@in_place
+def _largest_shift(
+    limit: float, elapsed: float, fastest: float, acceleration: float, moved: float, noise: float
+) -> float:
+    """Return the largest displacement within ``limit`` [s] after a motion in ``elapsed`` [s]; NaN: unknown."""
+    if not limit > 0.0:
+        return 0.0
+    if not elapsed > 0.0:
+        return limit * fastest
+    after = limit * (abs(moved) / elapsed + 0.5 * acceleration * (elapsed + limit))
+    return min(limit * fastest, after + NOISE_SIGMAS * noise * limit / elapsed)
+
+
+@in_place
+def _largest_bend(span: float, fastest: float, acceleration: float) -> float:
+    """Return the largest motion within an exposure span [s] beside an even one."""
+    return min(0.5 * span * fastest, 0.125 * square(span) * acceleration) if span > 0.0 else 0.0
+
+
+@in_place
+def write_stamp_shift(workspace: Any, scan: Any, theta: float, elapsed: float, estimate: Any) -> None:
+    """Write the largest error of the pose in the workspace by a wrong stamp, and by the time that its readings take.
+
+    ``theta``: of the pose [rad]; ``elapsed``: time since the tracker's pose [s], NaN: the motion from there is unknown;
+    ``estimate``: record of dtype ESTIMATE, its ``stamp_shift`` is written: ROS order, axes of the parent [m], [rad].
+    """
+    limit, span = max(scan.stamp_limit, workspace.tracker.clocks.step), scan.exposure_span
+    settings, previous, pose = workspace.settings, workspace.tracker.pose, workspace.pose
+    axis = _axis_of(pose.rotation)
+    spin = wrapped(theta - workspace.tracker.theta)
+    lean = cross(axis, minus(axis, _axis_of(previous.rotation)))
+    for k in range(3):
+        fastest, acceleration = settings.max_lean_rate, settings.max_lean_acceleration
+        if axis[k] != 0.0:
+            fastest += settings.max_theta_rate * abs(axis[k])
+            acceleration += settings.max_theta_acceleration * abs(axis[k])
+        noise = math.sqrt(estimate.random[3 + k, 3 + k])
+        moved = spin * axis[k] + lean[k]
+        shift = _largest_shift(limit, elapsed, fastest, acceleration, moved, noise)
+        estimate.stamp_shift[3 + k] = shift + _largest_bend(span, fastest, acceleration)
+        fastest, acceleration = settings.max_velocity, settings.max_acceleration
+        noise = math.sqrt(estimate.random[k, k])
+        moved = pose.translation[k] - previous.translation[k]
+        shift = _largest_shift(limit, elapsed, fastest, acceleration, moved, noise)
+        estimate.stamp_shift[k] = shift + _largest_bend(span, fastest, acceleration)

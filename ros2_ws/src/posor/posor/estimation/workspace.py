@@ -214,7 +214,7 @@ WORKSPACE = np.dtype(  # memory of fixed capacity for one POSOR
         ("light_effects", "f8", (READINGS,)),  # of light of the sources in the last dark scan [m]
         ("spot_partners", "i8", (READINGS,)),  # the other coordinate of the same spot, else the reading itself
         ("gain_effects", "f8", (READINGS,)),  # of the uncertainty of the converter's gain [m]
-        # Exposure of each reading (``estimation.exposure``)
+        # Exposure of each reading (``estimation.time_errors``)
         ("has_offsets", "i8"),  # 1: not all channels were read at the stamp
         ("offsets", "f8", (READINGS,)),  # [s]
         ("cross_offsets", "f8", (READINGS,)),  # by the rate of the partner, the other coordinate of a spot [s]

@@ -18,7 +18,7 @@ import pytest
 from numpy.typing import NDArray
 from posor import Calibration, Estimates, Fault, Posor, Scans, State, load_calibration, simulate
 from posor.estimation.clocks import FAILED_LINES, FITTED_SCANS, LATE_RUN, NEW_RATE_RUN, RESTART_RUN, SETTLING_SCANS
-from posor.estimation.exposure import LONGEST_OFFSET_S
+from posor.estimation.time_errors import LONGEST_OFFSET_S
 from scipy.stats import chi2
 
 Array = NDArray[Any]
