@@ -13,8 +13,8 @@ The tracker has a time of its own that only moves forward, so a step of the cloc
 
 * in general it advances by the difference of the stamps;
 * where the stamps scatter and the source does not state their uncertainty, by the numbers times the period;
-* where scans in a row repeat the last numbers, because both clocks were set back, by an interval for each of them and
-  another one more;
+* where n scans in a row repeat the last numbers, because both clocks were set back, by n + 1 intervals more than the
+  stamps show;
 * where the two clocks contradict each other, by the smaller of both, which accepts the least motion, but at least by an
   interval for each refused scan; after a change of the rate, by the stamps. A count of theta is given up.
 
@@ -50,16 +50,14 @@ if TYPE_CHECKING:
 IN_ORDER, LATE, CONTRADICTORY = 0, -103, -104
 """Results of ``follow_clocks``, and codes of the estimate of a refused scan."""
 CLOCK_STEP_S = 1.0  # step back of the stamps [s] that, with numbers that go back, shows a new start of a recording
-SETTLING_SCANS = 4  # scans of a line, with fewer of which it allows for GREATEST_DEVIATION
-FITTED_SCANS = (
-    16  # scans of a line, with fewer of which a new one begins where it is contradicted; later, scans are refused
-)
+SETTLING_SCANS = 4  # a line of fewer scans allows for GREATEST_DEVIATION
+FITTED_SCANS = 16  # a stamp off a line of fewer scans begins a new line; off a line of more, its scan is refused
 NEW_RATE_RUN = 14  # scans in a row off the line after which a new line begins, because their rate is another one
 FAILED_LINES = 3  # lines in a row, left within FITTED_SCANS, after which the stamps scatter
 LATE_RUN = 10  # scans in a row, below the last number or off the line, that are a restart or a clock that was set
 RESTART_RUN = 3  # the same where the numbers are RESTART_NUMBERS, or the stamps CLOCK_STEP_S, before the last
 RESTART_NUMBERS = 64
-SHARE_MEMORY = 64.0  # scans, of the share of scans off the line
+SHARE_MEMORY = 64.0  # scans over which the share of scans off the line is averaged
 SCATTER_SHARE = 0.2  # above this share the stamps scatter; NEW_RATE_RUN scans in a row stay below it
 LEAST_DEVIATION, GREATEST_DEVIATION = 0.5, 8.0  # limits of the deviation that contradicts the line, in periods
 SCATTER_SIGMAS = 5.0  # standard deviations of the scatter that a stamp may deviate from the line
@@ -102,7 +100,7 @@ def _sum_of(readings: FloatArray) -> float:
 
 @in_place
 def scatter_of(tracker: Any) -> float:
-    """Return the standard deviation of the stamps from the line [s]; zero while there is no line."""
+    """Return the standard deviation of the stamps from the line [s]; zero before the third scan of a line."""
     clocks = tracker.clocks
     return math.sqrt(clocks.variance) if clocks.fitted >= 3 else 0.0  # noqa: PLR2004  two scans fit any line
 
@@ -139,7 +137,7 @@ def motion_allowance(tracker: Any, scan: Any) -> float:
 
 @in_place
 def _begin_line(clocks: Any, scan: Any, stamp: float) -> None:
-    """Begin a new line at a scan; until the next one its period is that of the line before."""
+    """Begin a new line at a scan; until the next scan, its period is that of the line before."""
     clocks.fitted, clocks.variance, clocks.deviation = 1, 0.0, 0.0
     clocks.line = stamp
     _accept(clocks, scan, stamp)
@@ -251,10 +249,10 @@ def _begin_to_scatter(clocks: Any, scatters: bool, deviation: float) -> bool:  #
 
 @in_place
 def _begin_again(model: Model, scan: Any, stamp: float, deviation: float) -> None:
-    """Begin a new line where the first scans leave it, by ``deviation`` [s], a step; the third time, stamps scatter.
+    """Begin a new line at a scan that is ``deviation`` [s] off a line of fewer than FITTED_SCANS, which is a step.
 
-    The period is then that of the scans since the first time. If no line has held before, the elapsed times were wrong
-    since the first scan: the recording begins here, and there was no step.
+    The third time in a row the stamps scatter; the period is then that of the scans since the first time. If no line
+    has held before, the elapsed times were wrong since the first scan: the recording begins here, without a step.
     """
     tracker = model.workspace[0].tracker
     clocks = tracker.clocks
@@ -278,7 +276,7 @@ def _begin_again(model: Model, scan: Any, stamp: float, deviation: float) -> Non
 def _begin_recording(tracker: Any) -> None:
     """Forget pose, count and latch, because the elapsed times were wrong since the first scan.
 
-    A pose beyond the travel is wrong at any time.
+    The latch of TRAVEL stays: a pose beyond the travel is wrong whatever the times are.
     """
     tracker.initialised, tracker.counted, tracker.theta = 0, 0, 0.0
     tracker.latch &= TRAVEL_FAULT
@@ -288,7 +286,7 @@ def _begin_recording(tracker: Any) -> None:
 def _hold(tracker: Any) -> None:
     """Hold a line that FITTED_SCANS agree with.
 
-    Where the first line scatters, a jump that was latched before it came from the stamps, not from the pose.
+    Where the stamps of the first such line scatter, a jump that was latched before came from the stamps, not the pose.
     """
     clocks = tracker.clocks
     if clocks.fitted != FITTED_SCANS:
@@ -327,7 +325,10 @@ def _fit(clocks: Any, steps: float, deviation: float) -> None:
 
 @in_place
 def _refuse(model: Model, scan: Any, stamp: float, elapsed: float) -> int:
-    """Refuse a scan whose stamp contradicts its number, unless so many before it agree with it: the clock was set."""
+    """Refuse a scan whose stamp contradicts its number, unless it ends a run: the clock was set, or the rate changed.
+
+    LATE_RUN scans in a row that agree with one another are a clock that was set, NEW_RATE_RUN others another rate.
+    """
     tracker = model.workspace[0].tracker
     clocks = tracker.clocks
     _follow_run(clocks, scan, stamp)
@@ -352,8 +353,9 @@ def _refuse(model: Model, scan: Any, stamp: float, elapsed: float) -> int:
 def _follow_back(model: Model, scan: Any, stamp: float, elapsed: float) -> int:
     """Refuse a late scan, unless it ends a run of scans with earlier numbers: the driver or a recording restarted.
 
-    Only a recording that starts over, by number and by CLOCK_STEP_S, or earlier on the line, forgets the previous pose;
-    where the scans are older on arrival by as much as they went back, the clock that numbers and stamps them was set.
+    Only a recording that starts over forgets the previous pose: its stamps go back by more than CLOCK_STEP_S, or along
+    the line with its numbers. Where the scans are older on arrival by more than half of what their stamps are still
+    back, the clock that numbers and stamps them was set.
     """
     tracker = model.workspace[0].tracker
     clocks = tracker.clocks
@@ -364,7 +366,7 @@ def _follow_back(model: Model, scan: Any, stamp: float, elapsed: float) -> int:
     if clocks.late < (RESTART_RUN if is_restart_step else LATE_RUN):
         is_near = abs(elapsed) < LEAST_DEVIATION * clocks.period
         if scan.number == clocks.number and is_near and _content_of(scan) != clocks.content:
-            clocks.late += 1  # the last of n scans that repeat numbers: set back by n to n + 1 intervals
+            clocks.late += 1  # the last of n scans that repeat numbers: set back by less than n + 1 intervals
         return LATE
     least = _least_elapsed(clocks)
     deviation = elapsed + clocks.stamp - clocks.line + float(clocks.number - scan.number) * clocks.period

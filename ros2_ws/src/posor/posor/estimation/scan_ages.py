@@ -2,14 +2,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """Ages of live scans on arrival: they show steps of the stamps that numbers and stamps do not show.
 
-After a restart neither the numbers nor the stamps may show a step: if the restart has lasted longer than the step, the
-stamps go on forward. The least age of the scans, which depends little on the load of the host, is then another one. It
-is compared with that before while the next MEMORY_SCANS come, and for WATCH_S. So it is behind a gap in the scan
-numbers, because a clock that numbers the scans as well may have been set there. Behind a short gap only younger scans
-count, a step forward: a loaded host makes them older. Within the first MEMORY_SCANS only older ones behind a long gap
-do: the scans of a queue that was full at the start become younger. Behind a further gap, a scan as young as those
-before the first one shows that the scans between were late, as after a stop of the node that receives them: the stamps
-are right, and the time between them counts.
+The age of a scan is the time of its arrival minus its stamp. A restart of the driver can hide a step: if it has lasted
+longer than a step back, the stamps go on forward. The least age of the scans, which depends little on the load of the
+host, then differs from that before. It is compared while the next MEMORY_SCANS come, and at least for WATCH_S.
+
+The ages are compared likewise behind a gap in the scan numbers, because a clock that numbers the scans as well may have
+been set in it, and where a scan is older than the last one after AWAY_S without an arrival. Behind a gap shorter than
+AWAY_S only younger scans count, a step forward: a loaded host makes them older. Within the first MEMORY_SCANS of a line
+only older ones behind a longer gap do: the scans of a queue that was full at the start become younger. Behind a further
+gap, a scan as young as those before the first gap shows that the scans between were late, as after a stop of the node
+that receives them: the stamps are right, and the time between them counts.
 """
 
 from __future__ import annotations
@@ -22,9 +24,9 @@ from posor.numerics.compiled import in_place
 MEMORY_SCANS = 256  # of the line through numbers and stamps (``clocks``), and of scans whose ages are compared
 AWAY_S = 0.1  # without a scan on arrival [s], after which older scans show a step as well
 WATCH_S = 1.0  # least time for which ages are compared [s]
-CLOCK_DRIFT = 1e-4  # largest change of the ratio of two clocks while no scan comes
+CLOCK_DRIFT = 1e-4  # largest drift of one clock against another, as a share of the time
 AGE_UNIT_S = 2.0**-30  # of steps that ages show [s]: their sums and differences are exact
-LEAST_STEP_S, LEAST_STEP_PERIODS = 5e-3, 0.5  # smallest change of the least age that counts as a step: both
+LEAST_STEP_S, LEAST_STEP_PERIODS = 5e-3, 0.5  # smallest change of the least age that is a step: the larger
 
 
 @in_place
@@ -53,9 +55,9 @@ def compare_after_restart(clocks: Any, step: float, elapsed: float) -> None:
 
 @in_place
 def watch_ages(clocks: Any, elapsed: float) -> float:
-    """Compare the ages behind a gap of ``elapsed`` [s] with those before; where that has begun already, with the first.
+    """Compare the ages behind a gap of ``elapsed`` [s] with those before; in a comparison, with those before that.
 
-    Return how far the first scan shows that the clock of numbers and stamps was set forward in the gap [s].
+    Return by how much the first scan shows the clock of numbers and stamps to have been set forward in the gap [s].
     """
     is_compared = not math.isnan(clocks.former_age)
     usual = min(clocks.least_age, clocks.former_age) if is_compared else clocks.least_age
@@ -75,10 +77,10 @@ def watch_ages(clocks: Any, elapsed: float) -> float:
 
 @in_place
 def unseen_time(clocks: Any, elapsed: float) -> float:
-    """Return how much older on arrival a scan is than the last one, where none has arrived for AWAY_S [s]; else 0.
+    """Return how much older on arrival a scan is than the last one, if none has arrived for AWAY_S [s]; else 0.
 
-    The clock of numbers and stamps stood still or was set back meanwhile, as on a host that was paused. A scan that is
-    late shows the same; the next ones are younger again.
+    The clock of numbers and stamps stood still or was set back meanwhile, as on a host that was paused. A late scan
+    looks the same; the next scans are then younger again.
     """
     older = clocks.age - clocks.last_age
     return float(older) if older > _least_age_step(clocks) and elapsed + older >= AWAY_S else 0.0

@@ -3,8 +3,8 @@
 """Checks between solution and tracker: residuals, travel, motion, count of theta, home marks, reference; the latch.
 
 A fault latches the joint. REGAINABLE_FAULTS hold the tracker at the last accepted pose. They are released where one of
-the next scans regains the extrapolated motion within the gate of one scan interval, by a jump back from the poses
-rejected meanwhile. Waiting does not widen this gate: later, a reference releases a latch that concerns theta
+the next scans regains the motion, theta extrapolated, within the gate of one scan interval, by a jump back from the
+poses rejected meanwhile. Waiting does not widen this gate: later, a reference releases a latch that concerns theta
 only, and an operator releases any latch. Where a home mark or an encoder disagrees, the tracker keeps predicting, and
 the reference releases the latch. Contradictory readings may agree at another theta although their fault is still there:
 a common gain of the gap probes changes all gaps as another plane would, which only their curvature and the spots
@@ -87,7 +87,7 @@ def count_theta(workspace: Any, theta: float, at_home: int) -> bool:
 
 @in_place
 def bump_is_unknown(workspace: Any) -> bool:
-    """Return whether the bump is not counted: at the begin, after an acknowledgement, and where the count was lost."""
+    """Return whether the bump is not counted: at the start, after an acknowledgement, and where the count was lost."""
     return bool(workspace.settings.bump_angle > 0.0 and not workspace.tracker.counted)
 
 
@@ -123,10 +123,9 @@ def check_residuals(workspace: Any, theta: float, residual: float) -> None:
 
 @in_place
 def _count_contradiction(workspace: Any) -> None:
-    """Count a failed test in a row; the last of RESIDUAL_RUN latches the joint.
+    """Count a failed test of a run; the last of RESIDUAL_RUN latches the joint.
 
-    A row does not begin at an unknown bump: bumps are not alike, so sound readings contradict one another at a wrong
-    one.
+    A run does not begin at an unknown bump: bumps differ, so sound readings contradict one another at a wrong bump.
     """
     tracker = workspace.tracker
     if tracker.latch & RESIDUAL:
@@ -153,7 +152,8 @@ def use_ambient_change(tracker: Any, is_new: bool) -> None:  # noqa: FBT001  a k
 def check_travel(workspace: Any, estimate: Any) -> None:
     """Note whether a pose without contradictions is beyond the travel of the bearing by more than its uncertainty.
 
-    By the wrong bump the tilt of the target plane turns into a lean; the pose of an uncounted scan is not usable.
+    The pose of an uncounted scan is not checked: at a wrong bump the tilt of the target plane is taken for a lean, and
+    the pose is not usable anyway.
     """
     settings, pose, checks = workspace.settings, workspace.pose, workspace.checks
     checks.beyond_travel = 0
@@ -361,7 +361,7 @@ def is_regained(workspace: Any, covariance: FloatArray) -> bool:
         if max(position, theta) <= 1.0:
             return False
     copy_pose(tracker.pose, centre)
-    if tracker.interval > 0.0:  # the target hardly moves otherwise: rates from two poses would add their noise
+    if tracker.interval > 0.0:  # theta only: else the target hardly moves, and rates from two poses would add noise
         turn_about_z(centre.rotation, tracker.theta_rate * elapsed)
     position, theta = motion_gate(workspace, centre, interval, covariance)
     return bool(max(position, theta) <= 1.0)

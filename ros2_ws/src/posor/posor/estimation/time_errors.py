@@ -1,6 +1,6 @@
 # Copyright 2026 POSOR maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""What the times of a scan add to the errors of its pose: exposures beside the stamp, and a wrong stamp.
+"""What the times of a scan add to the errors of its pose: exposures away from the stamp, and a wrong stamp.
 
 A multiplexing converter reads the channels of a scan one after another, while the target moves on (thesis 8.3.3: eleven
 conversions of 100 us). With the tracker's twist xi and the offset t of a reading's exposure from the stamp, the reading
@@ -20,11 +20,11 @@ A stamp that is wrong by at most L displaces the pose too. Let r be the mean rat
 interval d, A the largest acceleration and V the largest velocity that the calibration states. The rate is within
 ``A d / 2`` of r at the present pose, and changes by at most ``A L`` within L, so the displacement is at most
 
-    min(L V, L (|r| + A (d + L) / 2) + n),
+    min(L V, L (|r| + A (d + L) / 2) + n).
 
-without a stated acceleration or a previous pose L V, without motion limits infinite. The noise n of the rate is
-``NOISE_SIGMAS s L / d`` for a pose with the random standard deviation s, so that the bound holds beside the coverage
-factor of the protection level.
+Without a stated acceleration or a previous pose it is at most L V; without motion limits it is not bounded (infinite).
+The part n from the noise of the rate is ``NOISE_SIGMAS s L / d`` for a pose with the random standard deviation s, so
+that the bound holds beside the coverage factor of the protection level.
 
 Readings within an exposure span S are averaged, or moved to the stamp, as if the target moved evenly meanwhile. It
 departs from the even motion by at most ``A (S/2)^2 / 2`` and by at most ``V S / 2``; the bound adds the smaller one.
@@ -49,7 +49,7 @@ if TYPE_CHECKING:
 LONGEST_OFFSET_S = 100.0  # largest offset of an exposure from the stamp that is accepted, of means of slow scans [s]
 TIME_SHARE = 0.5  # TIME is set where the part from time exceeds this share of the rest of the standard uncertainty
 TIME_FAULT = int(Fault.TIME)
-NOISE_SIGMAS = 5.0 * math.sqrt(2.0)  # of the difference of two poses
+NOISE_SIGMAS = 5.0 * math.sqrt(2.0)  # 5 standard deviations of the difference of two poses, in those of one pose
 
 
 @in_place
@@ -202,7 +202,7 @@ def _largest_shift(
 
 @in_place
 def _largest_bend(span: float, fastest: float, acceleration: float) -> float:
-    """Return the largest motion within an exposure span [s] beside an even one."""
+    """Return the largest departure from an even motion within an exposure span [s]."""
     return min(0.5 * span * fastest, 0.125 * square(span) * acceleration) if span > 0.0 else 0.0
 
 

@@ -15,9 +15,9 @@ if TYPE_CHECKING:
     from posor.numerics.array_types import FloatArray
 
 RATE_MEMORY = 0.9  # share of the largest change of a rate that is kept from scan to scan
-REGAIN_GAP = 4.5  # intervals after the last accepted pose within which motion is regained: three bad scans in a row
-REGAIN_S = 0.02  # the same where more intervals fit into this time: a burst of disturbances, a device that pauses [s]
-FIRST_GAP_S = 0.2  # the same where no interval is known, as at the second scan without numbers [s]
+REGAIN_GAP = 4.5  # intervals since the last accepted pose in which motion is regained and a count kept: 3 bad scans
+REGAIN_S = 0.02  # least time within which motion is regained [s]: a burst of disturbances, a device that pauses
+FIRST_GAP_S = 0.2  # time in which a count is kept where no interval is known [s], as at the second scan without numbers
 LONGEST_GAP = 3.5  # longest extrapolation of the motion, in intervals of the previous scans
 
 

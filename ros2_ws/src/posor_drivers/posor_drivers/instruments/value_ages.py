@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Ages of the values in frames: a device may send frames, or answer, more often than its converter has new values.
 
-A value that is equal to the last bit to that of the frame before may have been measured as early as in the period
-before the first of the equal frames. This time is the age of the value. A value that has not changed since the first
+A value that is equal to the last bit to that of the frame before may have been measured just after the frame before the
+first of the equal frames. The time since then is the age of the value. A value that has not changed since the first
 stored frame has an unknown age, which counts as ``CAPACITY`` periods, the longest that is looked at. A sound device
 with a coarse converter repeats values, too. Two rules separate them:
 
@@ -46,9 +46,9 @@ ISOLATED_CHANGES = 20
 CHECKED_FRAMES = 128
 """Frames after which isolated changes are counted."""
 RECENT_FRAMES = 128
-"""Frames among which the first of equal ones is looked for in each call, among all stored ones every half of them.
+"""Newest frames in which each call looks for the first of equal ones; once in half as many frames it looks in all.
 
-Where channels with new values in every frame all repeat them for longer, the device is at rest.
+Where channels with new values in every frame all repeat them for longer, the bearing is at rest.
 """
 PAUSE_STEPS, PAUSE_REPETITIONS = 4, 6
 """Noise of two or more channels looks like a pause in less than one frame of 10000."""
