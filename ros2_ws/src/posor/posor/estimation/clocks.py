@@ -34,6 +34,7 @@ from posor.estimation.scan_ages import (
     CLOCK_DRIFT,
     MEMORY_SCANS,
     begin_ages,
+    compare_after_repetition,
     compare_after_restart,
     unseen_time,
     use_age,
@@ -146,7 +147,7 @@ def _begin_line(clocks: Any, scan: Any, stamp: float) -> None:
 @in_place
 def _accept(clocks: Any, scan: Any, stamp: float) -> None:
     clocks.number, clocks.stamp, clocks.content = scan.number, stamp, _content_of(scan)
-    clocks.refused, clocks.late, clocks.agreeing = 0, 0, 0
+    clocks.refused, clocks.late, clocks.agreeing, clocks.set_back = 0, 0, 0, 0.0
     use_age(clocks)
 
 
@@ -212,6 +213,8 @@ def follow_clocks(model: Model, scan: Any) -> int:
     missing, unseen = _missing_time(clocks, elapsed), unseen_time(clocks, elapsed)
     ahead = watch_ages(clocks, elapsed + unseen) if steps > 1.0 or unseen > 0.0 else 0.0
     clocks.step += missing
+    if clocks.set_back > 0.0:
+        compare_after_repetition(clocks)
     if clocks.fitted > 1 and abs(deviation) > _tolerance(clocks, 1.0):
         clocks.line = stamp  # the clocks drifted while no scan came
     else:
@@ -230,9 +233,7 @@ def _missing_time(clocks: Any, elapsed: float) -> float:
     missing = 0.0
     if clocks.fitted == 1 and clocks.refused > 0:  # the stamps stood
         missing = max(0.0, _least_elapsed(clocks) + clocks.period - elapsed)
-    if clocks.late > 1 and clocks.refused_number == clocks.number:  # both clocks were set back, and came here again
-        missing = max(missing, clocks.late * clocks.period)
-    return missing
+    return max(missing, clocks.set_back)
 
 
 @in_place
@@ -364,9 +365,10 @@ def _follow_back(model: Model, scan: Any, stamp: float, elapsed: float) -> int:
     _follow_run(clocks, scan, stamp)
     is_restart_step = clocks.number - scan.number >= RESTART_NUMBERS or elapsed < -CLOCK_STEP_S
     if clocks.late < (RESTART_RUN if is_restart_step else LATE_RUN):
-        is_near = abs(elapsed) < LEAST_DEVIATION * clocks.period
-        if scan.number == clocks.number and is_near and _content_of(scan) != clocks.content:
-            clocks.late += 1  # the last of n scans that repeat numbers: set back by less than n + 1 intervals
+        is_last = scan.number == clocks.number and abs(elapsed) < LEAST_DEVIATION * clocks.period
+        if is_last and (clocks.run_number < clocks.number or _content_of(scan) != clocks.content):
+            # n numbers came again: both clocks were set back by less than n + 1 intervals
+            clocks.set_back = (float(clocks.number - clocks.run_number) + 2.0) * clocks.period
         return LATE
     least = _least_elapsed(clocks)
     deviation = elapsed + clocks.stamp - clocks.line + float(clocks.number - scan.number) * clocks.period

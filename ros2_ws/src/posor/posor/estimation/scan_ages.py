@@ -54,6 +54,16 @@ def compare_after_restart(clocks: Any, step: float, elapsed: float) -> None:
 
 
 @in_place
+def compare_after_repetition(clocks: Any) -> None:
+    """Compare the ages from now on with those before scans that repeated numbers: the first of these may be missing."""
+    if math.isnan(clocks.former_age):
+        clocks.former_age, clocks.age_step, clocks.age_tolerance = clocks.least_age, 0.0, 0.0
+        clocks.only_older = 1
+    clocks.former_age += clocks.set_back
+    clocks.compared, clocks.least_age = 0, clocks.run_age
+
+
+@in_place
 def watch_ages(clocks: Any, elapsed: float) -> float:
     """Compare the ages behind a gap of ``elapsed`` [s] with those before; in a comparison, with those before that.
 

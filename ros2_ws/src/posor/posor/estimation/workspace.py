@@ -90,6 +90,7 @@ CLOCKS = np.dtype(  # the line between scan numbers and stamps (``estimation.clo
         ("run_number", "u8"),  # of the first of these
         ("run_stamp", "f8"),
         ("late", "i8"),  # scans in a row whose number is not after the last
+        ("set_back", "f8"),  # by which both clocks were set back, as scans that repeat the last numbers show [s]
         ("refused_number", "u8"),  # of the last scan that was refused or late
         ("refused_stamp", "f8"),
     ],

@@ -300,6 +300,23 @@ def test_a_step_back_by_part_of_an_interval_more_than_numbers_repeat_is_in_the_b
     assert (estimates.stamp_shifts[after, 5] >= RATE * step).all()
 
 
+@pytest.mark.parametrize(("first", "is_live"), [(AT + 1, False), (AT, True)])
+def test_a_step_back_is_in_the_bound_where_repeated_scans_are_missing(first: int, is_live: bool) -> None:
+    """The first repeated number shows it; where that scan is missing too, the ages of live scans do."""
+    back = 9
+    numbers, arrived = np.where(INDEX >= AT, INDEX - back, INDEX), np.delete(INDEX, np.arange(first, AT + back - 2))
+    fields = {"stamps_ns": FIRST_NS + np.round(numbers * PERIOD_S * 1e9).astype(np.int64)}
+    scans = simulated("light ring").with_fields({**fields, "numbers": (numbers + 1000).astype(np.uint64)})
+    posor = Posor(calibration_of("light ring"), false_alarm=1e-9)
+    posor.confirm_theta(START, 1e-4)
+    for n in arrived.tolist():
+        posor.tracker["clocks"]["age"] = 1e-3 + back * PERIOD_S * (n >= AT) if is_live else np.nan
+        estimate = posor.estimate(scans[n])
+        if n >= AT + back:
+            assert estimate.state in (State.OK, State.DEGRADED)
+            assert estimate.stamp_shift[5] >= RATE * back * PERIOD_S
+
+
 def test_a_slow_ring_is_uncounted_where_numbers_go_back_and_most_repeated_scans_are_missing() -> None:
     """It turns by a bump while the clock repeats nine numbers, but by less than half a bump in the time of two."""
     calibration, back = calibration_of("bumpy ring"), 9
