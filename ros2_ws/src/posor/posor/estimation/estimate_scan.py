@@ -12,7 +12,7 @@ import math
 from typing import TYPE_CHECKING, Any
 
 from posor.estimation.ambient import LIGHT_LEFT, NO_DARK_SCAN, NO_POSE, add_common_effects, follow_ambient
-from posor.estimation.clocks import IN_ORDER, elapsed_at, follow_clocks, is_repeated, motion_allowance, stamp_sigma
+from posor.estimation.clocks import IN_ORDER, elapsed_at, follow_clocks, is_late, motion_allowance, stamp_sigma
 from posor.estimation.covariance import (
     add_shared_terms,
     add_systematic_covariance,
@@ -110,8 +110,8 @@ def begin_scan_estimate(model: Model, scan: Any, estimate: Any, linearised: bool
     estimate.stamp_ns = scan.stamp_ns
     if not tracker.epoch_known:
         tracker.epoch_known, tracker.epoch_ns = 1, scan.stamp_ns
-    counted_before = workspace.is_retry or is_repeated(tracker, scan)
-    frozen = NOT_FROZEN if counted_before else count_repetitions(model, scan)
+    # Scans that are delivered again are no repeated readings of the electronics.
+    frozen = NOT_FROZEN if workspace.is_retry or is_late(tracker, scan) else count_repetitions(model, scan)
     if linearised:
         estimate.faults = 0
         if not environment_is_valid(settings, scan):

@@ -301,7 +301,7 @@ def test_a_step_back_by_part_of_an_interval_more_than_numbers_repeat_is_in_the_b
 
 
 @pytest.mark.parametrize(("first", "is_live"), [(AT + 1, False), (AT, True)])
-def test_a_step_back_is_in_the_bound_where_repeated_scans_are_missing(first: int, is_live: bool) -> None:
+def test_a_step_back_is_in_the_bound_where_repeated_scans_are_missing(first: int, *, is_live: bool) -> None:
     """The first repeated number shows it; where that scan is missing too, the ages of live scans do."""
     back = 9
     numbers, arrived = np.where(INDEX >= AT, INDEX - back, INDEX), np.delete(INDEX, np.arange(first, AT + back - 2))
@@ -315,6 +315,15 @@ def test_a_step_back_is_in_the_bound_where_repeated_scans_are_missing(first: int
         if n >= AT + back:
             assert estimate.state in (State.OK, State.DEGRADED)
             assert estimate.stamp_shift[5] >= RATE * back * PERIOD_S
+
+
+@pytest.mark.parametrize("count", range(1, 6))
+def test_the_last_scans_delivered_again_in_order_cost_only_themselves(count: int) -> None:
+    again = np.arange(AT - count, AT)
+    arrived = np.insert(INDEX, AT, again)
+    scans = simulated("light ring")
+    estimates = estimate("light ring", arrived * PERIOD_S, arrived + 1000, scans.select(arrived))
+    assert np.flatnonzero(~usable(estimates)).tolist() == (AT + np.arange(count)).tolist()
 
 
 def test_a_slow_ring_is_uncounted_where_numbers_go_back_and_most_repeated_scans_are_missing() -> None:
