@@ -232,7 +232,7 @@ def _missing_time(clocks: Any, elapsed: float) -> float:
     missing = 0.0
     if clocks.fitted == 1 and clocks.refused > 0:  # the stamps stood
         missing = max(0.0, _least_elapsed(clocks) + clocks.period - elapsed)
-    return max(missing, clocks.set_back)
+    return float(max(missing, clocks.set_back))
 
 
 @in_place
