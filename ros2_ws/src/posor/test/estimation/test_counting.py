@@ -144,6 +144,29 @@ def test_agreeing_marks_release_what_a_broken_mark_has_latched() -> None:
     assert found.thetas[-5:] == pytest.approx(thetas[-5:], abs=1e-9)
 
 
+def test_a_home_mark_that_sticks_does_not_count_the_next_bump() -> None:
+    """It is seen too late at home for a count there, and further on until the joint rests at the next bump."""
+    posor = Posor(design("triad_bumpy_ring", motion=True))
+    there = np.concatenate([np.linspace(0.0, BUMP, 100), np.full(50, BUMP)])
+    thetas = np.concatenate([there, there[::-1]])
+    stuck, sound = range(51 - MARKS, 150), range(290, 300)
+    found = posor.estimate_all(turning_scans(posor, thetas, marks=(*stuck, *sound)))
+    assert (found.states[: 290 + MARKS - 1] == State.UNCOUNTED).all()
+    assert (found.states[290 + MARKS - 1 :] == State.OK).all()
+    assert found.thetas[-5:] == pytest.approx(thetas[-5:], abs=1e-9)
+
+
+@pytest.mark.parametrize("marks_at_home", [MARKS - 1, 600])
+def test_a_mark_that_is_seen_from_the_bump_before_home_up_to_home_is_not_spurious_there(marks_at_home: int) -> None:
+    """Its switch closes early, so that the count is wrong until home; there it opens, or sticks all the way back."""
+    posor = Posor(design("triad_bumpy_ring", motion=True))
+    thetas = np.concatenate([np.linspace(-0.8 * BUMP, 0.4 * BUMP, 200), np.linspace(0.4 * BUMP, -0.8 * BUMP, 200)])
+    home = int(np.searchsorted(thetas[:200], -0.5 * BUMP)) + 1
+    found = posor.estimate_all(turning_scans(posor, thetas, marks=range(20, min(home + marks_at_home, 400))))
+    assert found.states[home - 1] == State.OK  # until then a mark like any other
+    assert (found.states[home:] == State.LOST).all()
+
+
 def test_four_probes_see_alike_at_every_phase_three_are_blind_twice_a_bump() -> None:
     phases = np.linspace(0.0, 2.0 * math.pi, 361)
     seen = {}
