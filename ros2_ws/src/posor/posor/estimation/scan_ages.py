@@ -12,6 +12,8 @@ AWAY_S only younger scans count, a step forward: a loaded host makes them older.
 only older ones behind a longer gap do: the scans of a queue that was full at the start become younger. Behind a further
 gap, a scan as young as those before the first gap shows that the scans between were late, as after a stop of the node
 that receives them: the stamps are right, and the time between them counts.
+
+They are compared as well after scans that repeated numbers, of which the first may be missing.
 """
 
 from __future__ import annotations
@@ -57,10 +59,16 @@ def compare_after_restart(clocks: Any, step: float, elapsed: float) -> None:
 def compare_after_repetition(clocks: Any) -> None:
     """Compare the ages from now on with those before scans that repeated numbers: the first of these may be missing."""
     if math.isnan(clocks.former_age):
-        clocks.former_age, clocks.age_step, clocks.age_tolerance = clocks.least_age, 0.0, 0.0
-        clocks.only_older = 1
+        _begin_comparison(clocks, clocks.least_age, 1)
     clocks.former_age += clocks.set_back
     clocks.compared, clocks.least_age = 0, clocks.run_age
+
+
+@in_place
+def _begin_comparison(clocks: Any, former_age: float, only_older: int) -> None:
+    """Begin to compare the least age with a former one; ``only_older``: younger scans are no step."""
+    clocks.former_age, clocks.age_step, clocks.age_tolerance = former_age, 0.0, 0.0
+    clocks.only_older = only_older
 
 
 @in_place
@@ -75,8 +83,7 @@ def watch_ages(clocks: Any, elapsed: float) -> float:
     if clocks.fitted < MEMORY_SCANS and not (is_away and -younger > _least_age_step(clocks)):
         return 0.0
     if not is_compared:
-        clocks.former_age, clocks.age_step, clocks.age_tolerance = usual, 0.0, 0.0
-        clocks.only_older = 1 if clocks.fitted < MEMORY_SCANS else 0
+        _begin_comparison(clocks, usual, 1 if clocks.fitted < MEMORY_SCANS else 0)
     if is_away or not is_compared:
         clocks.age_tolerance += CLOCK_DRIFT * elapsed
         clocks.compared = 0

@@ -40,7 +40,6 @@ if TYPE_CHECKING:
 
 MARKS = 6  # consecutive scans with agreeing home marks that count theta; so many disagreeing marks are a fault
 RESIDUAL_RUN = 10  # scans in a row that fail before the latch; scans that pass at the largest chi-square before release
-ONE_BUMP, SEVERAL_BUMPS = 1, 2  # where the home mark is seen without a pause; at several, its switch sticks or bounces
 SAME_THETA = 5e-3  # change of theta that changes little of what a fault does [rad]: 1/10 of a bump, 1/4 mm of a spot
 LONGEST_STEP = 5.0 * SAME_THETA  # of theta from scan to scan, by which a joint that turns may pass beside a theta [rad]
 REFERENCE_SIGMAS = 5.0  # standard deviations within which a reference of theta agrees
@@ -72,8 +71,7 @@ def begin_checks(workspace: Any, scan: Any) -> None:
 def count_theta(workspace: Any, theta: float, at_home: int) -> bool:
     """Count theta by a statement, enough home marks, or a reference; return whether it is periods off."""
     settings, tracker, checks = workspace.settings, workspace.tracker, workspace.checks
-    mark_sticks = tracker.mark_run == SEVERAL_BUMPS and at_home != STATED_HOME
-    if at_home == STATED_HOME or (at_home and not checks.counted and not mark_sticks):
+    if at_home == STATED_HOME or (at_home and not checks.counted and not tracker.mark_sticks):
         checks.marks_off = periods_off(settings, theta)
         agrees_with_last = tracker.marks > 0 and checks.marks_off == tracker.marks_off
         checks.marks = tracker.marks + 1 if agrees_with_last else 1
@@ -251,7 +249,7 @@ def check_home_mark(workspace: Any, theta: float, at_home: int) -> None:
     comparable = settings.period > 0.0 and checks.counted and not checks.recounted
     if at_home and comparable and checks.accepted and not checks.contradictory:
         checks.marks_off = periods_off(settings, theta)
-        if checks.marks_off == 0.0 and tracker.mark_run == SEVERAL_BUMPS:
+        if checks.marks_off == 0.0 and tracker.mark_sticks:
             checks.marks = min(0, tracker.marks)
         elif checks.marks_off == 0.0:
             checks.marks = max(0, tracker.marks) + 1
@@ -261,7 +259,7 @@ def check_home_mark(workspace: Any, theta: float, at_home: int) -> None:
             checks.faults |= COUNT
             latch(tracker, COUNT, 1, checks.elapsed)
     elif tracker.latch & COUNT and not at_home:
-        if -MARKS < tracker.marks < 0 and tracker.mark_run != SEVERAL_BUMPS:
+        if -MARKS < tracker.marks < 0 and not tracker.mark_sticks:
             tracker.latch &= ~COUNT  # the disagreeing mark was spurious
         else:
             checks.marks = -MARKS
@@ -271,17 +269,16 @@ def check_home_mark(workspace: Any, theta: float, at_home: int) -> None:
 
 @in_place
 def _follow_mark(workspace: Any, theta: float, at_home: int) -> None:
-    """Note whether the home mark is seen at one bump or at several without a pause, as far as theta is followed."""
+    """Note whether the home mark sticks: it is seen at several bumps without a pause, as far as theta is followed."""
     settings, tracker, checks = workspace.settings, workspace.tracker, workspace.checks
     if not at_home or settings.period == 0.0:
-        tracker.mark_run = 0
+        tracker.mark_sticks, tracker.mark_bump = 0, math.nan
     elif at_home != STATED_HOME and checks.accepted and not checks.contradictory:
         bump = periods_off(settings, theta)
         is_followed = tracker.initialised and not count_is_stale(settings, tracker, checks.elapsed)
-        if tracker.mark_run == 0:
-            tracker.mark_run = ONE_BUMP
-        elif is_followed and not checks.recounted and bump != tracker.mark_bump:
-            tracker.mark_run = SEVERAL_BUMPS
+        was_seen = not math.isnan(tracker.mark_bump)
+        if was_seen and is_followed and not checks.recounted and bump != tracker.mark_bump:
+            tracker.mark_sticks = 1
         tracker.mark_bump = bump
 
 

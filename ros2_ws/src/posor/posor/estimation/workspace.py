@@ -153,8 +153,8 @@ TRACKER = np.dtype(  # what is known from the previous scans
         ("rejected", POSE),  # the last one
         ("marks", "i8"),  # consecutive home marks: positive if they agree with the count, negative if they disagree
         ("marks_off", "f8"),  # periods by which the last one was off
-        ("mark_run", "i8"),  # the home mark in the last scans: 0 not seen, ONE_BUMP, SEVERAL_BUMPS without a pause
-        ("mark_bump", "f8"),  # periods from home at which it was seen last
+        ("mark_bump", "f8"),  # periods from home at which the last scan saw the home mark; NaN: it did not
+        ("mark_sticks", "i8"),  # 1 where the home mark has been seen at several bumps without a pause
         ("contradictions", "i8"),  # failed residual tests in a row; while latched, passes that are still needed
         ("residual_run", "i8"),  # failed residual tests in a row, without an upper limit
         ("largest_residual", "f8"),  # largest chi-square of the run that latched the joint, and of later runs as long
