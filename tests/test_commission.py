@@ -25,8 +25,8 @@ from sensor_msgs.msg import JointState
 pytestmark = pytest.mark.usefixtures("ros_domain")
 JOINT = "elbow"
 SWEEP_S = 12.0
-PERIOD_NS = 50_000_000
-MOST_ROWS = 3  # of the recording between two scans: 0.5 degrees, a small part of a bump, also where the host is busy
+PERIOD_NS = 25_000_000
+MOST_ROWS = 3  # of the recording between two scans: 0.25 degrees, a small part of a bump, also where the host is busy
 
 
 class RobotProgram:

@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from posor.numerics.array_types import FloatArray
     from posor_calibration.commissioning.plan import Step
 
-RATE = 20  # scans per second
+RATE = 40  # scans per second: below 28 bumpy rings lose their count
 REST_S, SWEEP_S, MOVE_S = 0.5, 12.0, 8.0  # time of a step at rest, of a sweep, and of the way to a posture
 POSTURES = 8
 SETTINGS = CommissioningSettings(postures=POSTURES)

@@ -18,6 +18,7 @@ RATE_MEMORY = 0.9  # share of the largest change of a rate that is kept from sca
 REGAIN_GAP = 4.5  # intervals since the last accepted pose in which motion is regained and a count kept: 3 bad scans
 REGAIN_S = 0.02  # least time within which motion is regained [s]: a burst of disturbances, a device that pauses
 FIRST_GAP_S = 0.2  # time in which a count is kept where no interval is known [s], as at the second scan without numbers
+COUNTED_SHARE = 0.75  # of a period: ``check_count`` sees a departure from the extrapolated theta that is smaller
 LONGEST_GAP = 3.5  # longest extrapolation of the motion, in intervals of the previous scans
 
 
@@ -50,14 +51,17 @@ def forget_pose(tracker: Any) -> None:
 
 @in_place
 def count_is_stale(settings: Any, tracker: Any, elapsed: float) -> bool:
-    """Return whether theta may be half a period off because the last pose is too old: UNCOUNTED, not a fault.
+    """Return whether theta may be a period off because the last pose is too old: UNCOUNTED, not a fault.
 
-    Without a limit of the motion, theta is extrapolated over any time.
+    Theta departs from its extrapolation by at most ``A t (t + d) / 2``, A the largest acceleration, d the interval over
+    which the rate was found. Without a limit of the motion, theta is extrapolated over any time.
     """
     interval = tracker.interval if tracker.interval > 0.0 else tracker.clocks.period
     followed_for = REGAIN_GAP * interval if interval > 0.0 else FIRST_GAP_S
     if elapsed <= followed_for:
-        return False
+        limit = 2.0 * COUNTED_SHARE * settings.period / settings.max_theta_acceleration  # zero: not stated
+        if not 0.0 < limit < elapsed * (elapsed + interval):
+            return False
     return bool(0.5 * settings.period < settings.max_theta_rate * elapsed < math.inf)
 
 

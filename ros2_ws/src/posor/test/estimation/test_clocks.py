@@ -82,7 +82,7 @@ def exchange(first: int, second: int) -> Array:
     return np.insert(np.delete(INDEX, first), second, first)
 
 
-WRONG_BUMP = ("twelve late by 100", "number stands")
+WRONG_BUMP = ("twelve late by 100", "clock stands for 40 scans", "number stands")
 """Cases in which a bumpy ring loses its count in motion, and scans on the wrong bump are LOST as well."""
 # Order of arrival, shift of the stamps [s], numbers, and scans lost of a light ring, apart from a count that is lost
 CASES: dict[str, tuple[Array, Array, Array, int]] = {

@@ -14,6 +14,7 @@ from posor.estimation.scan_checks import MARKS
 from posor.model.fault import Fault, State
 from posor.model.scan import Scans
 from posor.numerics.array_types import FloatArray
+from posor.numerics.stamps import NS
 from posor.sensors.bumpy_ring import BumpyRing
 from posor_lab.harness.random_poses import TICK_NS, turning_scans
 
@@ -65,6 +66,27 @@ def test_a_count_by_home_marks_is_given_up_where_the_next_scans_are_missing(bump
     found = posor.estimate_all(scans.with_fields({"stamps_ns": stamps_ns, "numbers": numbers.astype(np.uint64)}))
     assert found.states[19] == State.OK
     assert (found.states[20:] == State.UNCOUNTED).all()
+
+
+@pytest.mark.parametrize(
+    ("rate", "lost", "moved", "state"),
+    [
+        (20, 1, BUMP, State.UNCOUNTED),
+        (20, 3, BUMP, State.UNCOUNTED),
+        (10, 0, BUMP, State.UNCOUNTED),
+        (50, 3, 0.0, State.OK),
+    ],
+)
+def test_a_count_is_given_up_where_the_stated_acceleration_may_turn_a_bump(
+    rate: int, lost: int, moved: float, state: State
+) -> None:
+    """The joint rests, ``lost`` scans are missing, and then it rests a bump further on, or where it was."""
+    posor = Posor(design("quad_bumpy_ring", motion=True))
+    numbers = np.r_[:20, 20 + lost : 40]
+    scans = turning_scans(posor, np.where(numbers < 20, 0.0, moved), marks=range(20))
+    stamps_ns = (1 + numbers) * (NS // rate)
+    found = posor.estimate_all(scans.with_fields({"stamps_ns": stamps_ns, "numbers": numbers.astype(np.uint64)}))
+    assert (found.states[20:] == state).all()
 
 
 def slipping(posor: Posor) -> tuple[Scans, FloatArray, int]:
