@@ -63,7 +63,8 @@ SCATTER_SHARE = 0.2  # above this share the stamps scatter; NEW_RATE_RUN scans i
 LEAST_DEVIATION, GREATEST_DEVIATION = 0.5, 8.0  # limits of the deviation that contradicts the line, in periods
 SCATTER_SIGMAS = 5.0  # standard deviations of the scatter that a stamp may deviate from the line
 DEVIATION_SIGMAS = 3.0  # the deviation of one stamp counts as at most as many standard deviations
-INNOVATION_FAULT, TRAVEL_FAULT = int(Fault.INNOVATION), int(Fault.TRAVEL)
+INNOVATION_FAULT = int(Fault.INNOVATION)
+TIMELESS_FAULTS = int(Fault.TRAVEL | Fault.RESIDUAL)  # whatever the times of the scans are
 SCATTER_LIMIT = 0.02  # scatter in periods above which an unstated stamp is replaced by its number times the period
 
 
@@ -274,12 +275,9 @@ def _begin_again(model: Model, scan: Any, stamp: float, deviation: float) -> Non
 
 @in_place
 def _begin_recording(tracker: Any) -> None:
-    """Forget pose, count and latch, because the elapsed times were wrong since the first scan.
-
-    The latch of TRAVEL stays: a pose beyond the travel is wrong whatever the times are.
-    """
+    """Forget pose, count and latches of the motion, because the elapsed times were wrong since the first scan."""
     tracker.initialised, tracker.counted, tracker.theta = 0, 0, 0.0
-    tracker.latch &= TRAVEL_FAULT
+    tracker.latch &= TIMELESS_FAULTS
 
 
 @in_place

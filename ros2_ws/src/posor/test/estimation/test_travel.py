@@ -267,6 +267,15 @@ def test_a_contradiction_that_has_gone_is_released_where_it_was() -> None:
     assert np.all(found.states[end:] == State.OK)
 
 
+def test_a_contradiction_outlasts_a_start_with_stamps_that_scatter() -> None:
+    index = np.arange(100)
+    scans = turned_to(np.where(index < 20, 0.3, 0.5))
+    scans.gap_voltages[:20, 0] += 0.1
+    scans.stamps_ns[:] += PERIOD_NS * (7 - index % 8) + 1000 * (index % 8)  # the scans come in bursts
+    found = Posor(joint(travel=False)).estimate_all(scans)
+    assert np.all(found.states[20:] == State.LOST)
+
+
 def test_a_single_contradiction_elsewhere_does_not_move_the_place_of_release() -> None:
     there = np.linspace(0.3, 0.34, 50)
     thetas = np.concatenate([np.full(40, 0.3), there, there[::-1], np.full(40, 0.3)])
