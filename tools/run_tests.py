@@ -53,56 +53,43 @@ REAL_TIME = re.compile(
 SHARED = tuple(  # folders, or files of a folder, that share a process, except those in real time; the first counts
     THIS.root / pattern
     for pattern in (
-        "ros2_ws/src/posor/test/estimation",
-        *(f"ros2_ws/src/{package}/test" for package in ("posor", "posor_bringup", "posor_calibration", "posor_design")),
-        *("ros2_ws/src/posor_drivers/test/simulator", "ros2_ws/src/posor_[der]*/test"),
-        *(f"lab/posor_lab/test/{part}" for part in ("arm_study", "commissioning", "health", "mutations")),
-        "lab/posor_lab/test",
-        *(f"tests/test_[{letters}]*.py" for letters in ("a-b", "c", "d-e", "r", "f-z")),
+        *("ros2_ws/src/posor/test/estimation", "ros2_ws/src/posor/test"),
+        *("ros2_ws/src/posor_[bc]*/test", "ros2_ws/src/posor_[der]*/test"),
+        *(f"lab/posor_lab/test/[{letters}]*" for letters in ("a-b", "c-e", "f-z")),
+        *(f"tests/test_[{letters}]*.py" for letters in ("a-c", "d-o", "p-z")),
     )
 )
 REAL_TIME_SHARED = tuple(  # the same for files that start nodes or servers: each test ends what it has started
     THIS.root / pattern
     for pattern in (
-        "ros2_ws/src/posor_[br]*/test",
-        *("ros2_ws/src/posor_drivers/test/instruments", "ros2_ws/src/posor_drivers/test/*"),
-        *(f"ros2_ws/src/posor_estimator/test/test_[{letters}]*.py" for letters in ("a-c", "d-e", "f-o", "p-z")),
-        *(f"tests/test_[{letters}]*.py" for letters in ("a-c", "d-f", "g-k", "l-q", "r-s", "t-z")),
+        *("ros2_ws/src/posor_drivers/test/instruments", "ros2_ws/src/posor_[bdr]*/test"),
+        *(f"ros2_ws/src/posor_estimator/test/test_[{letters}]*.py" for letters in ("a-e", "f-z")),
+        *(f"tests/test_[{letters}]*.py" for letters in ("a-e", "f-q", "r-s", "t-z")),
         "lab/posor_lab/test/*/test_*.py",
     )
 )
 
+
 SLOW = (
     "ros2_ws/src/posor_drivers/test/instruments",
-    "lab/posor_lab/test",
+    "lab/posor_lab/test/[f-z]*",
     "tests/test_[r-s]*.py",
-    "ros2_ws/src/posor/test",
-    "tests/test_[t-z]*.py",
-    "lab/posor_lab/test/arm_study",
-    "lab/posor_lab/test/*/test_*.py",
-    "ros2_ws/src/posor_calibration/test",
-    "tests/test_[a-c]*.py",
-    "tests/test_[d-e]*.py",
-    "ros2_ws/src/posor_design/test",
-    "ros2_ws/src/posor_bringup/test",
-    "ros2_ws/src/posor_estimator/test/test_[p-z]*.py",
-    "tests/test_[l-q]*.py",
-    "ros2_ws/src/posor/test/estimation",
-    "ros2_ws/src/posor_estimator/test/test_[d-e]*.py",
-    "tests/test_[g-k]*.py",
-    "tests/test_[c]*.py",
-    "tests/test_[f-z]*.py",
-    "ros2_ws/src/posor_drivers/test/*",
-    "tests/test_[r]*.py",
-    "lab/posor_lab/test/commissioning",
-    "lab/posor_lab/test/health",
-    "ros2_ws/src/posor_drivers/test/simulator",
-    "ros2_ws/src/posor_estimator/test/test_[a-c]*.py",
-    "lab/posor_lab/test/mutations",
     "ros2_ws/src/posor_[der]*/test",
-    "ros2_ws/src/posor_[br]*/test",
-    "tests/test_[d-f]*.py",
-    "ros2_ws/src/posor_estimator/test/test_[f-o]*.py",
+    "tests/test_[t-z]*.py",
+    "ros2_ws/src/posor_[bc]*/test",
+    "tests/test_[a-e]*.py",
+    "lab/posor_lab/test/[a-b]*",
+    "ros2_ws/src/posor_[bdr]*/test",
+    "ros2_ws/src/posor/test",
+    "tests/test_[f-q]*.py",
+    "lab/posor_lab/test/[c-e]*",
+    "ros2_ws/src/posor_estimator/test/test_[f-z]*.py",
+    "tests/test_[p-z]*.py",
+    "ros2_ws/src/posor_estimator/test/test_[a-e]*.py",
+    "tests/test_[d-o]*.py",
+    "lab/posor_lab/test/*/test_*.py",
+    "tests/test_[a-c]*.py",
+    "ros2_ws/src/posor/test/estimation",
 )
 """Files and entries of SHARED and REAL_TIME_SHARED, those with most processor time first; instruments wait longest."""
 
