@@ -76,7 +76,7 @@ def count_theta(workspace: Any, theta: float, at_home: int) -> bool:
         agrees_with_last = tracker.marks > 0 and checks.marks_off == tracker.marks_off
         checks.marks = tracker.marks + 1 if agrees_with_last else 1
         checks.recounted = 1 if checks.marks >= MARKS or at_home == STATED_HOME else 0
-    elif checks.reference_variance > 0.0 and not checks.counted:
+    elif checks.reference_variance > 0.0 and not checks.counted and not tracker.latch & ENCODER:
         checks.marks_off = float(round(wrapped(theta - checks.reference_theta) / settings.period))
         checks.recounted = 1
     if checks.recounted and checks.marks_off != 0.0 and settings.bump_angle == 0.0:
@@ -289,7 +289,8 @@ def check_reference(workspace: Any, theta: float, estimate: Any, limit: float) -
     ``limit``: stated largest error of the stamps [s].
     """
     settings, tracker, checks = workspace.settings, workspace.tracker, workspace.checks
-    if checks.reference_variance > 0.0 and not checks.contradictory:
+    comparable = settings.bump_angle == 0.0 or checks.counted or checks.recounted
+    if comparable and checks.reference_variance > 0.0 and not checks.contradictory:
         difference = wrapped(checks.reference_theta - theta)
         noise, systematic = checks.reference_variance + estimate.random[5, 5], estimate.systematic[5, 5]
         if checks.accepted and (settings.period == 0.0 or tracker.counted or checks.recounted):

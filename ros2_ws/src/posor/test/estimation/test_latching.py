@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 import pytest
 from posor.calibration.calibration_file import calibration_from
-from posor.calibration.designs import design, sized_design
+from posor.calibration.designs import BUMPS, design, sized_design
 from posor.errors import ParameterError
 from posor.estimation.clocks import LATE_RUN
 from posor.estimation.estimate import Estimates
 from posor.estimation.forward import scans_at
 from posor.estimation.posor import Posor
-from posor.estimation.scan_checks import RESIDUAL_RUN, SAME_THETA
+from posor.estimation.scan_checks import MARKS, RESIDUAL_RUN, SAME_THETA
 from posor.model.fault import Fault, State
 from posor.model.native_coordinates import rotation_from_native
 from posor.model.scan import NO_SOURCE, STATED_HOME, Scans
@@ -252,6 +252,23 @@ def test_an_encoder_that_disagrees_is_latched_until_it_agrees(name: str) -> None
     found = posor.estimate_all(scans.part(100, 200))
     assert (found.states == State.OK).all()
     assert found.thetas == pytest.approx(thetas[100:], abs=1e-9)
+
+
+def test_an_encoder_that_has_disagreed_does_not_count_a_bumpy_ring() -> None:
+    """An encoder of the wrong sign agrees with some bump at some angles, as where the joint rests; marks count it."""
+    posor = Posor(design("triad_bumpy_ring", motion=True))
+    bump = 2.0 * math.pi / BUMPS
+    there, back = np.linspace(2.3 * bump, 4.0 * bump, 200), np.linspace(4.0 * bump, 0.0, 400)
+    thetas = np.r_[there, np.full(100, 4.0 * bump), back, np.zeros(10)]
+    count = len(thetas)
+    scans = turning_scans(posor, thetas, marks=range(count - 10, count))
+    states = []
+    for n in range(count):
+        posor.confirm_theta(-thetas[n], 1e-3)
+        states.append(posor.estimate(scans[n]).state)
+    counted = count - 10 + MARKS - 1
+    assert set(states[:counted]) == {State.LOST}
+    assert set(states[counted:]) == {State.OK}
 
 
 def test_an_encoder_counts_a_bumpy_ring_modulo_whole_turns() -> None:
