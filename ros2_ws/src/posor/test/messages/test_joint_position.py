@@ -20,7 +20,9 @@ def test_a_position_is_that_of_the_name_or_the_only_one() -> None:
     [
         (["a"], [1.0], "b", "no joint 'b' among a."),
         (["a", "b"], [1.0, 2.0], "", "2 positions; expected one, or the parameter 'encoder.joint'."),
-        (["a", "b"], [1.0], "b", "no position of joint 'b'."),
+        (["a", "b"], [1.0], "b", "1 positions of 2 names; expected a position of each name."),
+        (["a", "b"], [2.0, 1.0, 2.0], "b", "3 positions of 2 names; expected a position of each name."),
+        (["a", "b", "b"], [1.0, 2.0, 3.0], "b", "names b more than once; expected each joint once."),
     ],
 )
 def test_a_message_without_the_position_is_refused(
