@@ -69,7 +69,9 @@ class ScanGroup:
 class ScanGrouper:
     """Divides a stream of scans into groups of ``size`` lit scans.
 
-    A group ends early where light source or readings change, the clock steps back, or the stream ends.
+    A group ends early where light source or readings change, the clock steps back, or the stream ends. Groups end
+    before multiples of ``size`` of the scan numbers, so that those of all joints of an arm have the same stamps,
+    whenever a driver begins or a group ends early; with ``subtract_dark`` they do not, because dark scans do not count.
     """
 
     def __init__(self, size: int, *, subtract_dark: bool) -> None:
@@ -94,7 +96,8 @@ class ScanGrouper:
         else:
             self._group.lit.append(scan)
             self._group.trailing = 0
-            if len(self._group.lit) == self._size and not self._subtract_dark:
+            is_last = len(self._group.lit) == self._size or (scan.scan + 1) % self._size == 0
+            if is_last and not self._subtract_dark:
                 yield self._close_group()
 
     def finish(self) -> Iterator[ScanGroup]:

@@ -100,13 +100,13 @@ def test_five_scans_become_one() -> None:
     rings = np.random.default_rng(3).normal(0.4, 0.01, (5, 4))
     flags = [0, RawScan.STATUS_SATURATED, 0, RawScan.STATUS_HOME_BUMP, RawScan.STATUS_SATURATED]
     raw = [
-        item(7 + n, gap_voltages=gaps[n], ring_voltages=rings[n], diode_currents=currents[n], status=flags[n])
+        item(5 + n, gap_voltages=gaps[n], ring_voltages=rings[n], diode_currents=currents[n], status=flags[n])
         for n in range(5)
     ]
     (only,) = condition(raw)
     assert (only.topic, only.after_s) == ("raw", raw[-1].after_s)
     result = only.data
-    assert (result.scan, stamp_ns(result), result.samples) == (9, START + 9 * TICK, 5)
+    assert (result.scan, stamp_ns(result), result.samples) == (7, START + 7 * TICK, 5)
     assert result.header.frame_id == "posor_receiving"
     assert result.status == RawScan.STATUS_SATURATED | RawScan.STATUS_HOME_BUMP
     assert list(result.lit_sources) == [0, 1]
@@ -119,9 +119,24 @@ def test_five_scans_become_one() -> None:
         np.testing.assert_allclose(getattr(result, spread), values.std(axis=0, ddof=1), rtol=1e-11)
 
 
+def test_groups_of_joints_fall_together_whenever_a_driver_begins_or_misses_a_scan() -> None:
+    """Else the stamps of two joints differ for ever, and the arm has no endpoint."""
+    late = (n for n in range(103, 130) if n != 111)
+    assert numbers(item(n) for n in range(100, 130)) == [(n, 5) for n in range(102, 130, 5)]
+    full = [(n, 5) for n in range(117, 130, 5)]
+    assert numbers(item(n) for n in late) == [(103, 2), (107, 5), (110, 1), (113, 3), *full]
+    switched = (item(n, lit_sources=LIT + (n >= 112)) for n in range(100, 130))
+    assert numbers(switched) == [(102, 5), (107, 5), (110, 2), (113, 3), *full]
+
+
+def test_scans_without_numbers_are_counted() -> None:
+    raw = [SourceMessage("raw", 0, scan(0, START + n * TICK, gap_voltages=np.full(3, 0.5)).data) for n in range(10)]
+    assert [samples for _, samples in numbers(raw)] == [5, 5]
+
+
 def test_even_group_has_the_mean_stamp_and_the_earlier_number() -> None:
-    (result,) = scans([item(3), item(4)], samples=2)
-    assert (result.scan, stamp_ns(result)) == (3, START + 7 * TICK // 2)
+    (result,) = scans([item(4), item(5)], samples=2)
+    assert (result.scan, stamp_ns(result)) == (4, START + 9 * TICK // 2)
 
 
 def test_incomplete_last_group_is_published_with_fewer_samples() -> None:

@@ -226,7 +226,7 @@ def noisy_records() -> list[Record]:
     """Return scans of which every fourth is dark, with an outlier among the voltages."""
     random, count = np.random.default_rng(1985), 42
     volts, currents = random.normal(0.5, 1e-3, (count, 3)), random.normal(5e-5, 1e-8, (count, 8))
-    volts[17, 1] += 0.4
+    volts[22, 1] += 0.4
     sources = [np.array([255, 255] if n % 4 == 0 else [0, 1], dtype=np.uint8) for n in range(count)]
     readings = zip(volts, currents, sources, strict=True)
     return [
