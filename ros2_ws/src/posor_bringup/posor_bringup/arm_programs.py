@@ -150,8 +150,14 @@ def _parameter_errors(program: ProgramCommand) -> list[PosorError]:
 
 
 def _file_errors(arm: ArmFile, joint: str, program: ProgramCommand) -> list[ParameterError]:
-    """Return an error for each parameter that contradicts a key of the arm file; drivers have none."""
-    return [] if program.executable == DRIVER_NODE else conflicting_parameters(arm, joint, program.parameters)
+    """Return an error for each parameter that contradicts the arm file."""
+    if program.executable != DRIVER_NODE:
+        return conflicting_parameters(arm, joint, program.parameters)
+    if program.parameters.get("restamp") is not True or len(arm.calibrations) == 1:
+        return []
+    # Each driver begins at a time of its own, so that no stamp of a joint would be that of another one.
+    what = f"restamp: true with {len(arm.calibrations)} joints, which need common stamps"
+    return [ParameterError(what, expected="false, for the recorded stamps", parameter="restamp")]
 
 
 def _arm_node(

@@ -191,6 +191,16 @@ def test_driver_parameters_are_checked_with_the_command_line(tmp_path: Path) -> 
     assert check_arm(str(folder), drivers=False).programs[-1].executable == "posor_node"
 
 
+def test_an_arm_of_several_joints_is_not_restamped(tmp_path: Path) -> None:
+    """Each driver would begin at a time of its own, and the arm would have no endpoint."""
+    replay = {"source": "bag", "bag.path": str(tmp_path / "no_bag"), "restamp": True}
+    (refused,) = sentences(make_arm(tmp_path / "two", count=2), driver_parameters=replay)
+    what = "restamp: true with 2 joints, which need common stamps; expected false, for the recorded stamps."
+    assert refused == f"option -p restamp, node driver_node: {what}"
+    (allowed,) = sentences(make_arm(tmp_path / "one", count=1), driver_parameters=replay)
+    assert "no_bag" in allowed
+
+
 def test_the_line_on_the_drivers_is_of_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = make_arm(tmp_path / "own", count=1)
     for options, line in (([], "source simulated, "), (["-p", "simulated.rate:=100"], "100 scans per second")):
