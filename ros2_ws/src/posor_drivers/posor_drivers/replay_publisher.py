@@ -28,16 +28,19 @@ if TYPE_CHECKING:
 
 @dataclass
 class Extent:
-    """First value, last value and number of values of a series."""
+    """First value, last value, least step upward and number of values of a series."""
 
     first: int = 0
     last: int = 0
+    step: int = 0
     count: int = 0
 
     def add(self, value: int) -> None:
         """Add the next value."""
         if not self.count:
             self.first = value
+        elif value > self.last:
+            self.step = min(self.step or value - self.last, value - self.last)
         self.last = value
         self.count += 1
 
@@ -56,8 +59,9 @@ class Extent:
 class StampRewriter:
     """Rewrites stamps and scan numbers of a replay that loops or is moved to the present.
 
-    In pass n of a loop, stamps are later by n times the record's length (one mean scan period included) and scan
-    numbers greater by n times the record's span, so subscribers see one long record. Restamping puts the first stamp at
+    In pass n of a loop, stamps are later by n times the record's length and scan numbers greater by n times its span,
+    one usual step included, so subscribers see one long record. The time of a step follows from the numbers: it is the
+    same for all joints of an arm, whichever scans each lacks. Restamping puts the first stamp at
     ``now_ns`` and divides the differences of stamps by ``speed``. Messages without change keep their recorded bytes.
     """
 
@@ -91,14 +95,16 @@ class StampRewriter:
             self._scans.add(content.scan)
         if self.pass_number == 0 and not self.restamp:
             return message.data
-        stamp_ns += self.pass_number * (self._stamps.span + self._stamps.period)
+        step, numbers = self._scans.step or 1, self._scans.span
+        period_ns = round(self._stamps.span * step / numbers) if numbers > 0 else self._stamps.period
+        stamp_ns += self.pass_number * (self._stamps.span + period_ns)
         if self.restamp:
             if self._first_stamp_ns is None:
                 self._first_stamp_ns = stamp_ns
             stamp_ns = self.now_ns + round((stamp_ns - self._first_stamp_ns) / self.speed)
         header.stamp.sec, header.stamp.nanosec = divmod(stamp_ns, NS)
         if message.topic == RAW_TOPIC:
-            content.scan += self.pass_number * (self._scans.span + 1)
+            content.scan += self.pass_number * (numbers + step)
         return content
 
     def _deserialize(self, message: SourceMessage) -> Any:

@@ -113,7 +113,17 @@ def test_loop_continues_stamps_where_the_log_times_were_compressed(tmp_path: Pat
     records = [scan(3 * number, START + number, stamp_ns=number * NS) for number in range(4)]
     scans = decoded(list(itertools.islice(replay(tmp_path, records, loop=True), 8)))
     assert [content.header.stamp.sec for content in scans] == list(range(8))
-    assert [content.scan for content in scans] == [0, 3, 6, 9, 10, 13, 16, 19]
+    assert [content.scan for content in scans] == [0, 3, 6, 9, 12, 15, 18, 21]
+
+
+def test_loop_is_as_long_for_a_joint_that_lacks_scans(tmp_path: Path) -> None:
+    """Else its stamps are those of no other joint from the second pass on, and the arm has no endpoint."""
+    passes = []
+    for name, lost in (("whole", ()), ("lacking", (3, 4, 8))):
+        records = [scan(n, START + n * TENTH) for n in range(10) if n not in lost]
+        looped = decoded(list(itertools.islice(replay(tmp_path / name, records, loop=True), 3 * len(records))))
+        passes.append({content.scan: (content.header.stamp.sec, content.header.stamp.nanosec) for content in looped})
+    assert passes[1].items() < passes[0].items()
 
 
 def test_loop_over_a_single_scan_has_a_period_of_a_second(tmp_path: Path) -> None:
