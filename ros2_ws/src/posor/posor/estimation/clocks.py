@@ -375,6 +375,7 @@ def _follow_back(model: Model, scan: Any, stamp: float, elapsed: float) -> int:
     was_set = clocks.run_age - clocks.least_age > -0.5 * elapsed > 0.0
     if (elapsed < -CLOCK_STEP_S or is_earlier) and not was_set:
         tracker.initialised, tracker.counted, tracker.theta = 0, 0, 0.0
+        tracker.signature_count = 0  # its readings come again
         clocks.former_age, clocks.age_step = math.nan, 0.0
     else:
         if least - elapsed > LEAST_DEVIATION * clocks.period:

@@ -12,6 +12,7 @@ import pytest
 from posor.calibration.calibration_file import calibration_from
 from posor.calibration.designs import DesignName, design, sized_design
 from posor.errors import CalibrationError, ParameterError, ShapeError
+from posor.estimation.clocks import LATE_RUN
 from posor.estimation.frozen import FROZEN_EVIDENCE, evidence_of_repetition
 from posor.estimation.posor import Posor
 from posor.model.fault import Fault, State
@@ -266,6 +267,15 @@ def test_a_recording_that_is_played_back_and_forth_is_no_loop() -> None:
     for name in ("gap_voltages", "diode_currents"):
         getattr(scans, name)[:] = getattr(scans, name)[place]
     assert not (posor.estimate_all(scans).faults & Fault.FROZEN).any()
+
+
+def test_a_short_recording_that_starts_over_is_no_loop() -> None:
+    """Its scans come again with numbers and stamps, as of ``ros2 bag play --loop`` or of a simulated clock set back."""
+    posor = Posor(design("triad_light_ring", motion=True, converter=True))
+    found = posor.estimate_all(resting(posor, 50, rounded=True).select(np.tile(np.arange(50), 4)))
+    assert not (found.faults & Fault.FROZEN).any()
+    assert np.count_nonzero(found.faults & Fault.BAD_READING) == 3 * (LATE_RUN - 1)
+    assert found.states[-1] == State.OK
 
 
 def looping() -> tuple[Posor, Scans]:
