@@ -16,7 +16,7 @@ from posor.errors import ErrorCollector, ParameterError, PosorError, similar_nam
 from posor.node_parameters import RECORDING, ChainParameters, PosorParameters
 from posor.output_files import write_files
 from posor.parameter_model import check_boolean_parameters, validate_parameters
-from posor.ros_names import ROS_OWN_PARAMETERS, TEMPERATURE_TOPIC
+from posor.ros_names import JOINT_STATES_TOPIC, ROS_OWN_PARAMETERS, TEMPERATURE_TOPIC
 from posor_drivers.driver_parameters import driver_parameters_for
 from posor_drivers.sources.source import LiveSource, load_source_class
 from posor_ros.parameter_files import load_parameter_file
@@ -152,12 +152,23 @@ def _parameter_errors(program: ProgramCommand) -> list[PosorError]:
 def _file_errors(arm: ArmFile, joint: str, program: ProgramCommand) -> list[ParameterError]:
     """Return an error for each parameter that contradicts the arm file."""
     if program.executable != DRIVER_NODE:
-        return conflicting_parameters(arm, joint, program.parameters)
+        return [*conflicting_parameters(arm, joint, program.parameters), *_own_angles(arm, program)]
     if program.parameters.get("restamp") is not True or len(arm.calibrations) == 1:
         return []
     # Each driver begins at a time of its own, so that no stamp of a joint would be that of another one.
     what = f"restamp: true with {len(arm.calibrations)} joints, which need common stamps"
     return [ParameterError(what, expected="false, for the recorded stamps", parameter="restamp")]
+
+
+def _own_angles(arm: ArmFile, program: ProgramCommand) -> list[ParameterError]:
+    """Return an error if a node takes the angles that chain_node publishes for those of encoders."""
+    own = f"{arm.namespace}/{JOINT_STATES_TOPIC}"
+    found = {name: str(program.parameters.get(name, "")) for name in ("encoder.topic", "encoders.topic")}
+    return [
+        ParameterError(f"{name}: {topic}", expected="encoders; these are the POSORs' own angles", parameter=name)
+        for name, topic in found.items()
+        if own in (topic, f"{program.namespace}/{topic}")
+    ]
 
 
 def _arm_node(

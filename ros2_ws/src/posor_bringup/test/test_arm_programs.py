@@ -146,6 +146,18 @@ def test_placeholders_are_filled_in_for_every_joint(rig_copy: Path) -> None:
         arm_programs(load_arm_file(rig_copy / "arm.yaml"))
 
 
+def test_the_angles_of_the_posors_do_not_confirm_themselves(rig_copy: Path) -> None:
+    own = "    parameters: {encoder.sigma: 0.001, encoder.topic: '{namespace}/joint_states'}"
+    change(rig_copy, "^  joint1: .*$", f"  joint1:\n    calibration: calibrations/joint1.yaml\n{own}")
+    chain = "chain:\n  parameters: {encoders.topic: joint_states, encoders.sigma: [1.0e-6]}\njoints:"
+    change(rig_copy, "^joints:", chain)
+    with pytest.raises(SeveralErrors) as caught:
+        arm_programs(load_arm_file(rig_copy / "arm.yaml"))
+    topics = {"encoder.topic: /test_rig/joint_states", "encoders.topic: joint_states"}
+    expected = "expected encoders; these are the POSORs' own angles."
+    assert {str(each).partition("node: ")[2] for each in caught.value.parts} == {f"{t}; {expected}" for t in topics}
+
+
 def test_chain_node_takes_lists_of_numbers(rig_copy: Path) -> None:
     change(rig_copy, "^joints:", "chain:\n  parameters: {encoders.topic: drive, encoders.sigma: [1.0e-6]}\njoints:")
     assert arm_programs(load_arm_file(rig_copy / "arm.yaml"))[0].parameters["encoders.sigma"] == [1e-6]
