@@ -54,7 +54,7 @@ SHARED = tuple(  # folders, or files of a folder, that share a process, except t
     THIS.root / pattern
     for pattern in (
         *("ros2_ws/src/posor/test/estimation", "ros2_ws/src/posor/test"),
-        *("ros2_ws/src/posor_[bc]*/test", "ros2_ws/src/posor_[der]*/test"),
+        *("ros2_ws/src/posor_[bc]*/test", "ros2_ws/src/posor_design/test", "ros2_ws/src/posor_[der]*/test"),
         *(f"lab/posor_lab/test/[{letters}]*" for letters in ("a-b", "c-e", "f-z")),
         *(f"tests/test_[{letters}]*.py" for letters in ("a-c", "d-o", "p-z")),
     )
@@ -84,6 +84,7 @@ SLOW = (
     "tests/test_[f-q]*.py",
     "lab/posor_lab/test/[c-e]*",
     "ros2_ws/src/posor_estimator/test/test_[f-z]*.py",
+    "ros2_ws/src/posor_design/test",
     "tests/test_[p-z]*.py",
     "ros2_ws/src/posor_estimator/test/test_[a-e]*.py",
     "tests/test_[d-o]*.py",
