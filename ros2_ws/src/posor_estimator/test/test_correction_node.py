@@ -114,7 +114,7 @@ class Robot:
 
         def report_and_plan() -> None:
             self.report()
-            if any(each.name == STATUS and each.level in {b"\x01", b"\x02"} for each in self.graph.diagnostics):
+            if self.statuses(b"\x01", b"\x02"):
                 self.graph.diagnostics.clear()
                 here = self.angles if np.abs(self.angles - self.rows[0]).max() > FAR else self.rows[0]
                 self.plan(*(row + here - self.rows[0] for row in self.rows))
@@ -133,15 +133,21 @@ class Robot:
         """Return the largest distance of a joint from some angles [rad]."""
         return float(np.abs(self.angles - angles).max())
 
+    def statuses(self, *levels: bytes) -> list[Any]:
+        """Return the received statuses of the correction with some levels."""
+        return [each for each in self.graph.diagnostics if each.name == STATUS and each.level in levels]
+
     def wait_for_level(self, level: bytes, report: Callable[[], None] | None = None) -> Any:
         """Return the next status of the correction with a level."""
         self.graph.diagnostics.clear()
+        self.graph.wait_until(lambda: bool(self.statuses(level)), f"level {level!r}", report or self.report)
+        return self.statuses(level)[0]
 
-        def found() -> list[Any]:
-            return [each for each in self.graph.diagnostics if each.name == STATUS and each.level == level]
-
-        self.graph.wait_until(lambda: bool(found()), f"level {level!r}", report or self.report)
-        return found()[0]
+    def wait_until_sound(self) -> Any:
+        """Return the next status of a correction that goes on."""
+        self.graph.diagnostics.clear()
+        self.run_until(lambda: bool(self.statuses(b"\x00")), "a sound status")
+        return self.statuses(b"\x00")[0]
 
     def wait_for_standstill(self) -> float:
         """Return when the last command came (steady clock) [s]; there is no other for ``STILL_S``."""
@@ -184,7 +190,7 @@ def test_the_endpoint_comes_onto_the_plan_though_encoders_are_later_than_scans(r
     uncorrected = position_error(robot)
     robot.follow(START, START)
     robot.run_until(lambda: position_error(robot) < 0.05 * uncorrected, "the corrected endpoint")
-    assert robot.wait_for_level(b"\x00").message == "following"
+    assert robot.wait_until_sound().message == "following"
 
 
 @pytest.mark.parametrize("step_s", [0.004, 0.03, 0.25])
@@ -307,7 +313,7 @@ def test_a_second_node_that_commands_the_robot_stops_the_first_and_no_trajectory
             assert len(robot.commands) == count
             assert second.end() == 0
         robot.follow(robot.angles, robot.angles)
-        assert robot.wait_for_level(b"\x00").message == "following"
+        assert robot.wait_until_sound().message == "following"
 
 
 def test_a_clock_that_goes_back_stops_a_plan_that_has_begun() -> None:
@@ -334,7 +340,7 @@ def test_a_clock_that_goes_back_stops_a_plan_that_has_begun() -> None:
 def test_trajectories_that_cannot_be_corrected_are_refused(robot: Robot) -> None:
     robot.reset()
     robot.follow(robot.angles, robot.angles)
-    before = int(values_of(robot.wait_for_level(b"\x00"))["trajectories_refused"])
+    before = int(values_of(robot.wait_until_sound())["trajectories_refused"])
     here, names = robot.angles, list(robot.nominal.joints)
     for rows, fields in (
         ((here + 0.1, here), {}),
