@@ -19,7 +19,7 @@ from posor_design.posor_output import REQUIREMENT, output_files, requirement_tex
 from posor_design.requirement import Requirement, requirement_content
 from posor_lab.accuracy.accuracy_command import confirm_design, main
 
-DRAWS = 200
+DRAWS = 100
 KIND = LayoutKind("light_ring", 3, 4, gap_outside=True)
 
 
@@ -47,7 +47,7 @@ def sound(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[int, 
     """Exit code, printed text and figures of the sound design."""
     output = tmp_path_factory.mktemp("sound") / "accuracy.json"
     with contextlib.redirect_stdout(io.StringIO()) as printed:
-        code = main(["--design", str(folder), "--scale", "0.1", "--output", str(output)])
+        code = main(["--design", str(folder), "--scale", "0.05", "--output", str(output)])
     return code, printed.getvalue(), json.loads(output.read_text(encoding="utf-8"))["design"]
 
 

@@ -15,7 +15,7 @@ from posor_lab.accuracy.consistency import REGION_LIMIT
 from posor_lab.arm_study.arm_coverage import ArmSample, ArmSampler, arm_coverage, coverage_figures, sample_arms
 from scipy.stats import binom, chi2
 
-ARMS, POSES, SEED = 60, 3, 4711
+ARMS, POSES, SEED = 40, 3, 4711
 
 
 @pytest.fixture(scope="module")

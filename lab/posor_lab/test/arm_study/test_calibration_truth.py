@@ -45,7 +45,7 @@ from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 from scipy.optimize import least_squares
 
-USED, TESTED, ARMS = 40, 6, 4
+USED, TESTED, ARMS = 40, 6, 2
 TOOLS = {name: Tool(pin.SE3(np.eye(3), np.array(place)), (TOOL_SIGMA, 0.1)) for name, place in REFLECTORS.items()}
 
 

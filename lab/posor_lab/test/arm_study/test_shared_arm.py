@@ -21,7 +21,7 @@ from posor_lab.arm_study.arm_coverage import ArmSampler, coverage_figures, sampl
 from posor_lab.arm_study.shared_arm import write_shared_arm
 from scipy.stats import binom, chi2
 
-ARMS, SEED = 80, 4711
+ARMS, SEED = 40, 4711
 ROOT = Path(__file__).resolve().parents[4]
 
 
@@ -61,8 +61,7 @@ def test_the_coherent_sum_covers_common_errors_and_the_independent_one_does_not(
     assert np.sum(sample.independent <= REGION_LIMIT) < inside
     along_x = float(np.square(sample.errors[:, 0, 0]).sum())
     coherent, independent = (along_x / variance for variance in variances_along_x(sampler, shared_arm))
-    assert chi2.ppf(1e-4, ARMS) <= coherent <= chi2.ppf(1.0 - 1e-4, ARMS)
-    assert independent > chi2.ppf(1.0 - 1e-9, ARMS)
+    assert chi2.ppf(1e-4, ARMS) <= coherent <= chi2.ppf(1.0 - 1e-4, ARMS) < independent
 
 
 def test_recorded_scans_get_the_coherent_sum(shared_arm: Path) -> None:

@@ -24,7 +24,7 @@ from posor_lab.harness.full_disk import full_disk_changes_nothing
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 
 BAG = Path(__file__).resolve().parents[4] / "bags" / "five_axis"
-ROWS, ROWS_OF_STOPS = 750, 550
+ROWS, ROWS_OF_STOPS = 500, 550
 
 
 @pytest.mark.timeout(600)
@@ -51,22 +51,13 @@ def test_the_program_finds_gains_that_are_too_small_and_late_stops() -> None:
 
 @pytest.fixture(scope="module")
 def planned() -> JointPath:
-    """Return the motion of the bag."""
-    robot = SimulatedRobot(load_arm_file("five_axis"), 200, 1985)
-    return JointPath(tuple(joint.name for joint in robot.chain.joints), np.arange(2000) / 200.0, robot.planned)
+    """Return the begin of the motion of the bag."""
+    robot, rows = SimulatedRobot(load_arm_file("five_axis"), 200, 1985), 1000
+    return JointPath(tuple(joint.name for joint in robot.chain.joints), np.arange(rows) / 200.0, robot.planned[:rows])
 
 
-@pytest.mark.parametrize(("lateness_ms", "word"), [(-2, "early"), (2, "late")])
-def test_encoders_whose_stamps_are_wrong_correct_nothing(
-    planned: JointPath,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
-    lateness_ms: int,
-    word: str,
-) -> None:
-    topic, late, program = "/five_axis/encoders", tmp_path / "late", tmp_path / "program.csv"
-    program.write_text(planned.text(as_yaml=False), encoding="utf-8")
+def write_late_encoders(late: Path, topic: str, lateness_ms: int) -> None:
+    """Copy the bag with other stamps of the encoders."""
     with Reader(BAG) as reader, Writer(late, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
         to = {
             each.topic: writer.add_connection(each.topic, each.msgtype, msgdef=each.msgdef.data, rihs01=each.digest)
@@ -79,11 +70,20 @@ def test_encoders_whose_stamps_are_wrong_correct_nothing(
                 stamp_ns = seconds * 10**9 + rest + lateness_ms * 10**6
                 own = own[:4] + struct.pack("<iI", *divmod(stamp_ns, 10**9)) + own[12:]
             writer.write(to[connection.topic], time_ns, own)
+
+
+def test_encoders_whose_stamps_are_wrong_correct_nothing(
+    planned: JointPath, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    topic, program = "/five_axis/encoders", tmp_path / "program.csv"
+    program.write_text(planned.text(as_yaml=False), encoding="utf-8")
     output = tmp_path / "corrected.yaml"
-    arguments = ["five_axis", str(program), "--bag", str(late), "--output", str(output)]
-    assert main([*arguments, "--encoders", topic]) == 1
-    assert re.search(rf"the encoder of joint \w+: its readings are \S+ ms {word}", capsys.readouterr().err)
-    assert not output.exists()
+    for lateness_ms, word in ((-2, "early"), (2, "late")):
+        write_late_encoders(tmp_path / word, topic, lateness_ms)
+        arguments = ["five_axis", str(program), "--bag", str(tmp_path / word), "--output", str(output)]
+        assert main([*arguments, "--encoders", topic]) == 1
+        assert re.search(rf"the encoder of joint \w+: its readings are \S+ ms {word}", capsys.readouterr().err)
+        assert not output.exists()
     assert main(arguments) == 0
     capsys.readouterr()
     monkeypatch.setattr(encoder_errors, "LEAST_CHANGE", math.inf)
@@ -101,7 +101,7 @@ def test_a_recorded_program_is_corrected_by_the_errors_of_the_true_arm(
     corrected, printed = read_path(output), capsys.readouterr().out
     assert " endpoints used; the first one " in printed
     arm = load_arm_file("five_axis")
-    truth = ArmSimulation(arm).truth(np.arange(2000)).endpoint
+    truth = ArmSimulation(arm).truth(np.arange(len(planned.times_s))).endpoint
     robot = NominalRobot(arm.chain(), LeastSquares(rotation_length=0.01))
     targets = [robot.endpoint(row).translation for row in planned.angles]
     offsets = corrected.of_joints(robot.joints).angles - planned.angles

@@ -57,7 +57,7 @@ def examples_of(count: int) -> settings:
     return settings(max_examples=count, derandomize=True, deadline=None, database=None, suppress_health_check=kinds)
 
 
-@quick_or_long(15, 400)
+@quick_or_long(8, 400)
 @pytest.mark.parametrize("name", YAML_FORMATS)
 def test_a_yaml_file_with_another_entry(name: str, examples: int, tmp_path: Path) -> None:
     text = readers()[name][0].read_text(encoding="utf-8")
@@ -76,7 +76,7 @@ def test_a_yaml_file_with_another_entry(name: str, examples: int, tmp_path: Path
     run()
 
 
-@quick_or_long(15, 400)
+@quick_or_long(8, 400)
 def test_a_urdf_with_another_attribute(examples: int, tmp_path: Path) -> None:
     text = readers()["urdf"][0].read_text(encoding="utf-8")
 
@@ -91,7 +91,7 @@ def test_a_urdf_with_another_attribute(examples: int, tmp_path: Path) -> None:
     run()
 
 
-@quick_or_long(15, 400)
+@quick_or_long(8, 400)
 def test_a_table_with_another_cell(examples: int, tmp_path: Path) -> None:
     lines = readers()["table"][0].read_text(encoding="utf-8").splitlines()
     comments = [line for line in lines if line.startswith("#")]
