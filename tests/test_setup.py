@@ -131,7 +131,8 @@ def test_only_sources_start_a_build(tmp_path: Path, name: str, *, rebuilds: bool
 
 
 def test_pip_leaves_the_sources_clean(tmp_path: Path) -> None:
-    packages = [setup.parent for setup in [*THIS.ros2.glob("src/*/setup.py"), *THIS.root.glob("lab/*/setup.py")]]
+    scripts = [*THIS.ros2.glob("src/*/setup.py"), *THIS.root.glob("lab/*/setup.py")]
+    packages = {script.read_bytes(): script.parent for script in scripts}.values()  # one of each text
     official = json.loads(THIS.environment_stamp.read_text())["official"]
 
     def sources() -> set[Path]:
