@@ -16,11 +16,11 @@ FULL_S = 120.0  # after which the limit of the growth holds; it is proportional 
 @pytest.mark.timeout(400)
 @pytest.mark.usefixtures("ros_domain")
 @pytest.mark.parametrize(
-    ("arm", "seconds"), [("test_rig", 25.0), pytest.param("five_axis", FULL_S, marks=pytest.mark.long)]
+    ("arm", "seconds"), [("test_rig", 15.0), pytest.param("five_axis", FULL_S, marks=pytest.mark.long)]
 )
 def test_the_running_arm_loses_nothing(tmp_path: Path, arm: str, seconds: float) -> None:
     path = tmp_path / "soak.json"
-    assert main(["soak", "--arm", arm, "--seconds", str(seconds), "--warm-up", "15", "--output", str(path)]) == 0
+    assert main(["soak", "--arm", arm, "--seconds", str(seconds), "--warm-up", "10", "--output", str(path)]) == 0
     content = json.loads(path.read_text(encoding="utf-8"))
     assert content["lost"] == 0
     assert content["growth_mb"] < MOST_GROWTH_MB * seconds / FULL_S

@@ -34,6 +34,10 @@ def rig(tmp_path_factory: pytest.TempPathFactory) -> Path:
     text, count = re.subn("^  joint1: .*$", new, path.read_text(encoding="utf-8"), flags=re.MULTILINE)
     assert count == 1
     path.write_text(text, encoding="utf-8")
+    scenario = path.with_name("scenario.yaml")
+    text, count = re.subn("^rate: .*$", "rate: {value: 20, unit: Hz}", scenario.read_text("utf-8"), flags=re.MULTILINE)
+    assert count == 1
+    scenario.write_text(text, encoding="utf-8")
     return path
 
 
