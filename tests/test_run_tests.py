@@ -39,7 +39,7 @@ def run_tests(*arguments: Path | str) -> subprocess.CompletedProcess[str]:
     return subprocess.run([*RUNNER, *map(str, arguments)], capture_output=True, text=True, check=False)
 
 
-def test_counts_and_reasons(tmp_path: Path) -> None:
+def test_counts_and_reasons_and_long_tests_only_when_asked_for(tmp_path: Path) -> None:
     write_test_files(
         tmp_path,
         good="def test_a(): pass\ndef test_b(): pass\n",
@@ -49,6 +49,7 @@ def test_counts_and_reasons(tmp_path: Path) -> None:
             @pytest.mark.skip(reason="no rig on this machine")
             def test_rig(): pass
         """,
+        long="import pytest\n@pytest.mark.long\ndef test_a(): pass\n",
     )
     done = run_tests(tmp_path)
     assert done.returncode == 0, done.stdout
@@ -56,15 +57,9 @@ def test_counts_and_reasons(tmp_path: Path) -> None:
     assert any(line.endswith("test_good.py: 2 passed") for line in lines)
     assert any(line.startswith("skipped: ") and line.endswith("no rig on this machine") for line in lines)
     assert lines[-1] == "2 passed, 0 failed, 1 skipped"
-
-
-def test_long_tests_run_only_when_asked_for(tmp_path: Path) -> None:
-    long = "import pytest\n@pytest.mark.long\ndef test_a(): pass\n"
-    write_test_files(tmp_path, long=long, short="def test_b(): pass\ndef test_c(): pass\n")
-    for arguments, count in (([tmp_path], 2), (["--long", tmp_path], 1)):
-        done = run_tests(*arguments)
-        assert done.returncode == 0, done.stdout
-        assert done.stdout.splitlines()[-1] == f"{count} passed, 0 failed, 0 skipped"
+    done = run_tests("--long", tmp_path)
+    assert done.returncode == 0, done.stdout
+    assert done.stdout.splitlines()[-1] == "1 passed, 0 failed, 0 skipped"
 
 
 FAILURES = {
@@ -95,26 +90,20 @@ def test_failures(tmp_path: Path) -> None:
     assert done.stdout.splitlines()[-1] == f"2 passed, {len(FAILURES)} failed, 0 skipped"
 
 
-def test_each_file_has_a_process_of_its_own(tmp_path: Path) -> None:
-    text = f"import os\ndef test_a(): open('{tmp_path}/pids', 'a').write(str(os.getpid()) + ' ')\n"
-    write_test_files(tmp_path, one=text, two=text, three=text)
-    assert run_tests(tmp_path).returncode == 0
-    assert len(set((tmp_path / "pids").read_text().split())) == 3
-
-
-def test_a_process_without_low_priority_jobs_runs_a_test_that_may_use_ros(tmp_path: Path) -> None:
+def test_each_file_has_a_process_also_that_of_low_priority_jobs_while_there_are_none(tmp_path: Path) -> None:
     count = PROCESSES + 1
     text = f"""
-        import pathlib, time
+        import os, pathlib, time
         def test_a():  # ends when all have begun
             here = pathlib.Path({str(tmp_path)!r})
-            pathlib.Path(here, pathlib.Path(__file__).stem).touch()
+            pathlib.Path(here, pathlib.Path(__file__).stem).write_text(str(os.getpid()))
             while len(list(here.glob("test_?"))) < {count}:
                 time.sleep(0.01)
     """
     write_test_files(tmp_path, **dict.fromkeys("abcdef"[:count], text))
     done = run_tests(tmp_path)
     assert done.stdout.splitlines()[-1] == f"{count} passed, 0 failed, 0 skipped"
+    assert len({pid.read_text() for pid in tmp_path.glob("test_?")}) == count
 
 
 def test_files_of_a_folder_share_a_process_but_those_with_ros(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
