@@ -38,7 +38,7 @@ OF_NODES: dict[str, tuple[str, dict[str, Parameter]]] = {
 """A parameter of each kind, given as users do: whole numbers for floats and the other way round."""
 WITHOUT_DATA = {"bag", "looped", "table", "instruments"}
 """Sources whose files do not exist: their nodes stay unconfigured."""
-LONG = {"bag", "table"}
+LONG = {"bag", "looped", "table", "instruments"}
 """Sources with parameters of the kinds that the others have."""
 
 
