@@ -40,9 +40,9 @@ def some_kinds(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
-def two_kinds(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Search two kinds of layouts only, for several searches."""
-    search_only(monkeypatch, KINDS[:2])
+def one_kind(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Search one kind of layouts only, for several searches."""
+    search_only(monkeypatch, KINDS[:1])
 
 
 @cache
@@ -103,7 +103,7 @@ def test_the_optimum_is_not_worse_than_its_start() -> None:
     assert ratios(example(), best).worst <= ratios(example(), start).worst
 
 
-@pytest.mark.usefixtures("two_kinds")
+@pytest.mark.usefixtures("one_kind")
 def test_an_uncertainty_beyond_reach_is_refused_with_the_nearest_requirement() -> None:
     requirement = example().changed(uncertainty={"theta": 0.5e-6})
     refusal = refusal_of(requirement)

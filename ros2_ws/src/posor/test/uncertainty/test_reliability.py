@@ -94,7 +94,7 @@ def test_few_joints_have_more_false_alarms_than_stated() -> None:
     posor, random, count = Posor(CALIBRATIONS["quad_light_ring"], false_alarm=0.2), np.random.default_rng(17), 40
     poses = np.tile(POSE.rotation, (count, 1, 1)), np.tile(POSE.translation, (count, 1))
     rates = []
-    for _ in range(100):
+    for _ in range(50):
         scans = scans_at(drawn_stack(posor, random), *poses, np.arange(count), noise=random)
         rates.append(np.mean(posor.estimate_each(scans, np.full(count, 0.02)).states != State.OK))
     assert np.mean(rates) == pytest.approx(EXCEEDED * 0.2, abs=3e-3)

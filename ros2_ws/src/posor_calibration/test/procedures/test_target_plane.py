@@ -80,16 +80,16 @@ def test_without_a_turn_there_is_no_tilt(rng: np.random.Generator) -> None:
 
 
 def test_scans_before_the_home_mark_and_after_a_lost_count_are_left_out(rng: np.random.Generator) -> None:
-    thetas = np.linspace(-1.0, 2.0 * np.pi - 1.0, 300)
+    thetas = np.linspace(-1.0, 2.0 * np.pi - 1.0, 200)
     home = (np.abs(thetas) < 0.5 * (thetas[1] - thetas[0])).astype(np.int64)
     [marked] = np.flatnonzero(home)
     case = turned(rng, "triad_bumpy_ring", thetas)
     case = case.with_scans(case.recording.scans.with_fields({"at_home": home}))
-    contradictory = case.with_readings("ring_voltages", lambda volts: -volts, np.s_[[250], :])
-    for each, left_out in ((case, marked), (contradictory, marked + 50)):
+    contradictory = case.with_readings("ring_voltages", lambda volts: -volts, np.s_[[167], :])
+    for each, left_out in ((case, marked), (contradictory, marked + 33)):
         outcome = each.identify()
         assert np.abs(normalised_errors(each, outcome)).max() < 4.0
-        assert sum(f"{left_out} of 300 scans are not used" in sentence for sentence in outcome.warnings) == 1
+        assert sum(f"{left_out} of 200 scans are not used" in sentence for sentence in outcome.warnings) == 1
     unsolved = case.with_readings("ring_voltages", np.nan, np.s_[[marked - 9], :])
     marks = home.copy()
     marks[marked - 9] = 1  # counts nothing: there is no pose
