@@ -18,7 +18,7 @@ from posor_msgs.msg import EndpointState
 
 pytestmark = pytest.mark.usefixtures("ros_domain")
 
-OK_SCANS = 50
+OK_SCANS = 20
 
 
 def test_a_beam_of_the_urdf_is_drawn_from_plate_to_plate(tmp_path: Path) -> None:

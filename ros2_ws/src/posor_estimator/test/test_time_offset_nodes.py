@@ -32,7 +32,7 @@ from sensor_msgs.msg import JointState
 pytestmark = pytest.mark.usefixtures("ros_domain")
 
 LATE_S, LIMIT_S, SIGMA = 0.04, 0.045, 4e-3  # of the stamps [s]; of the encoder [rad]: 5 of them are 0.5 rad/s for 40 ms
-RATE, CYCLE_S = 100, 6.0  # [Hz], [s]
+RATE, CYCLE_S = 50, 6.0  # [Hz], [s]
 ACCELERATION = 30.0  # largest one about Z that the calibration states [rad/s^2]
 NAMED_WITHIN_S = 4.0  # 2 s of motion at 0.5 rad/s, slower about its turning points; the diagnostics come once a second
 PLATES = ("joint_receiving", "joint_target")
