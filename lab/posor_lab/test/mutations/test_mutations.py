@@ -6,13 +6,17 @@ from __future__ import annotations
 
 import importlib.util
 import json
+from importlib.machinery import SourceFileLoader
 from pathlib import Path
 from typing import Any
 
 import pytest
+from posor import chain
+from posor.chain import measuring_beam
 from posor.errors import ParameterError, PosorError
+from posor_lab.mutations import mutations_command
 from posor_lab.mutations.model_checks import CheckResult
-from posor_lab.mutations.mutated_model import Mutation, load_mutations
+from posor_lab.mutations.mutated_model import MutatingFinder, Mutation, load_mutations
 from posor_lab.mutations.mutations_command import OPTIONS, main, mutation_finding, run_mutation, select_mutations
 from posor_lab.reports.findings import Verdict
 from posor_lab.reports.trial_program import parse_options
@@ -33,12 +37,15 @@ def test_each_mutation_changes_one_place_of_the_source() -> None:
         assert each.by not in source or each.by in each.text, each.name
 
 
-def test_a_few_mutations_from_end_to_end(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_mutation_from_end_to_end(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(mutations_command, "QUICK", 1)
     output = tmp_path / "mutations.json"
     assert main(["--quick", "--seed", "1", "--output", str(output)]) == 0
-    assert "3 of 3 mutations noticed (simulated)" in capsys.readouterr().out
+    assert "1 of 1 mutations noticed (simulated)" in capsys.readouterr().out
     figures: dict[str, Any] = json.loads(output.read_text())
-    assert len(figures["mutations"]) == 3
+    assert len(figures["mutations"]) == 1
     assert all(check["figure"] <= check["limit"] for check in figures["unchanged"].values())
 
 
@@ -49,8 +56,13 @@ def test_a_mutation_without_effect_is_not_noticed() -> None:
 
 
 def test_a_mutation_that_does_not_fit_the_source_is_an_error() -> None:
-    with pytest.raises(PosorError, match=r"0 places of posor\.chain.measuring_beam have the text; expected 1"):
-        run_mutation(SIGN_OF_THE_SAG._replace(text="no such text"))
+    spec = MutatingFinder(SIGN_OF_THE_SAG._replace(text="no such text")).find_spec(
+        measuring_beam.__name__, chain.__path__
+    )
+    assert spec is not None
+    assert isinstance(spec.loader, SourceFileLoader)
+    with pytest.raises(SystemExit, match=r"0 places of posor\.chain.measuring_beam have the text; expected 1"):
+        spec.loader.get_code(measuring_beam.__name__)
     with pytest.raises(PosorError, match="no_such_name"):
         run_mutation(SIGN_OF_THE_SAG._replace(by="gain[:3] = no_such_name"))
 
