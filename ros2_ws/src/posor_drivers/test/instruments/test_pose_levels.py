@@ -32,7 +32,7 @@ from .stream_rig import stream_rig, write_rig
 
 AMPLITUDE, FREQUENCY = 0.03, 25.0  # [rad], [rad/s]: up to 0.75 rad/s, 19 rad/s^2
 GAP_NOISE, RATIO_NOISE = 1e-3, 1e-4  # as the calibration states [V], [1]
-SCANS, TABLE = 300, 4001
+SCANS, TABLE = 200, 4001
 CYCLE_NS = 103_000_000  # the ticks of scans are at other phases of each
 
 

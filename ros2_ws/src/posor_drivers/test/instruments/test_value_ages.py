@@ -241,7 +241,7 @@ def labjack(server: LabJackServer) -> Device[Any]:
 
 
 def read_ticks(reader: DeviceReader) -> FloatArray:
-    """Return how old the values of 300 ticks are, and the limits of their stamps with and without ages, (n, 3) [s]."""
+    """Return how old the values of 150 ticks are, and the limits of their stamps with and without ages, (n, 3) [s]."""
     wait_for_frames(reader)
     found: dict[int, tuple[float, float, float]] = {}
 
@@ -251,7 +251,7 @@ def read_ticks(reader: DeviceReader) -> FloatArray:
         error = reader.stamp_error_at(at_ns, [0, 1])
         if values is not None and error is not None and alone is not None:
             found[at_ns] = float(np.abs(triangle(at_ns) - values).max()), error.limit_s, alone.limit_s
-        return len(found) >= 300
+        return len(found) >= 150
 
     wait_for(take, "values at ticks")
     return np.array(list(found.values()))
