@@ -190,20 +190,17 @@ def test_page_is_complete(outcome: ArmOutcome, simulation: ArmSimulation) -> Non
     assert all(simulation.arm.calibration(joint).content_hash in text for joint in simulation.joints)
 
 
-def test_page_shows_the_parts_that_were_run(outcome: ArmOutcome, simulation: ArmSimulation) -> None:
-    without = read_page(replace(outcome, after=None), simulation)
+def test_page_shows_the_parts_that_were_run_and_their_gaps(outcome: ArmOutcome, simulation: ArmSimulation) -> None:
+    gaps = record(reasons={0: {"elbow": NO_SCAN}, 7: {CHAIN: GIVEN_UP}})
+    without = read_page(replace(outcome, before=gaps, after=None), simulation)
     assert len(without.data) == 12
     assert not any("Controller:" in text for text in without.texts)
+    data = without.data["Position_error_along_the_path.csv"]
+    posors = [row["distance from the truth [µm]"] for row in data if row["series"].startswith("POSORs")]
+    assert [n for n, cell in enumerate(posors) if not cell] == [0, 7]
     alone = read_page(ArmOutcome(coverage=outcome.coverage), simulation)
     assert len(alone.data) == 2
     assert sum(text.startswith(("Many arms:", "Sag:", "Truth, endpoint")) for text in alone.texts) == 2
-
-
-def test_record_with_gaps_is_drawn(simulation: ArmSimulation) -> None:
-    gaps = record(reasons={0: {"elbow": NO_SCAN}, 7: {CHAIN: GIVEN_UP}})
-    data = read_page(ArmOutcome(before=gaps), simulation).data["Position_error_along_the_path.csv"]
-    posors = [row["distance from the truth [µm]"] for row in data if row["series"].startswith("POSORs")]
-    assert [n for n, cell in enumerate(posors) if not cell] == [0, 7]
 
 
 def test_a_long_record_stays_a_small_page(simulation: ArmSimulation) -> None:

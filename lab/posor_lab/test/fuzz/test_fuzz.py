@@ -55,9 +55,9 @@ def test_no_damaged_scan_gives_a_wrong_pose(simulation: ArmSimulation, joint: st
 
 def test_no_damaged_transform_gives_a_wrong_endpoint(simulation: ArmSimulation) -> None:
     fuzz = TransformFuzz(simulation, SEED)
-    fuzz.run(5000)
+    fuzz.run(2000)
     assert fuzz.outcomes["wrong"] == 0, fuzz.examples
-    assert min(fuzz.outcomes["refused"], fuzz.outcomes["unharmed"]) > 500
+    assert min(fuzz.outcomes["refused"], fuzz.outcomes["unharmed"]) > 200
 
 
 def test_readings_that_differ_are_found(simulation: ArmSimulation) -> None:
