@@ -67,13 +67,15 @@ def simulation_of(arm: str) -> ArmSimulation:
     return ArmSimulation(load_checked_arm(arm))
 
 
+STARTS = [["--device", kind] for kind in ("stream", "labjack", "labjack_stream", "nidaqmx", "scpi")]
+STARTS += [["--probes", "capancdt_6200"]]
+
+
 @pytest.mark.parametrize(
-    "arguments",
-    [["--device", kind] for kind in ("stream", "labjack", "labjack_stream", "nidaqmx", "scpi")]
-    + [["--probes", "capancdt_6200"]],
-    ids=lambda arguments: arguments[1],
+    ("arm", "arguments"),  # all kinds of devices for the arm with most channels
+    [*(("six_axis", each) for each in STARTS), *(("five_axis", each) for each in STARTS[::5]), ("test_rig", STARTS[0])],
+    ids=lambda value: value if isinstance(value, str) else value[1],
 )
-@pytest.mark.parametrize("arm", ["test_rig", "five_axis", "six_axis"])
 def test_a_starting_file_holds_every_reading(
     arm: str, arguments: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
