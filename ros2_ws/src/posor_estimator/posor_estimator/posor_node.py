@@ -30,6 +30,7 @@ from posor.messages.raw_scan import scan_of
 from posor.model.fault import Fault, State
 from posor.model.scan import Scans
 from posor.node_parameters import PosorParameters
+from posor.numerics.vector import wrapped
 from posor.ros_names import RAW_TOPIC, TRANSFORM_THROTTLE_TOPIC, TRANSFORM_TOPIC
 from posor_msgs.msg import JointTransform, RawScan
 from posor_msgs.srv import Acknowledge
@@ -221,6 +222,10 @@ class PosorEstimatorNode(PosorNode[PosorParameters]):
             self._require_scans("home", expected)
             if self._is_lost:
                 raise ParameterError("the last scan is LOST", where="home", expected=expected)
+            tracker, theta = self._posor.tracker, float(self._posor.tracker["theta"])
+            if tracker["counted"] and abs(wrapped(theta)) > 0.5 * self._posor.settings["period"]:
+                expected = "the joint at its home mark; if the count is wrong, cleanup and configure of the node first"
+                raise ParameterError(f"theta is counted as {theta:.4g} rad", where="home", expected=expected)
             self._count_from_next = True
             if self._stream is not None:
                 self._stream.count_from_next()

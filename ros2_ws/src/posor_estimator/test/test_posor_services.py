@@ -271,6 +271,17 @@ def test_home_starts_the_count_of_bumps_and_zero_needs_a_home_pose(tmp_path: Pat
         # The count outlives a reload.
         assert rig.call("reload")[0]
         assert {transform.state for transform in rig.send(3)} == {JointTransform.STATE_OK}
+        # It outweighs a call away from home.
+        for theta in (0.03, 0.06, 0.09, 0.12):
+            (there,) = rig.send(1, (0.0, 0.0, GAP, 0.0, 0.0, theta))
+            assert there.state == JointTransform.STATE_OK
+        success, message = rig.call("home")
+        assert not success
+        counted_as = re.match(r"home: theta is counted as (\S+) rad; expected the joint at its home mark", message)
+        assert counted_as is not None
+        assert float(counted_as[1]) == pytest.approx(0.12, abs=1e-3)
+        for theta in (0.09, 0.06, 0.03):
+            rig.send(1, (0.0, 0.0, GAP, 0.0, 0.0, theta))
         # A call belongs to the next scan: it is void if that scan is LOST, and refused after a LOST scan.
         assert rig.call("home")[0]
         dark = rig.send(1, gaps=math.nan)
