@@ -48,7 +48,7 @@ FAILURE_LENGTH = 1000  # last characters of a failure, in the summary; the whole
 REPORTS = THIS.root / "build" / "test"
 REAL_TIME = re.compile(
     r"rclpy\.init|\bContext\(|ros_context|ros_domain|isolated_network|harness\.graph|rig_replay|\bProgram\("
-    r"|posor_lab\.device_servers"
+    r"|posor_lab\.device_servers|\bsocketserver\b"
 )
 SHARED = tuple(  # folders, or files of a folder, that share a process, except those in real time; the first counts
     THIS.root / pattern
