@@ -25,6 +25,7 @@ from pydantic import Field
 
 from posor_calibration.calibration_parameters import FixedParameters, replace_values
 from posor_calibration.data_checks import check_axis, check_channels_vary, check_clock, check_unit
+from posor_calibration.dwells import use_values_once
 from posor_calibration.fit_report import check_spread, describe_fit, enlarge_if_improbable, table_row
 from posor_calibration.least_squares import Fit, fit_parameters
 from posor_calibration.procedure import (
@@ -41,7 +42,7 @@ from posor_calibration.recorded_poses import count_from_first_mark, counted_esti
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from posor.bags.recording import Recording
+    from posor.bags.recording import Recording, Track
     from posor.calibration.calibration_file import Calibration
     from posor.model.scan import Scans
     from posor.numerics.array_types import BoolArray, FloatArray, IntArray
@@ -77,6 +78,11 @@ class ReferenceAttitude:
 
     angles: FloatArray  # [rad], (n, 3); NaN where unknown
     sigmas: FloatArray  # standard uncertainty of each angle [rad], (3,)
+    track: Track | None  # of which the angles were interpolated
+
+    def use_values_once(self, stamps_ns: IntArray, known: BoolArray) -> BoolArray:
+        """Return which of the ``known`` scans (n,) to compare with the reference, see ``dwells.use_values_once``."""
+        return known if self.track is None else use_values_once(self.track, stamps_ns, known)
 
 
 def angles_from_displacements(displacements: FloatArray, lever: float) -> FloatArray:
@@ -107,7 +113,7 @@ def read_reference_attitude(
         if largest > LARGEST_ANGLE:
             what = f"a lever of {lever:g} m gives angles up to {largest:.3g} rad"
             raise FitError(what, where=track.source, expected="points in metres near the end of the lever")
-        return ReferenceAttitude(angles, np.array([twist_sigma, *(track.sigmas[1:] / lever)]))
+        return ReferenceAttitude(angles, np.array([twist_sigma, *(track.sigmas[1:] / lever)]), track)
     try:
         track = recording.find_track(topic, POSE)
     except TrackError as error:
@@ -120,7 +126,7 @@ def read_reference_attitude(
         angles[known] = [native_from_rotation(rotation) for rotation in unpack_poses(values[known])[0]]
         angles[known, 2] = np.unwrap(angles[known, 2])
     # A small rotation changes the components of a quaternion by half its angle.
-    return ReferenceAttitude(angles, np.full(3, 2.0 * np.sqrt(np.mean(np.square(track.sigmas[3:])))))
+    return ReferenceAttitude(angles, np.full(3, 2.0 * np.sqrt(np.mean(np.square(track.sigmas[3:])))), track)
 
 
 @dataclass(frozen=True)
@@ -151,7 +157,7 @@ class AttitudeFit:
         unused = int(np.count_nonzero(~self.used))
         warning = (
             f"{unused} of {len(self.used)} scans are not used: they give no pose, theta is not counted, they have no "
-            "reference, or a reading was substituted or saturated."
+            "reference or one that a nearer scan uses, or a reading was substituted or saturated."
         )
         return (*([warning] if unused else []), *describe_fit(self.fit, self.scales, count, self.readings))
 
@@ -266,10 +272,10 @@ def fit_attitude(
         raise FitError(
             f"none of {len(scans)} scans has both a pose and a reference attitude", where=what, expected="some"
         )
-    first = int(np.argmax(used))
     if check_reference:
-        stamps = scans.stamps_ns[used]
-        _check_reference(stamps, found[used], reference.angles[used], columns, covariances[used], what)
+        _check_reference(scans.stamps_ns[used], found[used], reference.angles[used], columns, covariances[used], what)
+    used = reference.use_values_once(scans.stamps_ns, used)
+    first = int(np.argmax(used))
     covariance = covariances[used][:, columns][:, :, columns] + np.diag(np.square(reference.sigmas[columns]))
     whiten = np.linalg.inv(np.linalg.cholesky(covariance))
 

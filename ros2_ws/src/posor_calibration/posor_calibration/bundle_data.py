@@ -49,7 +49,7 @@ class BundleDataOptions(RestOptions):
     )
     mounting_rad: float = Field(default=0.0, ge=0.0, description="the same for their orientations [rad]")
     least_dwell: float = Field(
-        default=0.0, ge=0.0, description="average dwells of the reference at least this long [s]; 0: use every scan"
+        default=0.0, ge=0.0, description="average dwells of the reference at least this long [s]; 0: use single scans"
     )
     still: Still = 2e-6
     settle: Settle = 0.0
@@ -80,6 +80,8 @@ def make_bundle_data(recording: Recording, calibration: Calibration, options: Bu
         values, sigmas, warnings = means.reference, means.reference_sigmas, means.warnings
     else:
         scans, values = scans_with_reference(recording.scans, track, int(options.longest_gap * NS))
+        differs = np.flatnonzero(np.append(True, np.any(np.diff(values, axis=0) != 0.0, axis=1)))
+        scans, values = scans.select(differs), values[differs]  # a stage at rest repeats one value with one error
         counts, left_out = np.ones(len(scans)), len(recording.scans) - len(scans)
         sigmas, warnings = np.tile(track.sigmas, (len(scans), 1)), ()
     poses = [pin.SE3(r, t) for r, t in zip(*unpack_poses(values), strict=True)]

@@ -288,13 +288,31 @@ class DwellOptions(RestOptions):
     )
 
 
+def use_values_once(track: Track, stamps_ns: IntArray, known: BoolArray) -> BoolArray:
+    """Return which of the ``known`` scans (n,) are the nearest to a value of the reference, each value counting once.
+
+    Interpolated values share the errors of the values beside them: more scans than values would count these errors as
+    independent. ``stamps_ns`` [ns] of the scans, (n,).
+    """
+    which = np.flatnonzero(known)
+    stamps, times = stamps_ns[which], track.stamps_ns
+    after = np.clip(np.searchsorted(times, stamps), 0, len(times) - 1)
+    before = np.maximum(after - 1, 0)
+    nearest = np.where(np.abs(times[before] - stamps) < np.abs(times[after] - stamps), before, after)
+    order = np.lexsort((np.abs(times[nearest] - stamps), nearest))
+    used = np.zeros(len(known), dtype=bool)
+    used[which[order[np.unique(nearest[order], return_index=True)[1]]]] = True
+    return used
+
+
 def scans_with_reference(scans: Scans, track: Track, longest_gap_ns: int) -> tuple[Scans, FloatArray]:
     """Return the scans at whose times the reference is known, and its interpolated values there, (n, k).
 
-    Raises TrackError: there is no such scan.
+    Of scans between two values of the reference those next to them, see ``use_values_once``. Raises TrackError: there
+    is no such scan.
     """
     values = track.interpolate(scans.stamps_ns, longest_gap_ns)
-    known = np.asarray(np.isfinite(values).all(axis=1))
+    known = use_values_once(track, scans.stamps_ns, np.asarray(np.isfinite(values).all(axis=1)))
     if not known.any():
         raise TrackError(
             f"has no value at the times of the {len(scans)} scans",
@@ -313,12 +331,15 @@ def average_recording(
     """
     if options.least_dwell == 0.0:
         scans, values = scans_with_reference(recording.scans, track, round(options.longest_gap * NS))
+        unused = len(recording.scans) - len(scans)
+        what = f"{unused} of {len(recording.scans)} scans are not used: no reference, or one that a nearer scan uses."
         return DwellMeans(
             scans=scans,
             counts=np.ones(len(scans), dtype=np.int64),
             deviations={name: np.full(getattr(scans, name).shape[1:], np.nan) for name in AVERAGED_FIELDS},
             reference=values,
             reference_sigmas=np.tile(track.sigmas, (len(scans), 1)),
+            warnings=(f"{track.source}: {what}",) if unused else (),
         )
     dwells = options.dwells(track)
     if not dwells:

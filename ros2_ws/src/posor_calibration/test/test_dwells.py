@@ -20,6 +20,7 @@ from posor_calibration.dwells import (
     find_dwells,
     mask_outliers,
     scans_with_reference,
+    use_values_once,
 )
 
 GAPS = ("gap_voltages",)
@@ -42,6 +43,18 @@ def test_dwells_are_where_the_reference_rests_long_enough() -> None:
     assert [dwell.samples for dwell in found] == [10, 20, 10]
     assert (found[1].begin_ns, found[1].end_ns) == (1_200_000_000, 3_100_000_000)
     assert [dwell.mean[0] for dwell in find_dwells(reference, 0.01, 1_500_000_000)] == [1.0]
+
+
+def test_each_value_of_a_reference_counts_once() -> None:
+    reference = track(np.arange(4.0)[:, None], period_ns=100)  # at 100 to 400 ns
+    known = np.ones(8, dtype=bool)
+    frequent = np.array([100, 130, 160, 190, 220, 250, 310, 400])
+    assert use_values_once(reference, frequent, known).tolist() == [1, 0, 0, 1, 0, 0, 1, 1]
+    known[3] = False  # the next one stands in
+    assert use_values_once(reference, frequent, known).tolist() == [1, 0, 0, 0, 1, 0, 1, 1]
+    rare, every = np.array([120, 330]), np.ones(2, dtype=bool)
+    assert use_values_once(reference, rare, every).tolist() == [1, 1]
+    assert not use_values_once(reference, rare, ~every).any()
 
 
 def test_slow_motion_is_no_dwell() -> None:

@@ -27,6 +27,7 @@ from posor.model.scan import PROBES_ESTIMATED, SATURATED
 from pydantic import Field
 
 from posor_calibration.data_checks import POSE_AXES, check_axis, check_count, check_unit
+from posor_calibration.dwells import use_values_once
 from posor_calibration.fit_report import check_spread, describe_fit, result_tables
 from posor_calibration.least_squares import fit_parameters
 from posor_calibration.procedure import LongestGapOption, LossOption, Options, Outcome, Procedure, SessionOption, Table
@@ -90,6 +91,8 @@ class _Chain:
         values = [track.interpolate(scans.stamps_ns, gap_ns) for track in (second, reference)]
         known: BoolArray = np.asarray(np.isfinite(np.column_stack(values)).all(axis=1))
         used: BoolArray = known & np.isin(estimates.states, USABLE_STATES)
+        for track in (second, reference):
+            used = use_values_once(track, scans.stamps_ns, used)
         self.count = int(used.sum())
         check_count(self.count, MIN_POSES, "poses with a counted theta that both POSORs and the reference know", NAME)
         self.names = [f"{axis} of scan {number}" for number in scans.numbers[used] for axis in POSE_AXES]

@@ -189,7 +189,10 @@ def _describe(solved: SolvedBundle, readings: tuple[str, ...], unseen: tuple[str
         sentences.append("The reference is taken as exact, since no uncertainty was given for it.")
     sentences += data.warnings
     if data.left_out:
-        sentences.append(f"{data.left_out} scans are not used: no pose, no reference, out of range, or thinned out.")
+        sentences.append(
+            f"{data.left_out} scans are not used: no pose, no reference or one that a nearer "
+            "scan uses, out of range, or thinned out."
+        )
     changes = np.abs(found.values - problem.start) / problem.scales
     if np.any(changes > LARGE_CHANGE):
         worst = int(np.argmax(changes))

@@ -34,6 +34,7 @@ from pydantic import Field
 from posor_calibration.bundle_problem import UNKNOWN_SIGMA, BundleData, BundleProblem, OutOfRangeError, PoseReference
 from posor_calibration.calibration_parameters import FreeParameters
 from posor_calibration.data_checks import check_channels_move, check_count
+from posor_calibration.dwells import use_values_once
 from posor_calibration.fit_report import check_spread, describe_residuals
 from posor_calibration.least_squares import WEAK, Fit
 from posor_calibration.procedure import (
@@ -176,9 +177,10 @@ def _select_turns(
     travel = float(np.ptp(counted[valid])) if valid.any() else 0.0
     if travel < 2.0 * np.pi * (1.0 - 1.0 / part.ring.bumps):
         raise FitError(f"{travel / (2.0 * np.pi):.2f} of a turn", where=where, expected="at least a full turn")
-    which = np.flatnonzero(valid)
     if reference is not None:
-        _check_coherence(reference[which] - thetas[which], part, track.source)
+        _check_coherence(reference[valid] - thetas[valid], part, track.source)
+        valid = use_values_once(track, scans.stamps_ns, valid)
+    which = np.flatnonzero(valid)
     if len(which) > options.at_most:
         which = which[np.round(np.linspace(0, len(which) - 1, options.at_most)).astype(np.int64)]
     poses = [pin.SE3(estimates.rotations[i], estimates.translations[i]) for i in which]

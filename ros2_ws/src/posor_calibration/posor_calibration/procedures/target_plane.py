@@ -57,7 +57,7 @@ def find_target_plane(recording: Recording, calibration: Calibration, options: T
         reference = options.read_reference(recording, options.wobble_sigma)
     else:
         sigmas = np.array([options.wobble_sigma] * 2 + [np.inf])
-        reference = ReferenceAttitude(np.zeros((len(recording.scans), 3)), sigmas)
+        reference = ReferenceAttitude(np.zeros((len(recording.scans), 3)), sigmas, None)
     found = fit_attitude(
         calibration,
         recording,

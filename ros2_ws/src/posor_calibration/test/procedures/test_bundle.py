@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -66,6 +67,19 @@ def test_drawn_parameters_are_recovered_within_their_stated_uncertainty(
     if with_reference:
         remaining = solved.fit.sigmas / solved.problem.scales
         assert np.count_nonzero(remaining < 0.5) > 10
+
+
+def test_values_that_a_stage_at_rest_repeats_count_once() -> None:
+    campaign = DrawnPosor("triad_diodes", 30, 3)
+    single, each = campaign.recording(), np.repeat(np.arange(len(campaign.poses)), 5)
+    scans = campaign.scans.select(each)
+    scans = scans.with_fields({"stamps_ns": np.arange(1, len(each) + 1, dtype=np.int64) * 10_000_000})
+    track = pose_track([campaign.measured[n] for n in each], scans.stamps_ns)
+    repeated = replace(single, scans=scans, tracks={"/reference": track})
+    options = BundleOptions(loss="linear")
+    found, expected = (solve_bundle(case, campaign.calibration, options) for case in (repeated, single))
+    assert len(found.data) == len(expected.data)
+    assert found.fit.sigmas == pytest.approx(expected.fit.sigmas, rel=1e-6)
 
 
 @pytest.mark.long

@@ -58,6 +58,15 @@ def test_drift_is_found_and_intervals_cover(rng: np.random.Generator) -> None:
     check_coverage(normalised, 0.03, 0.12)
 
 
+def test_a_reference_of_a_lower_rate_leaves_its_own_uncertainty(rng: np.random.Generator) -> None:
+    whole = simulate(rng, 400)
+    rare = whole.with_reference(stamps_ns=whole.reference.stamps_ns[::4], values=whole.reference.values[::4])
+    at_its_values = rare.with_scans(rare.recording.scans.select(np.arange(0, 400, 4)))
+    found, expected = (case.identify().fits["zero_drift"] for case in (rare, at_its_values))
+    assert found.sigmas == pytest.approx(expected.sigmas, rel=1e-3)
+    assert found.values == pytest.approx(expected.values, abs=0.05 * float(found.sigmas.min()))
+
+
 def test_replacements(rng: np.random.Generator) -> None:
     case = simulate(rng)
     outcome = case.identify()
