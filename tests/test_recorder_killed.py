@@ -74,7 +74,7 @@ def test_a_killed_recorder_leaves_all_but_the_last_second_and_the_hashes_of_the_
     arm = find_arm("five_axis")
     check_recovered(tmp_path, record_and_kill(tmp_path / "bag", 2.2, "--arm", str(arm)))
     hashes = provenance_of(Settings.of_arm(load_arm_file(arm)))
-    assert len(hashes) == 8  # the software, URDF, beams, five calibrations
+    assert len(hashes) == 13  # the software, URDF, beams, five calibrations and their sessions
     assert custom_data(tmp_path / "bag") == custom_data(tmp_path / "recovered") == hashes
 
 

@@ -74,6 +74,19 @@ def test_files_that_differ_from_those_of_the_recording_are_named(
         assert hashes[key] not in line.split(";")[0]
 
 
+def test_a_beams_file_and_sessions_that_are_not_used_are_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arm = load_arm_file(find_arm("five_axis"))
+    hashes = provenance_of(Settings.of_arm(arm)) | {"posor.session.elbow": "monday"}
+    bag = str(write_bag(tmp_path / "bag", hashes))
+    files = [f"--calibration={joint}={path}" for joint, path in arm.calibrations.items()]
+    session = "session of elbow: none; the bag was recorded with monday"
+    assert warnings(capsys, bag, *files) == [session]
+    beams = f"beams file: none; the bag was recorded with {hashes['posor.beams']}"
+    assert warnings(capsys, bag, *files, "--urdf", str(arm.urdf)) == [session, beams]
+
+
 def test_another_version_of_the_software_is_named_and_a_bag_without_hashes_is_not_compared(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -1,6 +1,6 @@
 # Copyright 2026 POSOR maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Where the numbers of a bag come from: hashes of calibrations, URDF and beams file, and the version of the software.
+"""Where the numbers of a bag come from: calibrations and their sessions, URDF and beams file, version of the software.
 
 The recorder and ``reprocess`` write them into the ``custom_data`` of a bag's metadata.yaml. A bag that is reprocessed
 with other files is reprocessed nevertheless, because that is often the purpose; the differences are named.
@@ -27,32 +27,30 @@ if TYPE_CHECKING:
 
 SOFTWARE = "posor.software"
 FILES = ("urdf", "beams")  # parameters of chain_node that name files
+CALIBRATION, SESSION = "posor.calibration.", "posor.session."  # before the name of a joint
+NONE = "none"  # in place of a file or session that is not used
 PENDING = "custom_data.json"  # custom data of a bag that is being written; its metadata.yaml is written at the end
 
 
 def provenance_of(settings: Settings | None) -> dict[str, str]:
-    """Return the version of the software and the hashes of the files of an arm, if any, as custom data of a bag.
+    """Return the version of the software, hashes of the files of an arm, if any, and sessions, as custom data of a bag.
 
     A calibration has its content hash, which does not depend on layout and comments; other files their SHA-256. Raises
     CalibrationError: a calibration is invalid, or a file cannot be read.
     """
-    return {SOFTWARE: _software()} | {key: _hash(key, path) for key, path in _files(settings).items()}
+    return {key: value for key, (_, value) in _origin(settings).items()}
 
 
 def differences(recorded: Mapping[str, str], settings: Settings) -> tuple[str, ...]:
-    """Return a sentence for each file, and for the software, that differs from what a bag was recorded with.
+    """Return a sentence for each file, session, and for the software, that differs from what a bag was recorded with.
 
-    ``recorded``: custom data of the bag; ``settings``: with which it is processed; a joint or a file that the bag does
-    not name is not compared. Raises CalibrationError: a calibration is invalid, or a file cannot be read.
+    ``recorded``: custom data of the bag; ``settings``: with which it is processed; what the bag does not name is not
+    compared. Raises CalibrationError: a calibration is invalid, or a file cannot be read.
     """
-    used = {SOFTWARE: ("this software", _software())} if SOFTWARE in recorded else {}
-    for key, path in _files(settings).items():
-        if key in recorded:
-            used[key] = str(path), f"hash {_hash(key, path)}"
     return tuple(
-        f"{name}: {value}; the bag was recorded with {recorded[key]}"
-        for key, (name, value) in used.items()
-        if recorded[key] != value.removeprefix("hash ")
+        f"{name}{value}; the bag was recorded with {recorded[key]}"
+        for key, (name, value) in _origin(settings).items()
+        if key in recorded and recorded[key] != value
     )
 
 
@@ -72,16 +70,19 @@ def _of_metadata(text: str) -> dict[str, Any]:
     return dict(yaml.safe_load(text)["rosbag2_bagfile_information"].get("custom_data") or {})
 
 
-def _files(settings: Settings | None) -> dict[str, Path]:
-    """Return the files by their keys in the custom data."""
+def _origin(settings: Settings | None) -> dict[str, tuple[str, str]]:
+    """Return the beginning of a sentence, and the value, by the keys of the custom data."""
+    origin = {SOFTWARE: ("this software: ", _software())}
     if settings is None:
-        return {}
-    files = {f"posor.calibration.{joint}": each.calibration for joint, each in settings.joints.items()}
-    chain = settings.chain or {}
-    return files | {f"posor.{name}": Path(str(chain[name])) for name in FILES if chain.get(name)}
-
-
-def _hash(key: str, path: Path) -> str:
-    if key.removeprefix("posor.") not in FILES:
-        return load_calibration(path).content_hash
-    return file_sha256(path)
+        return origin
+    for joint, each in settings.joints.items():
+        hashed = load_calibration(each.calibration).content_hash
+        origin[f"{CALIBRATION}{joint}"] = f"{each.calibration}: hash ", hashed
+        origin[f"{SESSION}{joint}"] = f"session of {joint}: ", each.session or NONE
+    if settings.chain is None:
+        return origin
+    for name in FILES:
+        path = settings.chain.get(name)
+        found = (f"{path}: hash ", file_sha256(Path(str(path)))) if path else (f"{name} file: ", NONE)
+        origin[f"posor.{name}"] = found
+    return origin
