@@ -27,6 +27,16 @@ from posor.uncertainty.air_index import Air, Range, index_sensitivities
 SMALL_ANGLE = Range(-0.02, 0.02, "rad")
 """Misalignment up to which the cosine error is theta^2 / 2 to 1e-7 of the length."""
 ASSUMED_INDEX = Range(1.0, 1.001, "")
+PLAUSIBLE = {  # what is beyond has another unit, or is no change
+    "offset": Range(-1.0, 1.0, "m"),
+    "angle": SMALL_ANGLE,
+    "length": Range(-10.0, 10.0, "m"),
+    "coefficient": Range(-1e-3, 1e-3, "1/K"),
+    "temperature_change": Range(-100.0, 100.0, "K"),
+    "dead_path": Range(0.0, 10.0, "m"),
+    "misalignment": SMALL_ANGLE,
+}
+"""By field of the dataclasses below: range of the value; the standard uncertainty is at most the upper bound."""
 
 
 @dataclass(frozen=True)
@@ -48,14 +58,18 @@ ZERO = Input(0.0)
 
 
 class _Inputs:
-    """Base of the dataclasses below: refuses input quantities that are not numbers."""
+    """Base of the dataclasses below: refuses input quantities that are not numbers, or not plausible."""
 
     def __post_init__(self) -> None:
         for field in fields(self):  # type: ignore[arg-type]  # subclasses are dataclasses
             content = getattr(self, field.name)
             for quantity in content if isinstance(content, tuple) else (content,):
                 if isinstance(quantity, Input):
-                    _require_finite(quantity, f"{type(self).__name__}.{field.name}")
+                    where = f"{type(self).__name__}.{field.name}"
+                    _require_finite(quantity, where)
+                    if plausible := PLAUSIBLE.get(field.name):
+                        plausible.require(quantity.value, where)
+                        plausible.require(quantity.uncertainty, f"{where}, standard uncertainty")
 
 
 def _require_finite(quantity: Input, where: str) -> None:
@@ -122,9 +136,6 @@ class Interferometer(_Inputs):
         super().__post_init__()
         ASSUMED_INDEX.require(self.assumed_index, "Interferometer.assumed_index")
         _require_finite(Input(0.0, self.index_uncertainty), "Interferometer.index_uncertainty")
-        for angle in self.misalignment:
-            SMALL_ANGLE.require(angle.value, "Interferometer.misalignment")
-            SMALL_ANGLE.require(angle.uncertainty, "Interferometer.misalignment, standard uncertainty")
 
 
 @dataclass(frozen=True)
