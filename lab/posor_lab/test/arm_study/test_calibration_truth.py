@@ -239,6 +239,10 @@ def test_the_program_writes_an_arm_that_can_be_used_and_replaces_nothing(
     after = contents_of(tmp_path / "new")
     assert {name: after[f"{name}.1"] for name in before} == before
     assert len(after) == 2 * len(before)
+    capsys.readouterr()
+    again = [str(tmp_path / "new" / "arm.yaml"), *options(recorded)[1:], "--output", str(tmp_path / "again")]
+    assert calibrate(again) == 1
+    assert "beams.yaml is already calibrated by it; expected the arm file from before" in capsys.readouterr().err
 
 
 WARMER_K, COEFFICIENT, WARM_BEAMS = 5.0, 23e-6, ("upper_arm", "forearm")

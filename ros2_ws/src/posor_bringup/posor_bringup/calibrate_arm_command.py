@@ -15,8 +15,9 @@ from posor.bags.calibration_recording import bag_sha256
 from posor.bags.offline_pipeline import load_arm
 from posor.certificates.dcc_document import write_dcc
 from posor.certificates.dcc_options import add_dcc_options, read_dcc_options
+from posor.chain.beams_file import load_beams
 from posor.chain.identity import file_sha256
-from posor.errors import ParameterError
+from posor.errors import BagError, ParameterError
 from posor.reporting.command_line_parser import CommandLineParser, number_from, whole_number_from
 from posor.reporting.program_errors import reports_errors
 from posor.reporting.report_table import ReportTable, report_console
@@ -135,6 +136,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     stated = read_dcc_options(options, WHERE)
     folder = options.output or Path("build/calibrate_arm") / arm.name
     check_output(folder, arm, force=options.force)
+    _check_unused(arm, options.bag)
     table = load_readings(options.table, options.map, needs_joints=False)
     references = references_of(table, uncertainties, str(options.table))
     check_names(f"{WHERE}, --uncertainty", uncertainties, references.reflectors)
@@ -167,6 +169,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         write_dcc(options.dcc, certificate_of_arm(arm, found, origin), stated)
         console.print(f"certificate: {options.dcc}", soft_wrap=True, markup=False)
     return 0
+
+
+def _check_unused(arm: Arm, bag: Path) -> None:
+    """Refuse a bag by which the arm is already calibrated: its beams file, the prior knowledge, contains it."""
+    notes = () if arm.beams is None else load_beams(arm.beams).provenance.notes
+    if any(bag_sha256(bag) in note for note in notes):
+        expected = "the arm file from before that calibration, or another recording: no reading counts twice"
+        raise BagError(f"{arm.beams} is already calibrated by it", where=f"{WHERE}, {bag}", expected=expected)
 
 
 def _left_out(table: TableReadings) -> list[str]:

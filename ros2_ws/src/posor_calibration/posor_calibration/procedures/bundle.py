@@ -115,6 +115,7 @@ def _find_unmeasured(scans: Scans) -> tuple[str, ...]:
 
 def fit_bundle(recording: Recording, calibration: Calibration, options: BundleOptions) -> Outcome:
     """Fit parameters together and report what the data leave open; raises as ``Procedure.identify``."""
+    _check_unused(recording, calibration)
     solved = solve_bundle(recording, calibration, options)
     stack, free, data, problem, found = solved.stack, solved.free, solved.data, solved.problem, solved.fit
     has_reference = data.reference is not None
@@ -141,6 +142,17 @@ def fit_bundle(recording: Recording, calibration: Calibration, options: BundleOp
         ),
         warnings=tuple(_describe(solved, stack.reading_names, unseen)),
     )
+
+
+def _check_unused(recording: Recording, calibration: Calibration) -> None:
+    """Refuse a recording that the prior uncertainties contain: its readings would count twice."""
+    for record in calibration.fits:
+        if recording.sha256 and record.recording.sha256 == recording.sha256:
+            raise FitError(
+                f"calibration '{calibration.name}' is already fitted to it, by {record.procedure}",
+                where=f"{NAME}, {recording.source}",
+                expected="the calibration from before that fit, or another recording: no reading counts twice",
+            )
 
 
 def _find_weak(scaled_jacobian: FloatArray, names: Sequence[str]) -> tuple[tuple[WeakDirection, ...], tuple[str, ...]]:

@@ -15,6 +15,7 @@ import pinocchio as pin
 import pytest
 from posor.calibration.calibration_file import load_calibration
 from posor.calibration.designs import DesignName
+from posor.calibration.fit_record import FitRecord
 from posor.calibration.quantity import Quantity
 from posor.errors import FitError
 from posor.estimation.forward import scans_at
@@ -80,6 +81,16 @@ def test_values_that_a_stage_at_rest_repeats_count_once() -> None:
     found, expected = (solve_bundle(case, campaign.calibration, options) for case in (repeated, single))
     assert len(found.data) == len(expected.data)
     assert found.fit.sigmas == pytest.approx(expected.fit.sigmas, rel=1e-6)
+
+
+def test_a_recording_that_the_calibration_contains_is_refused() -> None:
+    campaign = DrawnPosor("triad_diodes", 30, 3)
+    record = {"procedure": "gap_linearisation", "method": "", "date": "2026-01-01", "replaced": ["sensors[0]"]}
+    fits = [FitRecord.model_validate({**record, "recording": {"name": "bag", "sha256": "a" * 64}})]
+    calibration = campaign.calibration.model_copy(update={"fits": fits})
+    fit_bundle(campaign.recording(sha256="b" * 64), calibration, BundleOptions())
+    with pytest.raises(FitError, match="is already fitted to it, by gap_linearisation; expected the calibration from"):
+        fit_bundle(campaign.recording(sha256="a" * 64), calibration, BundleOptions())
 
 
 @pytest.mark.long
