@@ -78,7 +78,7 @@ def topics_of(
             tuple(sorted(scans - set(raw.values()))),
             list(offered[:1]),
             sum(connection.msgcount for connection in own),
-            (*reader.notes(), *_other_arms(joints, raw, scans, where), *unread),
+            (*reader.notes(), *_other_arms(joints, raw, scans, where), *_other_name(joints, raw), *unread),
             {name: topic for name, topic in temperatures.items() if topic},
         )
 
@@ -96,6 +96,15 @@ def _other_arms(joints: Mapping[str, JointSettings], raw: Mapping[str, str], sca
             what = f"scans of joint {joint} are on {raw[joint]} only, those of other joints on topics of the arm, too"
             raise BagError(what, where=where, expected=f"scans of one arm, such as {settings.own_topic}")
     return [f"scans of the arm's own topics are used, those on {', '.join(others)} are left out"] if others else []
+
+
+def _other_name(joints: Mapping[str, JointSettings], raw: Mapping[str, str]) -> list[str]:
+    """Return a sentence on scans that an arm of another name has published, if there are any."""
+    for joint, settings in joints.items():
+        expected, found = (topic.split("/")[-3:-2] for topic in (settings.own_topic, raw[joint]))
+        if settings.own_topic and not settings.topic and found not in (expected, [""]):
+            return [f"the scans of {joint} are on {raw[joint]}; the files are those of an arm '{expected[0]}'"]
+    return []
 
 
 def _topic(joint: str, settings: JointSettings, connections: Sequence[Connection], where: str, option: str) -> str:

@@ -57,6 +57,14 @@ def test_a_bag_of_one_arm_has_no_note(tmp_path: Path) -> None:
     assert (topics.notes, topics.left_out) == ((), ("/cell1/test_rig/other/raw",))
 
 
+def test_scans_of_an_arm_of_another_name_are_named(tmp_path: Path) -> None:
+    joints = Settings.of_arm(load_arm("test_rig")).joints
+    first, *_ = joints
+    [note] = topics_of(bag_of(tmp_path / "a", ["/cell1/rig_7"], list(joints)), joints).notes
+    assert note == f"the scans of {first} are on /cell1/rig_7/{first}/raw; the files are those of an arm 'test_rig'"
+    assert topics_of(bag_of(tmp_path / "b", [""], list(joints)), joints).notes == ()
+
+
 @pytest.mark.parametrize(
     ("own", "option", "expected"),
     [
