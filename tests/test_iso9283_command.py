@@ -168,6 +168,11 @@ def test_stated_dwells_replace_those_that_are_found(made: Path, arm: Path, bag: 
     [
         ("--reference /none", 1, "BAG: there is no topic /none"),
         ("--reference /test_rig/joint1/raw", 1, "BAG: topic /test_rig/joint1/raw is of type posor_msgs/msg/RawScan"),
+        (
+            "--reference /test_rig/endpoint/pose",
+            1,
+            "BAG: topic /test_rig/endpoint/pose is the endpoint that the POSORs",
+        ),
         ("--reference REF --still 0", 2, "iso9283: argument --still: '0' is not "),
         (
             "--reference REF --dwells NONE",

@@ -16,7 +16,7 @@ from posor.arm_names import describe_argument
 from posor.bags.calibration_recording import Reference, bag_sha256, load_recording
 from posor.bags.offline_pipeline import load_arm, topics_of
 from posor.bags.recording import POINT, POSE
-from posor.bags.reprocess_task import Settings
+from posor.bags.reprocess_task import Settings, common_namespace
 from posor.bags.result_folder import name_of_bag
 from posor.errors import BagError, DataFileError, ParameterError
 from posor.numerics.stamps import NS
@@ -25,6 +25,7 @@ from posor.reporting.command_line_parser import CommandLineParser, number_above,
 from posor.reporting.json_text import json_text
 from posor.reporting.program_errors import reports_errors
 from posor.reporting.report_table import ReportTable, report_console
+from posor.ros_names import ENDPOINT_TOPIC
 from posor.tables.named_rows import read_named_rows
 from posor_calibration.dwells import find_dwells
 from posor_design.iso9283 import COMPONENTS, LEAST_CYCLES, PATH_CYCLES, POSE_CYCLES
@@ -121,6 +122,9 @@ def _read(options: Namespace) -> tuple[Motion, Track, list[str]]:
     """
     arm = load_arm(options.arm)
     topics = topics_of(options.bag, Settings.of_arm(arm).joints).raw
+    if options.reference == f"{common_namespace(topics)}/{ENDPOINT_TOPIC}":
+        what = f"topic {options.reference} is the endpoint that the POSORs have measured"
+        raise BagError(what, where=str(options.bag), expected="a commanded endpoint, or that of another instrument")
     recording = load_recording(
         options.bag, topic=next(iter(topics.values())), references=[Reference(options.reference)]
     )
