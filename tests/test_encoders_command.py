@@ -63,6 +63,7 @@ def test_a_file_that_is_no_table_is_not_replaced(tmp_path: Path, capsys: pytest.
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
+        (["--topic", "/five_axis/joint_states"], "holds the angles that the POSORs have measured"),
         (["--topic", "/five_axis/target/endpoint"], "is of type geometry_msgs/msg/PoseStamped"),
         (["--names", "a,b"], "2 names"),
         (["--names", "a,b,c,d,e"], "no reading of a, b, c, d, e"),
@@ -155,10 +156,12 @@ def test_readings_that_are_too_far_apart_are_refused(tmp_path: Path) -> None:
         for _, time_ns, data in islice(reader.messages([topic]), 0, None, 20):
             writer.write(to, time_ns, data)
     with pytest.raises(BagError, match=r"readings of elbow are \S+ s apart; expected at most 0.05 s"):
-        read_encoders(slow, OPTIONS[-1], ("elbow",))
+        read_encoders(slow, OPTIONS[-1], ("elbow",), "/five_axis")
 
 
 def test_readings_are_found_by_name() -> None:
-    both, one = (read_encoders(BAG, OPTIONS[-1], names) for names in (("elbow", "shoulder"), ("shoulder",)))
+    both, one = (
+        read_encoders(BAG, OPTIONS[-1], names, "/five_axis") for names in (("elbow", "shoulder"), ("shoulder",))
+    )
     assert (both.positions[:, 1] == one.positions[:, 0]).all()
     assert (both.positions[:, 0] != both.positions[:, 1]).any()

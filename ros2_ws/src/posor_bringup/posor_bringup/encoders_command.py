@@ -81,7 +81,7 @@ def find_errors(options: argparse.Namespace) -> dict[str, EncoderErrors]:
     if len(names) != len(joints):
         what, expected = f"{len(names)} names", f"one for each of {', '.join(joints)}"
         raise ParameterError(what, where="posor encoders, --names", expected=expected)
-    encoders = read_encoders(options.bag, options.topic, names)
+    encoders = read_encoders(options.bag, options.topic, names, arm.namespace)
     end = arm.estimate(options.bag).endpoint_of_one_run(str(options.bag))
     where = f"{options.bag}, topic {options.topic}"
     times_s = (end.stamps_ns - end.stamps_ns[:1]) / NS

@@ -17,7 +17,7 @@ from posor.errors import BagError
 from posor.messages.message_definitions import schema_of_topic
 from posor.messages.message_table import LEAD
 from posor.numerics.stamps import NS, times_ns
-from posor.ros_names import JOINT_STATE
+from posor.ros_names import JOINT_STATE, JOINT_STATES_TOPIC
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -59,13 +59,16 @@ class RecordedEncoders(NamedTuple):
         return found
 
 
-def read_encoders(bag: Path, topic: str, names: Sequence[str]) -> RecordedEncoders:
+def read_encoders(bag: Path, topic: str, names: Sequence[str], namespace: str) -> RecordedEncoders:
     """Return the readings of a topic for joints of these names.
 
-    Raises BagError: the bag cannot be read, the topic is missing or of another type, a stamp is invalid, or a joint has
-    no reading, or its readings are mostly more than LONGEST_GAP_S apart.
+    ``namespace``: of the arm. Raises BagError: the bag cannot be read, the topic is missing or of another type or holds
+    the angles by the arm's POSORs, a stamp is invalid, or a joint has no reading, or its readings are mostly more than
+    LONGEST_GAP_S apart.
     """
     where = f"{bag}, topic {topic}"
+    if topic == f"{namespace}/{JOINT_STATES_TOPIC}":
+        raise BagError("holds the angles that the POSORs have measured", where=where, expected="readings of encoders")
     parts = []
     with opened_bag(bag) as reader:
         connections = list(reader.connections)
@@ -96,12 +99,16 @@ def read_encoders(bag: Path, topic: str, names: Sequence[str]) -> RecordedEncode
     if missing:
         raise BagError(f"no reading of {', '.join(missing)}", where=where, expected="one of each joint")
     encoders = RecordedEncoders(stamps_ns[order], positions[order], efforts[order], where)
+    _check_gaps(encoders, names)
+    return encoders
+
+
+def _check_gaps(encoders: RecordedEncoders, names: Sequence[str]) -> None:
     for name, column in zip(names, encoders.positions.T, strict=True):
         gaps = np.diff(encoders.stamps_ns[np.isfinite(column)])
         if gaps.size and (usual := float(np.median(gaps)) / NS) > LONGEST_GAP_S:
             what, expected = f"readings of {name} are {usual:.6g} s apart", f"at most {LONGEST_GAP_S:g} s"
-            raise BagError(what, where=where, expected=expected)
-    return encoders
+            raise BagError(what, where=encoders.source, expected=expected)
 
 
 def _stamps(table: MessageTable) -> IntArray:

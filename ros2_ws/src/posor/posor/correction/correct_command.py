@@ -94,7 +94,7 @@ def measured_run(
     columns = [estimates.chain.index(name) for name in robot.joints]
     stamps_ns, poses, angles = end.stamps_ns[usable], end.poses[usable], end.angles[usable][:, columns]
     if options.encoders:
-        readings = read_encoders(options.bag, options.encoders, robot.joints)
+        readings = read_encoders(options.bag, options.encoders, robot.joints, arm.namespace)
         seen = angles
         angles = np.column_stack([readings.at(joint, stamps_ns)[:, 0] for joint in range(len(robot.joints))])
         _check_lateness(robot, readings.source, (stamps_ns - stamps_ns[0]) / NS, seen, angles)
