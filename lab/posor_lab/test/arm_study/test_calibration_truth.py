@@ -98,6 +98,19 @@ def test_errors_at_other_poses_are_of_the_stated_size(case: Case) -> None:
     assert not Consistency.of(smaller).in_band
 
 
+def test_a_tracker_that_is_worse_than_stated_leaves_errors_of_the_stated_size(case: Case) -> None:
+    random, outcomes = np.random.default_rng(5), []
+    for draw, drawn in zip(range(1, 1 + ARMS), case.truth.draw(range(1, 1 + ARMS)), strict=True):
+        references, true = case.truth.readings(drawn, np.random.default_rng([draw, 2]))
+        worse = [
+            each._replace(values=each.values + 6.0 * each.sigmas * random.normal(size=3))
+            for each in references.readings
+        ]
+        outcomes.append(case.truth.outcome(drawn, replace(references, readings=tuple(worse)), true))
+    assert all(5.0 < each.calibration.spread < 7.0 for each in outcomes)
+    assert Consistency.of(outcomes).in_band
+
+
 def test_the_written_files_and_the_plain_urdf_alone_reproduce_the_endpoint(case: Case) -> None:
     problem, poses = case.problem(case.references.readings), case.truth.measured(case.drawn, 0)
     found = calibrate_arm(problem, ())

@@ -254,13 +254,15 @@ class ArmProblem:
         """Return the name of the reading of each row of these readings."""
         return [self.readings[n].name for n in sorted(readings) for _ in self.readings[n].sigmas]
 
-    def fit(self, readings: Collection[int], *, loss: Loss = "linear", mounting_only: bool = False) -> Fit:
+    def fit(
+        self, readings: Collection[int], *, loss: Loss = "linear", mounting_only: bool = False, enlarged: float = 1.0
+    ) -> Fit:
         """Fit all parameters, or those of base, tool and fixed ball alone, to readings (their numbers).
 
-        Raises FitError: the fit does not converge.
+        ``enlarged``: factor of the standard uncertainties of the readings. Raises FitError: the fit does not converge.
         """
         rows, count = self.rows_of(readings), len(self.model.parameters)
-        root = np.linalg.cholesky(self._covariance[np.ix_(rows, rows)])
+        root = enlarged * np.linalg.cholesky(self._covariance[np.ix_(rows, rows)])
         mounting = [*range(6 if self._placed else 0), *range(count, len(self.parameters))]
         free = np.array(mounting if mounting_only else range(len(self.parameters)))
 
@@ -322,6 +324,10 @@ def calibrate_arm(problem: ArmProblem, held_out: Collection[int]) -> ArmCalibrat
     if found.is_too_large:
         _check_step(problem, found, used)
     check_spread(found, problem.names_of(used), NAME)
+    spread, warnings = found.spread, describe_spread(found)
+    if found.is_too_large:
+        found = problem.fit(used, enlarged=spread)
+        warnings += ("The readings count with uncertainties that are enlarged by this factor.",)
     sigmas = np.sqrt(np.diagonal(problem.prior))
     _check_corrections(found, sigmas)
     open_ones = (found.sigmas > UNDETERMINED * sigmas) & (sigmas > 2.0 * EXACT)
@@ -330,12 +336,12 @@ def calibrate_arm(problem: ArmProblem, held_out: Collection[int]) -> ArmCalibrat
         parameters=tuple(problem.parameters),
         values=found.values,
         covariance=found.covariance,
-        spread=found.spread,
+        spread=spread,
         undetermined=tuple(name for name, is_open in zip(found.names, open_ones, strict=True) if is_open),
         outliers=tuple(problem.readings[n].name for n in sorted(out)),
         before={name: problem.misfit(mounting, group) for name, group in groups.items()},
         after={name: problem.misfit(found, group) for name, group in groups.items()},
-        warnings=(*describe_spread(found), *_describe_scale(problem, found)),
+        warnings=(*warnings, *_describe_scale(problem, found)),
     )
 
 
