@@ -16,7 +16,7 @@ from posor.bags.bag_writer import BagWriter
 from posor.bags.offline_pipeline import load_arm
 from posor.bags.provenance import SOFTWARE, custom_data, provenance_of
 from posor.bags.reprocess_command import main
-from posor.bags.reprocess_task import Settings
+from posor.bags.reprocess_task import JointSettings, Settings
 from posor.chain.arm_file import load_arm_file
 from posor.errors import BagError
 from posor.messages.message_definitions import MessageTypes
@@ -81,6 +81,8 @@ def test_a_beams_file_and_sessions_that_are_not_used_are_named(
     hashes = provenance_of(Settings.of_arm(arm)) | {"posor.session.elbow": "monday"}
     bag = str(write_bag(tmp_path / "bag", hashes))
     files = [f"--calibration={joint}={path}" for joint, path in arm.calibrations.items()]
+    monday = {"elbow": JointSettings(arm.calibrations["elbow"], session="monday")}
+    assert provenance_of(Settings(monday, None))["posor.session.elbow"] == "monday"
     session = "session of elbow: none; the bag was recorded with monday"
     assert warnings(capsys, bag, *files) == [session]
     beams = f"beams file: none; the bag was recorded with {hashes['posor.beams']}"

@@ -141,6 +141,12 @@ def test_scans_without_a_reference_are_left_out() -> None:
         scans_with_reference(scans_of(np.zeros((1, 1)), [50]), reference, 1000)
 
 
+def test_of_scans_between_two_values_of_a_reference_those_next_to_them_are_used() -> None:
+    reference = track(np.array([[0.0], [1.0]]), 100)
+    scans, values = scans_with_reference(scans_of(np.zeros((4, 1)), [110, 130, 160, 190]), reference, 1000)
+    assert (scans.stamps_ns.tolist(), values.ravel().tolist()) == ([110, 190], [0.1, 0.9])
+
+
 def test_without_a_least_dwell_each_scan_is_one() -> None:
     reference = track(np.array([[0.0], [1.0]]), 100, sigma=0.1)
     recording = Recording(scans_of(np.array([[7.0], [8.0]]), [100, 200]), {"/reference": reference}, "bag")

@@ -99,6 +99,14 @@ def test_a_known_mounting_determines_the_whole_beam(rng: np.random.Generator) ->
     assert [rows[f"beam {axis}"] for axis in "xyz"] == pytest.approx(true.translation.tolist(), abs=3e-5)
 
 
+def test_each_value_of_a_reference_counts_once(rng: np.random.Generator) -> None:
+    single, _ = campaign(rng)
+    scans = single.scans.select(np.repeat(np.arange(COUNT), 2))
+    twice = replace(single, scans=scans.with_fields({"stamps_ns": scans.stamps_ns + np.tile([0, 10], COUNT)}))
+    found, expected = (identify(each).fits["beam_transform"] for each in (twice, single))
+    assert found.sigmas == pytest.approx(expected.sigmas, rel=1e-6)
+
+
 def test_combinations_that_parallel_axes_leave_open_are_reported(rng: np.random.Generator) -> None:
     recording, _ = campaign(rng, PARALLEL)
     outcome = identify(recording, PARALLEL)

@@ -90,6 +90,14 @@ def test_references_determine_the_others(rng: np.random.Generator) -> None:
     assert not any("cannot be separated" in sentence for sentence in outcome.warnings)
 
 
+def test_each_value_of_a_reference_counts_once(rng: np.random.Generator) -> None:
+    single = simulate(rng)
+    scans = single.recording.scans.select(np.repeat(np.arange(320), 2))
+    twice = single.with_scans(scans.with_fields({"stamps_ns": scans.stamps_ns + np.tile([0, 10], 320)}))
+    found, expected = (case.identify(theta=THETA, **OPTIONS).fits["ring_profile"] for case in (twice, single))
+    assert found.sigmas == pytest.approx(expected.sigmas, rel=1e-3)
+
+
 @pytest.mark.long
 def test_the_new_profile_measures_better(rng: np.random.Generator) -> None:
     case = simulate(rng)
